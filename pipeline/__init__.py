@@ -1,0 +1,1 @@
+"""Scenes, runs, the thesis protocol and their pictures, on top of ``dc_kernels``."""
