@@ -1,0 +1,21 @@
+"""Settings that every test runs with."""
+
+from __future__ import annotations
+
+import os
+
+import warp as wp
+from hypothesis import HealthCheck, settings
+
+wp.config.log_level = wp.LOG_WARNING
+
+# Kernels compile in the first example of a property test, so neither a deadline nor a slow start means anything.
+settings.register_profile(
+    "ci",
+    deadline=None,
+    derandomize=True,
+    max_examples=40,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.register_profile("thorough", settings.get_profile("ci"), derandomize=False, max_examples=1000)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
