@@ -1,0 +1,64 @@
+"""``python -m bench NAME [--quick] [--json]``: run one bench; without a name, list them."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from . import timing
+
+NAMES = ("sweep", "worlds", "scaling", "protocol", "startup")
+
+
+class Bench(Protocol):
+    """What a module ``bench_<name>`` holds."""
+
+    SUMMARY: str  # one line
+    KEYS: tuple[str, ...]  # values that are always there
+    THREADS: int  # the most threads that it uses
+
+    def measure(self, quick: bool) -> dict[str, Any]:
+        """The values by key."""
+
+    def report(self, values: dict[str, Any]) -> str:
+        """The table for people."""
+
+
+def load(name: str) -> Bench:
+    """The module of a bench; nothing heavy is imported before it measures."""
+    return importlib.import_module(f"bench.bench_{name}")  # type: ignore[return-value]
+
+
+def listing() -> str:
+    """The names with one line each."""
+    width = max(map(len, NAMES))
+    return "\n".join(f"{name.ljust(width)}  {load(name).SUMMARY}" for name in NAMES)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one bench: table first, then the JSON line if asked for; 0, or 2 for a name that is not there."""
+    parser = argparse.ArgumentParser(prog="python -m bench", description="Benches of deep-contact.")
+    parser.add_argument("name", nargs="?", help="which bench; without it they are listed")
+    parser.add_argument("--quick", action="store_true", help="fewer repeats and worlds: ends within 40 s")
+    parser.add_argument("--json", action="store_true", help="print one JSON line last")
+    options = parser.parse_args(arguments)
+    if options.name is None:
+        print(listing())
+        return 0
+    if options.name not in NAMES:
+        print(f"there is no bench {options.name!r}; there are: {', '.join(NAMES)}", file=sys.stderr)
+        return 2
+    bench = load(options.name)
+    print(timing.machine_line(timing.machine(bench.THREADS)))
+    values = bench.measure(options.quick)
+    print(bench.report(values), flush=True)
+    if options.json:
+        print(timing.json_line(options.name, values, bench.KEYS, quick=options.quick, threads=bench.THREADS))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,137 @@
+"""The thesis worlds in two other engines, pymunk (Chipmunk) and pybox2d (Box2D 2.3), and the overlap a pile ends with.
+
+Both get the bodies, walls and materials of our own scene and take the same number of steps of the same length, and
+both keep their warm start and never sleep, so that each step of every engine solves the whole pile.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class DiscWorld:
+    """Discs among fixed wall segments: all that the peers have to know of a thesis world.
+
+    ``positions`` (n, 2) m, ``radii`` (n,) m, ``walls`` (m, 2, 2) m: the two ends of each segment.
+    """
+
+    positions: np.ndarray
+    radii: np.ndarray
+    walls: np.ndarray
+    gravity: tuple[float, float] = (0.0, -9.8)
+    density: float = 1.0
+    friction: float = 0.5
+
+
+Runner = Callable[[DiscWorld, int, float], np.ndarray]
+"""Build a world, take a number of steps of dt [s], return the final positions (n, 2) [m]."""
+
+
+def require(module: str) -> ModuleType:
+    """Import a peer, or say which extra installs it.
+
+    Raises:
+        ImportError: when it is missing.
+    """
+    import importlib
+
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        name = {"Box2D": "pybox2d (Box2D)"}.get(module, module)
+        raise ImportError(f"this bench needs {name}: install it with  pip install 'deep-contact[bench]'") from error
+
+
+def run_pymunk(world: DiscWorld, steps: int, dt: float, iterations: int) -> np.ndarray:
+    """One world in pymunk; Chipmunk multiplies friction, so each shape has the root of the pair's coefficient."""
+    pymunk = require("pymunk")
+    friction = math.sqrt(world.friction)
+    space = pymunk.Space()
+    space.gravity = world.gravity
+    space.iterations = iterations  # sleep_time_threshold stays infinite: nothing sleeps
+    for (x1, y1), (x2, y2) in world.walls.tolist():
+        wall = pymunk.Segment(space.static_body, (x1, y1), (x2, y2), 0.0)
+        wall.friction, wall.elasticity = friction, 0.0
+        space.add(wall)
+    bodies = []
+    for (x, y), radius in zip(world.positions.tolist(), world.radii.tolist(), strict=True):
+        mass = world.density * math.pi * radius * radius
+        body = pymunk.Body(mass, pymunk.moment_for_circle(mass, 0.0, radius))
+        body.position = (x, y)
+        shape = pymunk.Circle(body, radius)
+        shape.friction, shape.elasticity = friction, 0.0
+        space.add(body, shape)
+        bodies.append(body)
+    for _ in range(steps):
+        space.step(dt)
+    return np.array([body.position for body in bodies], np.float64).reshape(-1, 2)
+
+
+def run_pybox2d(world: DiscWorld, steps: int, dt: float, velocity_iterations: int, position_iterations: int):
+    """One world in Box2D 2.3, which mixes friction by the root of the product: each shape has the pair's coefficient.
+
+    Its edges carry a skin of 1 cm, which is taken away here: the discs rest on the same walls in every engine.
+    """
+    box2d = require("Box2D")
+    space = box2d.b2World(gravity=world.gravity, doSleep=False)
+    space.warmStarting = True
+    ground = space.CreateStaticBody()
+    for start, end in world.walls.tolist():
+        edge = box2d.b2EdgeShape(vertices=[tuple(start), tuple(end)])
+        edge.radius = 0.0
+        ground.CreateFixture(shape=edge, friction=world.friction, restitution=0.0)
+    bodies = []
+    for (x, y), radius in zip(world.positions.tolist(), world.radii.tolist(), strict=True):
+        body = space.CreateDynamicBody(position=(x, y))
+        shape = box2d.b2CircleShape(radius=radius)
+        body.CreateFixture(shape=shape, density=world.density, friction=world.friction, restitution=0.0)
+        bodies.append(body)
+    for _ in range(steps):
+        space.Step(dt, velocity_iterations, position_iterations)
+    return np.array([tuple(body.position) for body in bodies], np.float64).reshape(-1, 2)
+
+
+# name: how it is run. pybox2d takes 10 and 20 position iterations at most; they end early where nothing overlaps.
+PEERS: dict[str, Runner] = {
+    "pymunk_10": lambda world, steps, dt: run_pymunk(world, steps, dt, 10),
+    "pymunk_50": lambda world, steps, dt: run_pymunk(world, steps, dt, 50),
+    "pybox2d_10": lambda world, steps, dt: run_pybox2d(world, steps, dt, 10, 10),
+    "pybox2d_50": lambda world, steps, dt: run_pybox2d(world, steps, dt, 50, 20),
+}
+PEER_TEXT = {
+    "pymunk_10": "pymunk, 10 iterations",
+    "pymunk_50": "pymunk, 50 iterations",
+    "pybox2d_10": "pybox2d, 10 velocity / 10 position iterations",
+    "pybox2d_50": "pybox2d, 50 velocity / 20 position iterations",
+}
+
+
+def overlaps(positions: np.ndarray, radii: np.ndarray, walls: np.ndarray) -> np.ndarray:
+    """Overlap [m] of every pair (disc-disc or disc-wall) that overlaps, from positions alone.
+
+    Computed in float64 by all pairs, which suits worlds of some hundred discs. A disc whose centre has passed a
+    wall counts with the distance to the segment, as one outside it would.
+    """
+    positions = np.asarray(positions, np.float64)
+    radii = np.asarray(radii, np.float64)
+    first, second = np.triu_indices(len(positions), 1)
+    distance = np.linalg.norm(positions[second] - positions[first], axis=1)
+    between = radii[first] + radii[second] - distance
+    start = walls[:, 0].astype(np.float64)
+    along = walls[:, 1].astype(np.float64) - start
+    to_disc = positions[:, None] - start  # (n, m, 2)
+    share = np.clip((to_disc * along).sum(-1) / (along * along).sum(-1), 0.0, 1.0)
+    walled = radii[:, None] - np.linalg.norm(to_disc - share[..., None] * along, axis=-1)
+    both = np.concatenate([between, walled.ravel()])
+    return both[both > 0.0]
+
+
+def mean_overlap_mm(values: np.ndarray) -> float:
+    """Mean of overlaps [m] in mm; 0 where nothing overlaps."""
+    return 1e3 * float(values.mean()) if len(values) else 0.0
