@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
 import dc_kernels as dc
+from dc_kernels.types import MAX_VERTICES
 
 THESIS_SIDE = 15.0  # [m] of the thesis protocol's box, for THESIS_BODIES discs of THESIS_RADIUS
 THESIS_BODIES = 100
@@ -52,6 +53,10 @@ def place_discs(samplers: Sequence[Sampler], count: int, distance: float, size: 
     Raises:
         ValueError: when the discs do not fit.
     """
+    most = 2.0 / math.sqrt(3.0) * size[0] * size[1] / distance**2 + (size[0] + size[1]) / distance + 1.0  # Groemer 1960
+    full = f"bodies is {count}: so many do not fit into {size[0]:.3g} x {size[1]:.3g} m of centres"
+    if count > most:
+        raise ValueError(f"{full}; it must be <= {int(most)}")
     cell = distance / math.sqrt(2.0)
     width, height = int(size[0] / cell) + 5, int(size[1] / cell) + 5  # two empty cells on each side
     worlds, cells = len(samplers), width * height
@@ -136,7 +141,8 @@ class Scene:
     gravity: float = 9.8
     """Downward acceleration [m/s^2]."""
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Raise a ``ValueError`` that names the parameter which is out of its range."""
         _check(self, 0.0, [f.name for f in fields(self) if f.name in ("bodies", "rows", "radius", "half_width")])
         _check(self, 0.0, ("density",))
         _check(self, 0.0, ("friction", "restitution"), strict=False)
@@ -152,8 +158,9 @@ class Scene:
         """One world for each of the seeds ``seed .. seed + worlds - 1``.
 
         Raises:
-            ValueError: for ``worlds`` < 1 or ``seed`` < 0.
+            ValueError: for ``worlds`` < 1, ``seed`` < 0, or a parameter out of its range.
         """
+        self.check()
         if worlds < 1:
             raise ValueError(f"worlds is {worlds}; it must be >= 1")
         if seed < 0:
@@ -173,7 +180,7 @@ class Scene:
         raise NotImplementedError
 
     def add_static_chain(self, builder: dc.ModelBuilder, vertices: Sequence[tuple[float, float]]) -> int:
-        """A static body with a chain of segments; the free side is on the left of their direction."""
+        """A static body with a chain of segments."""
         body = builder.add_body(type=dc.BodyType.STATIC)
         material = self.material
         del material["density"]
@@ -228,8 +235,8 @@ class ThesisClustered(Thesis):
     spread: float = 0.12
     """Standard deviation of a cluster, which widens as it fills [side of the box]."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check(self) -> None:
+        super().check()
         _check(self, 0.0, ("clusters", "spread"))
 
     def sampler(self, stream: np.random.Generator, free: float) -> Sampler:
@@ -338,8 +345,8 @@ class Incline(Scene):
     length: float = 200.0
     """Length of the slope, the body begins in its middle [m]."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check(self) -> None:
+        super().check()
         _check(self, 0.0, ("length",))
         if not 0.0 <= self.angle < 0.5 * math.pi:
             raise ValueError(f"{self.name}.angle is {self.angle!r}; it must lie in [0, pi / 2)")
@@ -369,8 +376,8 @@ class Mixed(Scene):
     size_ratio: float = 2.0
     """The largest radius over the smallest [1]."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check(self) -> None:
+        super().check()
         _check(self, 1.0, ("size_ratio",), strict=False)
 
     @property
@@ -398,7 +405,7 @@ class Mixed(Scene):
                 slant = float(stream.uniform(0.2, 0.3)) * math.pi
                 builder.add_box(body, size * math.cos(slant), size * math.sin(slant), **self.material)
             elif kind == 2:
-                count = int(stream.integers(3, dc.MAX_VERTICES + 1))
+                count = int(stream.integers(3, MAX_VERTICES + 1))
                 turn = (np.arange(count) + stream.uniform(-0.3, 0.3, count)) * (2.0 * math.pi / count)
                 builder.add_polygon(body, size * np.stack([np.cos(turn), np.sin(turn)], axis=1), **self.material)
             else:
@@ -422,8 +429,8 @@ class Chain(Scene):
     jitter: float = 0.01
     """Largest vertical offset of a disc, uniform [m]."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check(self) -> None:
+        super().check()
         _check(self, 2.0 * self.radius, ("length",))
 
     def add_bodies(self, builder: dc.ModelBuilder, stream: np.random.Generator) -> None:
@@ -436,16 +443,15 @@ class Chain(Scene):
             previous = body
 
 
-SCENES: dict[str, type[Scene]] = {
-    scene.name: scene for scene in (Thesis, ThesisClustered, Settled, Stack, Pyramid, Incline, Mixed, Chain)
-}
+AnyScene = Thesis | ThesisClustered | Settled | Stack | Pyramid | Incline | Mixed | Chain
+SCENES: dict[str, type[Scene]] = {scene.name: scene for scene in get_args(AnyScene)}
 
 
 def scene(name: str, **parameters: Any) -> Scene:
     """The scene of a name, with the given parameters.
 
     Raises:
-        ValueError: for an unknown name or parameter, or one out of its range.
+        ValueError: for an unknown name or parameter.
     """
     if name not in SCENES:
         raise ValueError(f"scene is {name!r}; it must be one of {tuple(SCENES)}")
