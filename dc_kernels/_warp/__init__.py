@@ -1,0 +1,1 @@
+"""Warp kernels. A file reads func -> kernel; launchers live in the modules one level up."""

@@ -1,0 +1,563 @@
+"""Rows by Jacobian (seed, 2.2.1): packing into blocks, and the scalar arithmetic of one row.
+
+J = [-n, -r_A x n, n, r_B x n] (2.21), the tangent alike (2.22), a distance joint along its line (2.20);
+effective mass 1 / (J M^-1 J^T) (2.24-2.25).
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from ..rows import COLUMNS
+from ..types import COLORS, LANES, BodyType, Flag
+from .common import cross, kernel_module, rotate, scalar_types, tangent
+
+DYNAMIC = wp.constant(int(BodyType.DYNAMIC))
+ROW_OVERFLOW = wp.constant(int(Flag.ROW_OVERFLOW))
+N_COLORS = wp.constant(COLORS)
+N_LANES = wp.constant(LANES)
+
+
+@cache
+def row_functions(dtype: str, variant: str) -> dict[str, Any]:
+    """``sweep_row``, ``jacobi_row``, ``apply_row``, ``push_row`` and ``natural_map_row``: one row each.
+
+    They are the oracle of the lanes, the serial colour, the colour schedule and the path on a GPU.
+    """
+    t = scalar_types(dtype)
+    real, vec4 = t.real, t.vec4
+    module = kernel_module("solver", dtype, variant)
+    columns = COLUMNS[variant]
+    discs = variant == "discs"
+    joints = variant == "joints"
+    width = wp.constant(len(columns) * LANES)
+    at = {name: wp.constant(i * LANES) for i, name in enumerate(columns)}
+    NX, NY, EN, ET, BIAS, MU, GAP = (at[c] for c in ("nx", "ny", "en", "et", "bias", "mu", "gap"))
+    # the variant that lacks a column never reads it
+    RAN, RBN, RAT, RBT, IA, IB = (at.get(c, 0) for c in ("rAn", "rBn", "rAt", "rBt", "iA", "iB"))
+    DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
+
+    @wp.func(module=module)
+    def normal_speed(rows: wp.array(dtype=real), r: int, va: vec4, vb: vec4):
+        vn = rows[r + NX] * (vb[0] - va[0]) + rows[r + NY] * (vb[1] - va[1])
+        if wp.static(not discs):
+            vn = vn + (rows[r + RBN] * vb[2] - rows[r + RAN] * va[2])
+        return vn
+
+    @wp.func(module=module)
+    def tangent_speed(rows: wp.array(dtype=real), r: int, va: vec4, vb: vec4):
+        vt = rows[r + NY] * (vb[0] - va[0]) - rows[r + NX] * (vb[1] - va[1])
+        if wp.static(discs):
+            vt = vt + (rows[r + DB] * vb[2] + rows[r + DA] * va[2])
+        else:
+            vt = vt + (rows[r + RBT] * vb[2] - rows[r + RAT] * va[2])
+        return vt
+
+    @wp.func(module=module)
+    def normal_change(rows: wp.array(dtype=real), r: int, v: vec4, side: int, dn: real):
+        """Velocity of body A (side 0) or B (side 1) after a normal impulse."""
+        px = rows[r + NX] * dn
+        py = rows[r + NY] * dn
+        x = v[0]
+        y = v[1]
+        spin = v[2]
+        if side == 0:
+            x = x - v[3] * px
+            y = y - v[3] * py
+            if wp.static(not discs):
+                spin = spin - rows[r + IA] * (rows[r + RAN] * dn)
+        else:
+            x = x + v[3] * px
+            y = y + v[3] * py
+            if wp.static(not discs):
+                spin = spin + rows[r + IB] * (rows[r + RBN] * dn)
+        return vec4(x, y, spin, v[3])
+
+    @wp.func(module=module)
+    def tangent_change(rows: wp.array(dtype=real), r: int, v: vec4, side: int, dt: real):
+        """Velocity of body A (side 0) or B (side 1) after a tangential impulse."""
+        qx = rows[r + NY] * dt
+        qy = rows[r + NX] * dt
+        x = v[0]
+        y = v[1]
+        spin = v[2]
+        if side == 0:
+            x = x - v[3] * qx
+            y = y + v[3] * qy
+            if wp.static(discs):
+                spin = spin + rows[r + KA] * dt
+            else:
+                spin = spin - rows[r + IA] * (rows[r + RAT] * dt)
+        else:
+            x = x + v[3] * qx
+            y = y - v[3] * qy
+            if wp.static(discs):
+                spin = spin + rows[r + KB] * dt
+            else:
+                spin = spin + rows[r + IB] * (rows[r + RBT] * dt)
+        return vec4(x, y, spin, v[3])
+
+    @wp.func(module=module)
+    def sweep_row(
+        block: int,
+        lane: int,
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        bodies: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+        omega: real,
+    ):
+        """Projected Gauss-Seidel on one row, normal before friction; the larger impulse change [N s]."""
+        r = block * width + lane
+        i = block * 2 * N_LANES + lane
+        a = row_body[i]
+        b = row_body[i + N_LANES]
+        va = bodies[a]
+        vb = bodies[b]
+        ln0 = row_impulse[i]
+        lt0 = row_impulse[i + N_LANES]
+        low = real(0.0)
+        if wp.static(joints):
+            low = rows[r + LO]
+        ln = wp.max(ln0 - (omega * rows[r + EN]) * (normal_speed(rows, r, va, vb) + rows[r + BIAS]), low)
+        dn = ln - ln0
+        va = normal_change(rows, r, va, 0, dn)
+        vb = normal_change(rows, r, vb, 1, dn)
+        limit = rows[r + MU] * ln
+        lt = wp.min(wp.max(lt0 - (omega * rows[r + ET]) * tangent_speed(rows, r, va, vb), -limit), limit)
+        dt = lt - lt0
+        bodies[a] = tangent_change(rows, r, va, 0, dt)
+        bodies[b] = tangent_change(rows, r, vb, 1, dt)
+        row_impulse[i] = ln
+        row_impulse[i + N_LANES] = lt
+        return wp.max(wp.abs(dn), wp.abs(dt))
+
+    @wp.func(module=module)
+    def split_mass(rows: wp.array(dtype=real), r: int, na: real, nb: real, ma: real, mb: real, direction: int):
+        """J M^-1 J^T with each body's mass shared among its rows (direction 0 normal, 1 tangent, 2 mixed)."""
+        if wp.static(discs):
+            if direction == 0:
+                return na * ma + nb * mb
+            if direction == 1:
+                return na * (ma + rows[r + KA] * rows[r + DA]) + nb * (mb + rows[r + KB] * rows[r + DB])
+            return real(0.0)
+        else:
+            if direction == 0:
+                wa = rows[r + IA] * rows[r + RAN] * rows[r + RAN]
+                wb = rows[r + IB] * rows[r + RBN] * rows[r + RBN]
+                return na * (ma + wa) + nb * (mb + wb)
+            if direction == 1:
+                wa = rows[r + IA] * rows[r + RAT] * rows[r + RAT]
+                wb = rows[r + IB] * rows[r + RBT] * rows[r + RBT]
+                return na * (ma + wa) + nb * (mb + wb)
+            wa = rows[r + IA] * rows[r + RAN] * rows[r + RAT]
+            wb = rows[r + IB] * rows[r + RBN] * rows[r + RBT]
+            return na * wa + nb * wb
+
+    @wp.func(module=module)
+    def jacobi_row(
+        block: int,
+        lane: int,
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        bodies: wp.array(dtype=vec4),
+        body_rows: wp.array(dtype=wp.int32),
+        row_impulse: wp.array(dtype=real),
+        summed: wp.array(dtype=vec4),
+        omega: real,
+    ):
+        """Jacobi with mass splitting (Tonge et al. 2012): each row meets its own share of both bodies.
+
+        Velocities are read from ``bodies`` and the changes added to ``summed``: the average over a body's shares.
+        """
+        r = block * width + lane
+        i = block * 2 * N_LANES + lane
+        a = row_body[i]
+        b = row_body[i + N_LANES]
+        va = bodies[a]
+        vb = bodies[b]
+        na = real(body_rows[a])
+        nb = real(body_rows[b])
+        ln0 = row_impulse[i]
+        lt0 = row_impulse[i + N_LANES]
+        low = real(0.0)
+        if wp.static(joints):
+            low = rows[r + LO]
+        ln = ln0
+        mass_n = split_mass(rows, r, na, nb, va[3], vb[3], 0)
+        if mass_n > real(0.0):
+            ln = wp.max(ln0 - omega * (normal_speed(rows, r, va, vb) + rows[r + BIAS]) / mass_n, low)
+        dn = ln - ln0
+        lt = lt0
+        mass_t = split_mass(rows, r, na, nb, va[3], vb[3], 1)
+        limit = rows[r + MU] * ln
+        if mass_t > real(0.0):
+            vt = tangent_speed(rows, r, va, vb) + split_mass(rows, r, na, nb, va[3], vb[3], 2) * dn
+            lt = wp.min(wp.max(lt0 - omega * vt / mass_t, -limit), limit)
+        dt = lt - lt0
+        summed[a] = tangent_change(rows, r, normal_change(rows, r, summed[a], 0, dn), 0, dt)
+        summed[b] = tangent_change(rows, r, normal_change(rows, r, summed[b], 1, dn), 1, dt)
+        row_impulse[i] = ln
+        row_impulse[i + N_LANES] = lt
+        return wp.max(wp.abs(dn), wp.abs(dt))
+
+    @wp.func(module=module)
+    def apply_row(
+        block: int,
+        lane: int,
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        bodies: wp.array(dtype=vec4),
+        delta: wp.array(dtype=real),
+    ):
+        """Velocities after given impulses: V += M^-1 J^T delta (2.26)."""
+        r = block * width + lane
+        i = block * 2 * N_LANES + lane
+        a = row_body[i]
+        b = row_body[i + N_LANES]
+        dn = delta[i]
+        dt = delta[i + N_LANES]
+        va = tangent_change(rows, r, normal_change(rows, r, bodies[a], 0, dn), 0, dt)
+        vb = tangent_change(rows, r, normal_change(rows, r, bodies[b], 1, dn), 1, dt)
+        bodies[a] = va
+        bodies[b] = vb
+
+    @wp.func(module=module)
+    def push_row(
+        block: int,
+        lane: int,
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        bodies: wp.array(dtype=vec4),
+        factor: real,
+        limit: real,
+    ):
+        """Position correction of one row: displacements that remove a share of what overlaps after the step."""
+        r = block * width + lane
+        i = block * 2 * N_LANES + lane
+        a = row_body[i]
+        b = row_body[i + N_LANES]
+        va = bodies[a]
+        vb = bodies[b]
+        step = wp.max(factor * (normal_speed(rows, r, va, vb) + rows[r + GAP]), -limit)
+        low = real(0.0)
+        if wp.static(joints):
+            low = rows[r + LO]
+            step = wp.min(step, limit)
+        dn = wp.max(-(rows[r + EN] * step), low)
+        bodies[a] = normal_change(rows, r, va, 0, dn)
+        bodies[b] = normal_change(rows, r, vb, 1, dn)
+        return wp.abs(dn)
+
+    @wp.func(module=module)
+    def natural_map_row(
+        block: int,
+        lane: int,
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        bodies: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+    ):
+        """Squared natural map of one row [(N s)^2]: impulse minus its projected step on the friction cone.
+
+        The step r - e (u_n + mu |u_t|, u_t) is scaled by the row's effective mass e, so that both are impulses.
+        """
+        r = block * width + lane
+        i = block * 2 * N_LANES + lane
+        va = bodies[row_body[i]]
+        vb = bodies[row_body[i + N_LANES]]
+        un = normal_speed(rows, r, va, vb) + rows[r + BIAS]
+        e = rows[r + EN]
+        if wp.static(joints):
+            if rows[r + LO] < real(0.0):
+                return (e * un) * (e * un)
+        ut = tangent_speed(rows, r, va, vb)
+        mu = rows[r + MU]
+        ln = row_impulse[i]
+        lt = row_impulse[i + N_LANES]
+        zn = ln - e * (un + mu * wp.abs(ut))
+        zt = lt - e * ut
+        size = wp.abs(zt)
+        if size > mu * zn:
+            if mu * size <= -zn:
+                zn = real(0.0)
+                zt = real(0.0)
+            else:
+                zn = (zn + mu * size) / (real(1.0) + mu * mu)
+                zt = wp.sign(zt) * (mu * zn)
+        return (ln - zn) * (ln - zn) + (lt - zt) * (lt - zt)
+
+    return {
+        "sweep_row": sweep_row,
+        "jacobi_row": jacobi_row,
+        "apply_row": apply_row,
+        "push_row": push_row,
+        "natural_map_row": natural_map_row,
+    }
+
+
+@cache
+def kernels(dtype: str, variant: str) -> dict[str, Any]:
+    """``pack_rows`` and ``unpack_impulses``; one thread a world."""
+    t = scalar_types(dtype)
+    real, vec2, vec4 = t.real, t.vec2, t.vec4
+    module = kernel_module("rows", dtype, variant)
+    columns = COLUMNS[variant]
+    discs = variant == "discs"
+    joints = variant == "joints"
+    width = wp.constant(len(columns) * LANES)
+    at = {name: wp.constant(i * LANES) for i, name in enumerate(columns)}
+    NX, NY, EN, ET, BIAS, MU, GAP = (at[c] for c in ("nx", "ny", "en", "et", "bias", "mu", "gap"))
+    RAN, RBN, RAT, RBT, IA, IB = (at.get(c, 0) for c in ("rAn", "rBn", "rAt", "rBt", "iA", "iB"))
+    DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
+    minus_infinity = real(float("-inf"))
+
+    @wp.func(module=module)
+    def inverse(x: real):
+        if x > real(0.0):
+            return real(1.0) / x
+        return real(0.0)
+
+    @wp.kernel(module=module, enable_backward=False)
+    def pack_rows(
+        world_offset: int,
+        slop_factor: real,
+        baumgarte: real,
+        max_correction: real,
+        restitution_threshold: real,
+        # Model:
+        body_start: wp.array(dtype=wp.int32),
+        length_scale: wp.array(dtype=real),
+        body_type: wp.array(dtype=wp.int32),
+        inv_inertia: wp.array(dtype=real),
+        padding_body: int,
+        # State in:
+        position: wp.array(dtype=vec2),
+        angle: wp.array(dtype=real),
+        step_dt: wp.array(dtype=real),
+        predicted: wp.array(dtype=vec4),
+        # Joints in:
+        joint_start: wp.array(dtype=wp.int32),
+        joint_body_a: wp.array(dtype=wp.int32),
+        joint_body_b: wp.array(dtype=wp.int32),
+        joint_anchor_a: wp.array(dtype=vec2),
+        joint_anchor_b: wp.array(dtype=vec2),
+        joint_length: wp.array(dtype=real),
+        joint_color: wp.array(dtype=wp.int32),
+        # Contacts in:
+        contact_start: wp.array(dtype=wp.int32),
+        contact_count: wp.array(dtype=wp.int32),
+        body_a: wp.array(dtype=wp.int32),
+        body_b: wp.array(dtype=wp.int32),
+        normal: wp.array(dtype=vec2),
+        arm_a: wp.array(dtype=vec2),
+        arm_b: wp.array(dtype=vec2),
+        gap: wp.array(dtype=real),
+        friction: wp.array(dtype=real),
+        restitution: wp.array(dtype=real),
+        color: wp.array(dtype=wp.int32),
+        # State in, out:
+        flags: wp.array(dtype=wp.int32),
+        # Rows out:
+        block_start: wp.array(dtype=wp.int32),
+        block_needed: wp.array(dtype=wp.int32),
+        color_block: wp.array(dtype=wp.int32),
+        color_fill: wp.array(dtype=wp.int32),
+        slot: wp.array(dtype=wp.int32),
+        joint_slot: wp.array(dtype=wp.int32),
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        row_scale: wp.array(dtype=real),
+        body_rows: wp.array(dtype=wp.int32),
+    ):
+        """Rows of a world's contacts and joints, in blocks of LANES colour by colour.
+
+        Bias velocity: a gap may close within the step (gap / dt); a contact that hits within the step faster than
+        the threshold leaves with -e times its speed; a separating contact of a bouncing pair may be left approaching
+        with e times its speed at most (Moreau 1988), without which several impacts at once can gain energy.
+        """
+        w = wp.tid() + world_offset
+        if flags[w] != 0:
+            return
+        dt = step_dt[w]
+        slop = slop_factor * length_scale[w]
+        limit = max_correction * length_scale[w]
+        start = contact_start[w]
+        end = start + contact_count[w]
+        count = w * N_COLORS
+        for k in range(count, count + N_COLORS):
+            color_fill[k] = 0
+        for c in range(start, end):
+            color_fill[count + color[c]] += 1
+        for j in range(joint_start[w], joint_start[w + 1]):
+            color_fill[count + joint_color[j]] += 1
+        first = block_start[w]
+        ends = w * (N_COLORS + 1)
+        block = first
+        for k in range(N_COLORS):
+            color_block[ends + k] = block
+            block += (color_fill[count + k] + N_LANES - 1) / N_LANES
+        color_block[ends + N_COLORS] = block
+        block_needed[w] = block - first
+        if block > block_start[w + 1]:
+            flags[w] = flags[w] | ROW_OVERFLOW
+            return
+        # empty lanes of a colour's last block
+        for k in range(N_COLORS):
+            filled = color_fill[count + k]
+            color_fill[count + k] = 0
+            if filled % N_LANES != 0:
+                last = color_block[ends + k + 1] - 1
+                for i in range(last * width, (last + 1) * width):
+                    rows[i] = real(0.0)
+                for i in range(last * 2 * N_LANES, (last + 1) * 2 * N_LANES):
+                    row_body[i] = padding_body
+        for b in range(body_start[w], body_start[w + 1]):
+            body_rows[b] = 0
+        scale = real(0.0)
+        for c in range(start, end):
+            k = color[c]
+            index = color_fill[count + k]
+            color_fill[count + k] = index + 1
+            block = color_block[ends + k] + index / N_LANES
+            lane = index % N_LANES
+            r = block * width + lane
+            i = block * 2 * N_LANES + lane
+            slot[c] = i
+            a = body_a[c]
+            b = body_b[c]
+            row_body[i] = a
+            row_body[i + N_LANES] = b
+            body_rows[a] += 1
+            body_rows[b] += 1
+            va = predicted[a]
+            vb = predicted[b]
+            ia = inv_inertia[a]
+            ib = inv_inertia[b]
+            n = normal[c]
+            tan = tangent(n)
+            ran = cross(arm_a[c], n)
+            rbn = cross(arm_b[c], n)
+            rat = cross(arm_a[c], tan)
+            rbt = cross(arm_b[c], tan)
+            dvx = vb[0] - va[0]
+            dvy = vb[1] - va[1]
+            un = (n[0] * dvx + n[1] * dvy) + (rbn * vb[2] - ran * va[2])
+            ut = (tan[0] * dvx + tan[1] * dvy) + (rbt * vb[2] - rat * va[2])
+            g = gap[c]
+            e = restitution[c]
+            bias = real(0.0)
+            if g > real(0.0):
+                bias = g / dt
+            elif baumgarte > real(0.0) and g < -slop:
+                bias = wp.max(baumgarte * (g + slop), -limit) / dt
+            if e > real(0.0):
+                if un > real(0.0):
+                    bias = wp.max(bias, e * un)
+                elif un < -restitution_threshold and g + un * dt < real(0.0):
+                    bias = wp.min(bias, e * un)
+            rows[r + NX] = n[0]
+            rows[r + NY] = n[1]
+            ma = va[3]
+            mb = vb[3]
+            en = inverse(ma + mb + ia * ran * ran + ib * rbn * rbn)
+            et = inverse(ma + mb + ia * rat * rat + ib * rbt * rbt)
+            if wp.static(discs):
+                en = inverse(ma + mb)
+                rows[r + DA] = -rat
+                rows[r + DB] = rbt
+                rows[r + KA] = ia * -rat
+                rows[r + KB] = ib * rbt
+            else:
+                rows[r + RAN] = ran
+                rows[r + RBN] = rbn
+                rows[r + RAT] = rat
+                rows[r + RBT] = rbt
+                rows[r + IA] = ia
+                rows[r + IB] = ib
+            rows[r + EN] = en
+            rows[r + ET] = et
+            rows[r + BIAS] = bias
+            rows[r + MU] = friction[c]
+            rows[r + GAP] = g + slop
+            if wp.static(joints):
+                rows[r + LO] = real(0.0)
+            scale += (en * (un + bias)) * (en * (un + bias)) + (en * ut) * (en * ut)
+        if wp.static(joints):
+            for j in range(joint_start[w], joint_start[w + 1]):
+                k = joint_color[j]
+                index = color_fill[count + k]
+                color_fill[count + k] = index + 1
+                block = color_block[ends + k] + index / N_LANES
+                lane = index % N_LANES
+                r = block * width + lane
+                i = block * 2 * N_LANES + lane
+                joint_slot[j] = i
+                a = joint_body_a[j]
+                b = joint_body_b[j]
+                row_body[i] = a
+                row_body[i + N_LANES] = b
+                body_rows[a] += 1
+                body_rows[b] += 1
+                va = predicted[a]
+                vb = predicted[b]
+                ra = rotate(wp.cos(angle[a]), wp.sin(angle[a]), joint_anchor_a[j])
+                rb = rotate(wp.cos(angle[b]), wp.sin(angle[b]), joint_anchor_b[j])
+                d = (position[b] + rb) - (position[a] + ra)
+                length = wp.length(d)
+                n = vec2(real(1.0), real(0.0))
+                if length > real(0.0):
+                    n = d / length
+                ran = cross(ra, n)
+                rbn = cross(rb, n)
+                ia = inv_inertia[a]
+                ib = inv_inertia[b]
+                en = inverse(va[3] + vb[3] + ia * ran * ran + ib * rbn * rbn)
+                off = length - joint_length[j]
+                bias = wp.clamp(baumgarte * off, -limit, limit) / dt
+                un = (n[0] * (vb[0] - va[0]) + n[1] * (vb[1] - va[1])) + (rbn * vb[2] - ran * va[2])
+                rows[r + NX] = n[0]
+                rows[r + NY] = n[1]
+                rows[r + RAN] = ran
+                rows[r + RBN] = rbn
+                rows[r + RAT] = real(0.0)
+                rows[r + RBT] = real(0.0)
+                rows[r + IA] = ia
+                rows[r + IB] = ib
+                rows[r + EN] = en
+                rows[r + ET] = real(0.0)
+                rows[r + BIAS] = bias
+                rows[r + MU] = real(0.0)
+                rows[r + GAP] = off
+                rows[r + LO] = minus_infinity
+                scale += (en * (un + bias)) * (en * (un + bias))
+        row_scale[w] = wp.sqrt(scale)
+
+    @wp.kernel(module=module, enable_backward=False)
+    def unpack_impulses(
+        world_offset: int,
+        flags: wp.array(dtype=wp.int32),
+        joint_start: wp.array(dtype=wp.int32),
+        joint_slot: wp.array(dtype=wp.int32),
+        contact_start: wp.array(dtype=wp.int32),
+        contact_count: wp.array(dtype=wp.int32),
+        slot: wp.array(dtype=wp.int32),
+        row_impulse: wp.array(dtype=real),
+        # out:
+        impulse: wp.array(dtype=vec2),
+        joint_impulse: wp.array(dtype=real),
+    ):
+        """Solved impulses back to contacts and joints."""
+        w = wp.tid() + world_offset
+        if flags[w] != 0:
+            return
+        start = contact_start[w]
+        for c in range(start, start + contact_count[w]):
+            i = slot[c]
+            impulse[c] = vec2(row_impulse[i], row_impulse[i + N_LANES])
+        if wp.static(joints):
+            for j in range(joint_start[w], joint_start[w + 1]):
+                joint_impulse[j] = row_impulse[joint_slot[j]]
+
+    return {"pack_rows": pack_rows, "unpack_impulses": unpack_impulses}

@@ -1,0 +1,100 @@
+"""Energy, momentum and overlap of each world, in float64 numpy.
+
+A simulation here is anything with the attributes ``model`` and ``state`` (``overlap`` needs ``contacts`` too).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Momentum(NamedTuple):
+    """Of each world's dynamic bodies."""
+
+    linear: np.ndarray  # (W, 2) [N s]
+    angular: np.ndarray  # (W,) [N m s], about the world's origin
+
+
+class Overlap(NamedTuple):
+    """Of each world's contacts; 0 where there are none."""
+
+    mean: np.ndarray  # (W,) [m]
+    max: np.ndarray  # (W,) [m]
+
+
+def kinetic_energy(sim: Any) -> np.ndarray:
+    """Kinetic energy of each world's dynamic bodies, rotation included: (W,) [J]."""
+    mass, inertia, velocity, spin = _motion(sim)
+    return _per_world(sim, (mass * (velocity * velocity).sum(axis=1) + inertia * spin**2) / 2)
+
+
+def potential_energy(sim: Any) -> np.ndarray:
+    """Potential energy of each world's dynamic bodies in its gravity, 0 at the world's origin: (W,) [J]."""
+    gravity = _float64(sim.model, "gravity")[_worlds(sim)]
+    return _per_world(sim, -_float64(sim.model, "mass") * (gravity * _float64(sim.state, "position")).sum(axis=1))
+
+
+def momentum(sim: Any) -> Momentum:
+    """Linear momentum, and angular momentum about the world's origin, of each world's dynamic bodies."""
+    mass, inertia, velocity, spin = _motion(sim)
+    linear = mass[:, None] * velocity
+    position = _float64(sim.state, "position")
+    angular = position[:, 0] * linear[:, 1] - position[:, 1] * linear[:, 0] + inertia * spin
+    return Momentum(np.stack([_per_world(sim, linear[:, k]) for k in (0, 1)], axis=1), _per_world(sim, angular))
+
+
+def overlap(sim: Any, recollide: float | None = None) -> Overlap:
+    """How far surfaces overlap, over the contacts that press or overlap.
+
+    A contact counts if its normal impulse is not zero or its gap is negative; one that only touches, or is apart
+    but presses because it closes within the step, counts as no overlap.
+
+    Args:
+        sim: the simulation.
+        recollide: time step [s] for a call of ``sim.collide`` first, which finds the contacts of the present
+            positions (their impulses are then those of the last step) without changing the state. None: the gaps
+            are those at the beginning of the last step.
+    """
+    if recollide is not None:
+        sim.collide(recollide)
+    slots, world = contact_slots(sim.contacts)
+    gap = _float64(sim.contacts, "gap")[slots]
+    counts = (gap < 0) | (sim.contacts.numpy("impulse")[slots, 0] != 0)
+    depth, world = np.maximum(-gap, 0.0)[counts], world[counts]
+    worlds = sim.model.world_count
+    number = np.bincount(world, minlength=worlds)
+    largest = np.zeros(worlds)
+    np.maximum.at(largest, world, depth)
+    return Overlap(np.bincount(world, depth, worlds) / np.maximum(number, 1), largest)
+
+
+def contact_slots(contacts: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The slots in use, world after world, and the world of each: two arrays (n,) of integers."""
+    start, count = contacts.numpy("contact_start")[:-1].astype(np.int64), contacts.numpy("contact_count")
+    world = np.repeat(np.arange(len(count)), count)
+    before = np.cumsum(count) - count
+    return np.arange(len(world)) + (start - before)[world], world
+
+
+def _float64(group: Any, name: str) -> np.ndarray:
+    return group.numpy(name).astype(np.float64)
+
+
+def _motion(sim: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    return (
+        _float64(sim.model, "mass"),
+        _float64(sim.model, "inertia"),
+        _float64(sim.state, "velocity"),
+        _float64(sim.state, "angular_velocity"),
+    )
+
+
+def _worlds(sim: Any) -> np.ndarray:
+    """World of each body."""
+    return np.repeat(np.arange(sim.model.world_count), np.diff(sim.model.numpy("body_start")))
+
+
+def _per_world(sim: Any, values: np.ndarray) -> np.ndarray:
+    return np.bincount(_worlds(sim), values, sim.model.world_count)

@@ -1,0 +1,237 @@
+"""Snapshots: everything that a simulation needs to go on, in one HDF5 file.
+
+Groups ``model``, ``state``, ``joints`` and ``contacts`` hold the arrays of ``types.py`` under their names, each
+with its unit, meaning and axis as attributes; contacts are packed, world after world, without unused slots (where
+each world's began is in ``contact_start``). ``config`` carries the solver's settings as attributes. Saving and loading
+keep every bit, so a run that goes on from a snapshot on the same device equals one that never stopped.
+"""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from .arrays import ArrayGroup, Joints, Model, State, float_dtype, numpy_spec, require
+from .measure import contact_slots
+from .types import CONTACTS, Field, SolverConfig
+
+if TYPE_CHECKING:
+    from .step import Simulation
+
+Group = TypeVar("Group", bound=ArrayGroup)
+
+SCHEMA = "deep-contact snapshot"
+SCHEMA_VERSION = 1
+_AXES = ("world", "body", "shape", "vertex", "joint", "contact")
+
+# index arrays and what they point into: a wrong index would have a kernel read foreign memory
+_POINTERS = {
+    "shape_body": "body",
+    "joint_body_a": "body",
+    "joint_body_b": "body",
+    "body_a": "body",
+    "body_b": "body",
+}
+_STARTS = {
+    "body_start": "body",
+    "shape_start": "shape",
+    "joint_start": "joint",
+    "body_shape_start": "shape",
+    "vertex_start": "vertex",
+}
+
+
+def save(sim: Simulation, path: str | os.PathLike[str]) -> None:
+    """Write a snapshot.
+
+    The file is complete or not there: it is written under another name in the same folder and renamed at the end,
+    so that a full disk or a kill never damages a file that was there before.
+
+    Raises:
+        OSError: when it cannot be written.
+        ImportError: without h5py, naming the extra that installs it.
+    """
+    h5py = require("h5py", "pipeline")
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    try:
+        with h5py.File(temporary, "w") as file:
+            _write(file, sim)
+        _sync(temporary, os.O_RDWR)
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    if os.name == "posix":
+        _sync(path.parent, os.O_RDONLY)  # so that the new name outlives a power cut, too
+
+
+def load(
+    path: str | os.PathLike[str], threads: int = 1, device: str | None = None, backend: str | None = None
+) -> Simulation:
+    """The simulation of a snapshot.
+
+    Args:
+        path: the file.
+        threads: of the simulation; the result does not depend on it.
+        device: "cpu" or a CUDA device of Warp; None: the one it was saved from.
+        backend: "warp" or "numpy"; None: the one it was saved from.
+
+    Raises:
+        ValueError: naming file and dataset: not a snapshot, truncated or damaged, of another schema version, a
+            dataset missing or of another shape or dtype, an index out of range.
+        OSError: when there is no such file, or it must not be read.
+        ImportError: without h5py, naming the extra that installs it.
+    """
+    from .step import Simulation
+
+    h5py = require("h5py", "pipeline")
+    path = Path(path)
+    try:
+        file = h5py.File(path, "r")
+    except (FileNotFoundError, PermissionError):
+        raise
+    except OSError as error:
+        raise ValueError(f"{path} is not an HDF5 file, or is truncated: {error}") from error
+    with file:
+        header = _Header(file, path)
+        tables = {"model": Model.table, "state": State.table, "joints": Joints.table, "contacts": CONTACTS}
+        values = {name: _read(file, path, name, table, header) for name, table in tables.items()}
+    contacts = values["contacts"]
+    count = contacts.pop("contact_count")
+    if count.min(initial=0) < 0 or count.sum() != header.sizes["contact"]:
+        raise ValueError(f"{path}: contacts/contact_count must sum to the {header.sizes['contact']} contacts stored")
+    del contacts["contact_start"]  # the simulation reserves its slots itself
+    contact_dt = contacts.pop("contact_dt")
+    device, backend = device or header.device, backend or header.backend
+    model = _filled(Model(header.sizes, header.real, device, backend), values["model"])
+    state = _filled(State(header.sizes, header.real, device, backend), values["state"])
+    joints = _filled(Joints(header.sizes, header.real, device, backend), values["joints"])
+    sim = Simulation(
+        model,
+        state,
+        joints,
+        config=header.config,
+        threads=threads,
+        schedule=header.schedule,
+        on_overflow=header.on_overflow,
+    )
+    sim.restore_contacts(count, contacts, contact_dt)
+    return sim
+
+
+def _write(file: Any, sim: Simulation) -> None:
+    from . import __version__
+
+    model = sim.model
+    file.attrs.update(
+        {
+            "schema": SCHEMA,
+            "schema_version": SCHEMA_VERSION,
+            "dc_kernels_version": __version__,
+            "dtype": model.dtype.name,
+            "backend": model.backend,
+            "device": str(model.device),
+            "schedule": sim.schedule,
+            "on_overflow": sim.on_overflow,
+        }
+    )
+    slots, _ = contact_slots(sim.contacts)
+    sizes = {**model.sizes, "joint": model.joint_count, "contact": len(slots)}
+    file.create_group("sizes").attrs.update({name: sizes[name] for name in _AXES})
+    file.create_group("config").attrs.update(sim.config.to_dict())
+    for name, group in (("model", model), ("state", sim.state), ("joints", sim.joints), ("contacts", sim.contacts)):
+        folder = file.create_group(name)
+        for field in group.table.values():
+            values = group.numpy(field.name)
+            if field.per == "contact":
+                values = values[slots]
+            # a checksum finds damage that HDF5 would not notice
+            dataset = folder.create_dataset(field.name, data=values, fletcher32=True if values.size else None)
+            dataset.attrs.update({"unit": field.unit, "meaning": field.meaning, "axis": field.per})
+
+
+def _sync(path: Path, mode: int) -> None:
+    """Have the system write a file or folder to the disk now."""
+    descriptor = os.open(path, mode)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+class _Header:
+    """What a snapshot says about itself."""
+
+    def __init__(self, file: Any, path: Path) -> None:
+        schema, version = file.attrs.get("schema"), file.attrs.get("schema_version")
+        if not isinstance(schema, str) or schema != SCHEMA:
+            raise ValueError(f"{path} is not a {SCHEMA}: its attribute 'schema' is {schema!r}")
+        if version != SCHEMA_VERSION:
+            raise ValueError(f"{path} has schema version {version}; this version reads {SCHEMA_VERSION}")
+        for name in ("sizes", "config"):
+            if name not in file:
+                raise ValueError(f"{path}: group {name} is missing")
+        try:
+            self.real = float_dtype(file.attrs["dtype"])
+            self.device, self.backend = file.attrs["device"], file.attrs["backend"]
+            self.schedule, self.on_overflow = file.attrs["schedule"], file.attrs["on_overflow"]
+            sizes = {name: int(value) for name, value in file["sizes"].attrs.items()}
+            self.sizes = {name: sizes[name] for name in _AXES}
+        except KeyError as error:
+            raise ValueError(f"{path}: an attribute is missing: {error}") from error
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path}: an attribute has a wrong value: {error}") from error
+        self.sizes |= {f"{name}+1": self.sizes[name] + 1 for name in ("world", "body", "shape")}
+        values = {k: v.item() if isinstance(v, np.generic) else v for k, v in file["config"].attrs.items()}
+        try:
+            self.config = SolverConfig(**values)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path}: config: {error}") from error
+
+
+def _read(file: Any, path: Path, group: str, table: Mapping[str, Field], header: _Header) -> dict[str, np.ndarray]:
+    """The arrays of a group, checked."""
+    arrays = {}
+    for field in table.values():
+        where = f"{path}: dataset {group}/{field.name}"
+        dtype, components = numpy_spec(field, header.real)
+        shape = (header.sizes[field.per], *components)
+        try:
+            dataset = file[group][field.name]
+            found = getattr(dataset, "shape", None), getattr(dataset, "dtype", None)
+            if found != (shape, dtype):
+                raise ValueError(f"{where} has shape {found[0]}, dtype {found[1]}; it must be {shape}, {dtype}")
+            values = dataset[()]
+        except KeyError as error:
+            raise ValueError(f"{where} is missing") from error
+        except (OSError, RuntimeError) as error:
+            raise ValueError(f"{where} is damaged: {error}") from error
+        if field.name in _POINTERS and values.size:
+            limit = header.sizes[_POINTERS[field.name]]
+            if values.min() < 0 or values.max() >= limit:
+                raise ValueError(f"{where} points outside [0, {limit})")
+        if field.name in _STARTS:
+            limit = header.sizes[_STARTS[field.name]]
+            if values[0] != 0 or values[-1] != limit or (np.diff(values) < 0).any():
+                raise ValueError(f"{where} must ascend from 0 to {limit}")
+        arrays[field.name] = values
+    return arrays
+
+
+def _filled(group: Group, values: dict[str, np.ndarray]) -> Group:
+    """Copy bit by bit: ``assign`` would refuse what made a world freeze, such as a force that is not finite."""
+    for name, value in values.items():
+        array = group.array(name)
+        if isinstance(array, np.ndarray):
+            array[...] = value
+        elif group.device == "cpu":
+            array.numpy()[...] = value
+        else:
+            array.assign(value)
+    return group

@@ -1,0 +1,594 @@
+"""A simulation: the order of the stages, what a scene skips, threads over worlds, growth of capacity."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Literal
+
+import numpy as np
+
+from .arrays import ArrayGroup, Contacts, Joints, Model, State, allocate
+from .backend import bind, kernel_table
+from .capacity import GROWTH, Cache, Pairs, Rows, blocks_for, bucket_room, move_segments, starts
+from .rows import COLUMNS
+from .solver import COUNTERS, NORMS, SCHEDULES, SolveStats, solver_scalars
+from .types import CAPACITY_FLAGS, COLORS, LANES, MOTION, BodyType, Flag, ShapeType, SolverConfig
+
+Start = Callable[["Simulation"], None]
+_COLLIDE = ("predict", "update_pairs", "narrowphase", "match_contacts", "color_constraints", "pack_rows")
+_SLACK = 0.05  # of the slop: within it two separating axes count as equal and the first body's is taken
+
+
+class Motion(ArrayGroup):
+    """Velocities and displacements of the step in flight (``types.MOTION``)."""
+
+    table = MOTION
+
+
+class Simulation:
+    """Rigid bodies with contacts in any number of worlds, stepped together.
+
+    A step is three phases that can be called one by one: ``collide`` (predict velocities, find contacts, match them
+    with those of the step before), ``solve`` (from ``contacts.impulse`` to the solution), ``advance`` (commit).
+    Before ``advance`` nothing of ``state`` changes, so the first two may be repeated.
+
+    Worlds are independent: the result of each has the same bits whatever the others, ``threads`` and the schedule.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        state: State,
+        joints: Joints | None = None,
+        *,
+        config: SolverConfig | None = None,
+        threads: int = 1,
+        schedule: Literal["world", "color"] = "world",
+        on_overflow: Literal["grow", "raise"] = "grow",
+        specialize: bool = True,
+        pairs_per_shape: float = 4.0,
+        contacts_per_body: float = 2.0,
+    ) -> None:
+        """Allocate everything a step needs.
+
+        Args:
+            model: from ``ModelBuilder.finalize``; its backend, device and dtype are the simulation's.
+            state: evolves in place.
+            joints: None for none.
+            config: settings of the solver; the attribute ``config`` may be replaced between steps and solves.
+            threads: Python threads that worlds are sharded over (launches release the GIL); at most one a world.
+            schedule: "world" (a thread runs a world's solve) or "color" (a launch a colour, for large worlds on a GPU).
+            on_overflow: what happens when a step needs more pairs or contacts than reserved: reallocate and go on, or
+                raise OverflowError with the state of the last step intact.
+            specialize: use kernels for discs only where a scene has only discs.
+            pairs_per_shape: candidate pairs reserved at first.
+            contacts_per_body: contacts reserved at first.
+
+        Raises:
+            ValueError: for settings out of range, or arrays of another model, dtype, device or backend.
+        """
+        if not isinstance(threads, int) or threads < 1:
+            raise ValueError(f"threads is {threads!r}; it must be an integer of at least 1")
+        if schedule not in SCHEDULES:
+            raise ValueError(f"schedule is {schedule!r}; it must be one of {tuple(SCHEDULES)}")
+        if on_overflow not in ("grow", "raise"):
+            raise ValueError(f"on_overflow is {on_overflow!r}; it must be 'grow' or 'raise'")
+        for name, value in (("pairs_per_shape", pairs_per_shape), ("contacts_per_body", contacts_per_body)):
+            if not 0.0 <= value < float("inf"):
+                raise ValueError(f"{name} is {value!r}; it must be finite and not negative")
+        self.model = model
+        self.state = state
+        self.dtype = model.dtype
+        self.device = model.device
+        self.backend = model.backend
+        if joints is None:
+            joints = Joints({name: 0 for name in ("joint",)}, self.dtype, self.device, self.backend)
+        self.joints = joints
+        self._check_groups()
+        self.schedule = schedule
+        self.on_overflow = on_overflow
+        self.threads = max(1, min(threads, model.world_count))
+        self.variant, self.hulls = self._specialization(specialize)
+        self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, self.hulls)
+        self._config = config or SolverConfig()
+        shapes = np.diff(model.numpy("shape_start"))
+        bodies = np.diff(model.numpy("body_start"))
+        self._pair_room = np.ceil(pairs_per_shape * shapes).astype(np.int64)
+        self._contact_room = np.ceil(contacts_per_body * bodies).astype(np.int64)
+        self._block_room = blocks_for(self._contact_room, np.diff(model.numpy("joint_start")))
+        self._allocate(bucket_room(shapes))
+        self._peak = {"pairs": 0, "contacts": 0, "blocks": 0}
+        self._phase = "advance"
+        self._commands: dict[str, list[list[Callable[[], None]]]] = {}
+        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+        self._bind_all()
+
+    # ------------------------------------------------------------------ set-up
+
+    def _check_groups(self) -> None:
+        model = self.model
+        for name, group in (("state", self.state), ("joints", self.joints)):
+            for what in ("dtype", "device", "backend"):
+                if getattr(group, what) != getattr(model, what):
+                    raise ValueError(
+                        f"{name}.{what} is {getattr(group, what)}; it must be the model's, {getattr(model, what)}"
+                    )
+        for axis in ("body", "world"):
+            if self.state.sizes[axis] != model.sizes[axis]:
+                raise ValueError(
+                    f"state has {self.state.sizes[axis]} on axis {axis!r}; it must be the model's {model.sizes[axis]}"
+                )
+        if self.joints.sizes["joint"] != model.joint_count:
+            raise ValueError(f"joints has {self.joints.sizes['joint']}; it must be the model's {model.joint_count}")
+        self.check_state()
+
+    def check_state(self) -> None:
+        """Raise ValueError, naming field and index, if the state holds NaN or inf.
+
+        Steps do not call it: there a non-finite value flags and freezes its world.
+        """
+        for name in ("position", "angle", "velocity", "angular_velocity", "force", "torque"):
+            values = self.state.numpy(name)
+            bad = np.argwhere(~np.isfinite(values))
+            if len(bad):
+                index = ", ".join(str(int(i)) for i in bad[0])
+                raise ValueError(f"state.{name}[{index}] is {values[tuple(bad[0])]}; it must be finite")
+
+    def _specialization(self, specialize: bool) -> tuple[str, bool]:
+        """Row variant, and whether two hulls can meet."""
+        model = self.model
+        moving = (model.numpy("body_type") != BodyType.STATIC)[model.numpy("shape_body")]
+        kind = model.numpy("shape_type")
+        hulls = bool((moving & (kind != ShapeType.DISC)).any())
+        self.only_discs = bool((~moving | ((kind == ShapeType.DISC) & ~model.numpy("shape_center").any(axis=1))).all())
+        if model.joint_count:
+            return "joints", hulls
+        return ("discs" if self.only_discs and specialize else "general"), hulls
+
+    def _allocate(self, buckets: np.ndarray) -> None:
+        """All groups for the present room."""
+        model = self.model
+        worlds, bodies = model.world_count, model.body_count
+        self._sizes = {
+            **model.sizes,
+            "joint": model.joint_count,
+            "body+1": bodies + 1,
+            "body sum": bodies + 1 if self._config.method == "jacobi" else 1,
+            "bucket": int(buckets.sum()),
+            "world color": worlds * COLORS,
+            "world color+1": worlds * (COLORS + 1),
+            "world counter": worlds * COUNTERS,
+            "world norm": worlds * NORMS,
+        }
+        self._room_sizes()
+        make = (self._sizes, self.dtype, self.device, self.backend)
+        self.motion = Motion(*make)
+        self.pairs = Pairs(*make)
+        self.contacts = Contacts(*make)
+        self.cache = Cache(*make)
+        self.rows = Rows(*make)
+        self.stats = SolveStats(*make)
+        self.stats.history = self._history()
+        self.pairs.assign("bucket_start", starts(buckets))
+        self._assign_starts()
+
+    def _room_sizes(self) -> None:
+        blocks = int(self._block_room.sum())
+        self._sizes.update(
+            {
+                "pair": int(self._pair_room.sum()),
+                "contact": int(self._contact_room.sum()),
+                "row column": blocks * len(COLUMNS[self.variant]) * LANES,
+                "row pair": blocks * 2 * LANES,
+                "row direction": blocks * 2 * LANES if self._config.acceleration == "nncg" else 0,
+            }
+        )
+
+    def _assign_starts(self) -> None:
+        self.pairs.assign("pair_start", starts(self._pair_room))
+        self.contacts.assign("contact_start", starts(self._contact_room))
+        self.rows.assign("block_start", starts(self._block_room))
+
+    def _history(self) -> Any:
+        columns = self._config.max_sweeps if self._config.history else 0
+        if self.backend == "numpy":
+            return np.zeros((self.model.world_count, columns), self.dtype)
+        import warp as wp
+
+        real = wp.dtype_from_numpy(self.dtype)
+        return wp.zeros((self.model.world_count, columns), dtype=real, device=self.device)
+
+    def _bind_all(self) -> None:
+        """Pack every launch's arguments, for each shard of worlds."""
+        config = self._config
+        baumgarte = config.position_factor if config.position_correction == "baumgarte" else 0.0
+        self.values: dict[str, Any] = {
+            "margin_factor": config.margin,
+            "speculative_factor": config.speculative,
+            "slack_factor": _SLACK * config.slop,
+            "slop_factor": config.slop,
+            "baumgarte": baumgarte,
+            "max_correction": config.max_correction,
+            "restitution_threshold": config.restitution_threshold,
+            "use_cache": int(config.start == "cache"),
+            "padding_body": self.model.body_count,
+            "iterations": config.position_iterations,
+            "factor": config.position_factor,
+            "history": self.stats.history,
+            **solver_scalars(config),
+        }
+        for group in (
+            self.model,
+            self.state,
+            self.joints,
+            self.motion,
+            self.pairs,
+            self.contacts,
+            self.cache,
+            self.rows,
+            self.stats,
+        ):
+            self.values.update({name: group.array(name) for name in group.table})
+        self._flags = self.state.numpy("flags") if self.device == "cpu" else None
+        edges = np.linspace(0, self.model.world_count, self.threads + 1).astype(int)
+        self._shards = [(int(a), int(b - a)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        advance = ["displace", "commit"]
+        if config.position_correction == "ngs" and config.position_iterations:
+            advance.insert(1, "correct_positions")
+        solve = SCHEDULES[self.schedule]
+        self._commands = {
+            "collide": [[self.bind(name, *shard) for name in _COLLIDE] for shard in self._shards],
+            "solve": [solve(self, *shard) for shard in self._shards],
+            "advance": [[self.bind(name, *shard) for name in advance] for shard in self._shards],
+        }
+
+    def bind(self, name: str, first: int, count: int) -> Callable[[], None]:
+        """A launch of a kernel over the worlds first .. first + count, one thread each."""
+        return bind(self.kernels[name], count, {**self.values, "world_offset": first}, self.device)
+
+    @property
+    def config(self) -> SolverConfig:
+        """Settings of the solver; replace it with ``dataclasses.replace``."""
+        return self._config
+
+    @config.setter
+    def config(self, config: SolverConfig) -> None:
+        before = self._config
+        if config == before:
+            return
+        self._config = config
+        if (config.history, config.max_sweeps) != (before.history, before.max_sweeps):
+            self.stats.history = self._history()
+        if config.method == "jacobi" and self._sizes["body sum"] == 1:
+            self._sizes["body sum"] = self.model.body_count + 1
+            self._reallocate(self.motion, ("summed",))
+        if config.acceleration == "nncg" and self._sizes["row direction"] == 0:
+            self._sizes["row direction"] = self._sizes["row pair"]
+            self._reallocate(self.rows, ("row_direction",))
+        self._bind_all()
+
+    def _reallocate(self, group: Any, names: tuple[str, ...]) -> None:
+        """New zeroed arrays for the present sizes."""
+        group.sizes = dict(self._sizes)
+        for name in names:
+            field = group.table[name]
+            setattr(group, name, allocate(field, self._sizes[field.per], self.dtype, self.device, self.backend))
+
+    # ------------------------------------------------------------------ stepping
+
+    def step(self, dt: float, start: Start | None = None) -> None:
+        """One time step of dt [s] in every world.
+
+        Args:
+            dt: time step, > 0 [s].
+            start: called between ``collide`` and ``solve``; writes start impulses to ``contacts.impulse``.
+
+        Raises:
+            ValueError: dt not finite and positive, or a start impulse not finite.
+            OverflowError: capacity exceeded with on_overflow="raise"; the state is that of the step before.
+        """
+        self.run(1, dt, start)
+
+    def run(
+        self, steps: int, dt: float, start: Start | None = None, callback: Callable[[Simulation], None] | None = None
+    ) -> None:
+        """Many time steps; without ``start`` and ``callback`` each thread runs its worlds through all of them at once.
+
+        Args:
+            steps: number of steps.
+            dt: time step, > 0 [s].
+            start: see ``step``.
+            callback: called after each step.
+
+        Raises:
+            ValueError, OverflowError: see ``step``.
+        """
+        if steps < 0:
+            raise ValueError(f"steps is {steps}; it must not be negative")
+        self._set_dt(dt)
+        if start is None and callback is None:
+            self._run_shards(steps)
+            return
+        for _ in range(steps):
+            if start is None:
+                self._run_shards(1)
+            else:
+                self.collide(dt)
+                start(self)
+                self.check_start()
+                self.solve()
+                self.advance()
+            if callback is not None:
+                callback(self)
+
+    def collide(self, dt: float) -> None:
+        """Predict velocities and find the contacts of the step; their impulses hold the start of the solve.
+
+        Raises:
+            ValueError, OverflowError: see ``step``.
+        """
+        self._set_dt(dt)
+        self._collide()
+
+    def solve(self) -> None:
+        """Solve from ``contacts.impulse`` and the predicted velocities; the impulses then hold the solution."""
+        if self._phase == "advance":
+            raise ValueError("solve() needs collide(dt) first: the contacts are those of a finished step")
+        self._launch("solve")
+        self._phase = "solve"
+
+    def advance(self) -> None:
+        """Commit the step: velocities, positions, their correction, time, and the contact cache."""
+        if self._phase != "solve":
+            raise ValueError("advance() needs solve() first: there are no solved velocities")
+        self._launch("advance")
+        self._phase = "advance"
+
+    def check_start(self) -> None:
+        """Raise ValueError, naming the contact, if a start impulse is NaN or inf."""
+        impulse = self.contacts.numpy("impulse")
+        first = self.contacts.numpy("contact_start")
+        for w, count in enumerate(self.contacts.numpy("contact_count")):
+            used = impulse[first[w] : first[w] + count]
+            bad = np.argwhere(~np.isfinite(used))
+            if len(bad):
+                c, k = (int(i) for i in bad[0])
+                raise ValueError(
+                    f"contacts.impulse[{first[w] + c}, {k}] (contact {c} of world {w}) is {used[c, k]}; "
+                    "a start impulse must be finite"
+                )
+
+    def _set_dt(self, dt: float) -> None:
+        value = float(dt)
+        if not (0.0 < value < float("inf")):
+            raise ValueError(f"dt is {dt!r}; it must be finite and > 0 [s]")
+        if self.dtype.type(value) == 0:
+            raise ValueError(f"dt is {dt!r}; it underflows {self.dtype.name}")
+        target = self.motion.numpy("step_dt")
+        target[...] = value
+        if self.device != "cpu":
+            self.motion.assign("step_dt", target)
+
+    def _collide(self) -> None:
+        self._launch("collide")
+        while self._overflowed():
+            self._grow()
+            self._launch("collide")
+        self._note_peak()
+        self._phase = "collide"
+
+    def _launch(self, phase: str) -> None:
+        def run(commands: list[Callable[[], None]]) -> None:
+            for command in commands:
+                command()
+
+        shards = self._commands[phase]
+        if self._pool is None:
+            run(shards[0])
+        else:
+            list(self._pool.map(run, shards))
+
+    def _run_shards(self, steps: int) -> None:
+        """All steps of every shard; a shard stops at an overflow, which is mended before it goes on."""
+        if self._flags is None:
+            for _ in range(steps):
+                self._collide()
+                self._launch("solve")
+                self._launch("advance")
+            self._phase = "advance"
+            return
+        left = [steps] * len(self._shards)
+        while any(left):
+            work = [i for i, n in enumerate(left) if n]
+            if self._pool is None:
+                done = [self._run_shard(i, left[i]) for i in work]
+            else:
+                done = list(self._pool.map(self._run_shard, work, [left[i] for i in work]))
+            for i, n in zip(work, done, strict=True):
+                left[i] -= n
+            if any(left):
+                self._grow()
+        self._note_peak()
+        self._phase = "advance"
+
+    def _run_shard(self, shard: int, steps: int) -> int:
+        """Steps that finished before one of the shard's worlds ran out of room."""
+        collide, solve, advance = (self._commands[phase][shard] for phase in ("collide", "solve", "advance"))
+        first, count = self._shards[shard]
+        flags = self.state.numpy("flags")[first : first + count]
+        for done in range(steps):
+            for command in collide:
+                command()
+            if (flags & int(CAPACITY_FLAGS)).any():
+                return done
+            for command in solve:
+                command()
+            for command in advance:
+                command()
+        return steps
+
+    # ------------------------------------------------------------------ capacity
+
+    def _overflowed(self) -> bool:
+        return bool((self.state.numpy("flags") & int(CAPACITY_FLAGS)).any())
+
+    def _grow(self) -> None:
+        """More room for the worlds that ran out of it; their step is then repeated from ``collide``."""
+        flags = self.state.numpy("flags").copy()
+        model = self.model
+        needs = (
+            (Flag.PAIR_OVERFLOW, "pairs", self._pair_room, self.pairs.numpy("pair_needed")),
+            (Flag.CONTACT_OVERFLOW, "contacts", self._contact_room, self.rows.numpy("contact_needed")),
+            (Flag.ROW_OVERFLOW, "blocks of rows", self._block_room, self.rows.numpy("block_needed")),
+        )
+        for flag, what, room, needed in needs:
+            full = np.flatnonzero(flags & int(flag))
+            if len(full) and self.on_overflow == "raise":
+                w = int(full[0])
+                flags &= ~int(CAPACITY_FLAGS)
+                self.state.assign("flags", flags)
+                self._phase = "advance"
+                raise OverflowError(
+                    f"world {w} needs {int(needed[w])} {what}, {int(room[w])} are reserved; the step was not taken"
+                )
+            room[full] = np.ceil(GROWTH * needed[full]).astype(np.int64)
+        joints = np.diff(model.numpy("joint_start"))
+        full = np.flatnonzero(flags & int(Flag.CONTACT_OVERFLOW))
+        self._block_room[full] = np.maximum(self._block_room[full], blocks_for(self._contact_room, joints)[full])
+        flags &= ~int(CAPACITY_FLAGS)
+        self.state.assign("flags", flags)
+        self._relayout()
+
+    def _relayout(self) -> None:
+        """Move the contact segments to their new places; pairs and rows are made anew."""
+        old = self.contacts.numpy("contact_start").copy()
+        new = starts(self._contact_room)
+        self._room_sizes()
+        for group, count in ((self.contacts, "contact_count"), (self.cache, "cache_count")):
+            counts = group.numpy(count)
+            names = tuple(name for name, field in group.table.items() if field.per == "contact")
+            before = {name: group.array(name) for name in names}
+            self._reallocate(group, names)
+            for name in names:
+                move_segments(before[name], group.array(name), old, new, counts)
+        self._reallocate(self.pairs, ("pair_a", "pair_b", "temp_a", "temp_b"))
+        self._reallocate(
+            self.rows, ("slot", "rows", "row_body", "row_impulse", "row_previous", "row_direction")
+        )
+        self.pairs.assign("pair_valid", np.zeros(self.model.world_count, np.int32))
+        self._assign_starts()
+        self._bind_all()
+
+    def restore_contacts(self, count: np.ndarray, arrays: Mapping[str, np.ndarray], contact_dt: np.ndarray) -> None:
+        """Put contacts of an earlier run into the cache that the next step starts from.
+
+        Args:
+            count: contacts of each world, (W,).
+            arrays: fields of ``types.CONTACTS`` by name, the worlds' contacts one after the other, sorted by key; key,
+                impulse, color and age are needed.
+            contact_dt: time step of the impulses, (W,) [s].
+
+        Raises:
+            ValueError: naming a missing field or a wrong shape.
+        """
+        count = np.asarray(count, np.int64)
+        if count.shape != (self.model.world_count,) or (count < 0).any():
+            raise ValueError(f"count has shape {count.shape}; it must be one number >= 0 for each world")
+        total = int(count.sum())
+        for name in ("key", "impulse", "color", "age"):
+            if name not in arrays:
+                raise ValueError(f"{name} is missing; the contact cache needs key, impulse, color and age")
+        for name, values in arrays.items():
+            if len(values) != total:
+                raise ValueError(f"{name} has {len(values)} contacts; the worlds together have {total}")
+        if (count > self._contact_room).any():
+            joints = np.diff(self.model.numpy("joint_start"))
+            self._contact_room = np.maximum(self._contact_room, count)
+            self._block_room = np.maximum(self._block_room, blocks_for(self._contact_room, joints))
+            self._relayout()
+        first = self.contacts.numpy("contact_start")
+        source = np.concatenate([[0], np.cumsum(count)])
+        for name, values in arrays.items():
+            targets = [(self.contacts, name)]
+            if f"cache_{name}" in self.cache.table:
+                targets.append((self.cache, f"cache_{name}"))
+            for group, field in targets:
+                array = group.numpy(field)
+                for w in range(self.model.world_count):
+                    array[first[w] : first[w] + count[w]] = values[source[w] : source[w + 1]]
+                if self.device != "cpu":
+                    group.array(field).assign(array)
+        self.contacts.assign("contact_count", count)
+        self.cache.assign("cache_count", count)
+        self.contacts.assign("contact_dt", contact_dt)
+        self.cache.assign("joint_cache", self.joints.numpy("joint_impulse"))
+        self._phase = "advance"
+
+    def _note_peak(self) -> None:
+        if self.device != "cpu":
+            return
+        for name, counts in (
+            ("pairs", self.pairs.numpy("pair_count")),
+            ("contacts", self.contacts.numpy("contact_count")),
+            ("blocks", self.rows.numpy("block_needed")),
+        ):
+            self._peak[name] = max(self._peak[name], int(counts.max(initial=0)))
+
+    # ------------------------------------------------------------------ reports
+
+    def capacity(self) -> dict[str, dict[str, int]]:
+        """Pairs, contacts and blocks of rows: reserved in all worlds, used now, and the most one world used."""
+        used = {
+            "pairs": self.pairs.numpy("pair_count"),
+            "contacts": self.contacts.numpy("contact_count"),
+            "blocks": self.rows.numpy("block_needed"),
+        }
+        room = {"pairs": self._pair_room, "contacts": self._contact_room, "blocks": self._block_room}
+        return {
+            name: {"reserved": int(room[name].sum()), "used": int(used[name].sum()), "peak_of_a_world": peak}
+            for name, peak in self._peak.items()
+        }
+
+    def memory(self) -> dict[str, int]:
+        """Bytes allocated: by what they grow with (bodies with their shapes and pairs, contacts with their rows)."""
+        total = {"body_bytes": 0, "contact_bytes": 0, "joint_bytes": 0}
+        owner = {"contact": "contact_bytes", "joint": "joint_bytes"}
+        for group in (
+            self.model,
+            self.state,
+            self.joints,
+            self.motion,
+            self.pairs,
+            self.contacts,
+            self.cache,
+            self.rows,
+            self.stats,
+        ):
+            for axis, size in group.nbytes_by_axis().items():
+                key = "contact_bytes" if axis.startswith("row") else owner.get(axis, "body_bytes")
+                total[key] += size
+        return total
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a snapshot to continue from, bit for bit (see ``snapshot.save``)."""
+        from .snapshot import save
+
+        save(self, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], **options: Any) -> Simulation:
+        """A simulation from a snapshot; options as for the constructor (see ``snapshot.load``)."""
+        from .snapshot import load
+
+        return load(path, **options)
+
+    def explain(self) -> str:
+        """What runs for this scene, what is skipped, and why."""
+        from .explain import explain
+
+        return explain(self)
+
+
+
