@@ -54,8 +54,8 @@ def overlap(sim: Any, recollide: float | None = None) -> Overlap:
     Args:
         sim: the simulation.
         recollide: time step [s] for a call of ``sim.collide`` first, which finds the contacts of the present
-            positions (their impulses are then those of the last step) without changing the state. None: the gaps
-            are those at the beginning of the last step.
+            positions (their impulses are then those the next solve starts from) without changing the state. None:
+            the gaps are those at the beginning of the last step.
     """
     if recollide is not None:
         sim.collide(recollide)
