@@ -8,6 +8,7 @@ keep every bit, so a run that goes on from a snapshot on the same device equals 
 
 from __future__ import annotations
 
+import io
 import os
 import uuid
 from collections.abc import Mapping
@@ -47,32 +48,48 @@ _STARTS = {
 
 
 def save(sim: Simulation, path: str | os.PathLike[str]) -> None:
-    """Write a snapshot.
+    """Write a snapshot, between steps.
 
     The file is complete or not there: it is written under another name in the same folder and renamed at the end,
     so that a full disk or a kill never damages a file that was there before.
 
     Raises:
+        ValueError: in the middle of a step, between ``collide`` and ``advance``.
         OSError: when it cannot be written.
         ImportError: without h5py, naming the extra that installs it.
     """
     h5py = require("h5py", "pipeline")
+    if sim._phase != "advance":
+        raise ValueError("save() in the middle of a step: finish it with solve() and advance(), or take a step")
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    image = io.BytesIO()  # HDF5 itself crashes the process when a disk is full; a plain write raises OSError
+    with h5py.File(image, "w") as file:
+        _write(file, sim)
     try:
-        with h5py.File(temporary, "w") as file:
-            _write(file, sim)
-        _sync(temporary, os.O_RDWR)
+        with open(temporary, "xb") as target:
+            target.write(image.getbuffer())
+            target.flush()
+            os.fsync(target.fileno())
         os.replace(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
-    if os.name == "posix":
-        _sync(path.parent, os.O_RDONLY)  # so that the new name outlives a power cut, too
+    if os.name == "posix":  # so that the new name outlives a power cut, too
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def load(
-    path: str | os.PathLike[str], threads: int = 1, device: str | None = None, backend: str | None = None
+    path: str | os.PathLike[str],
+    threads: int = 1,
+    *,
+    device: str | None = None,
+    backend: str | None = None,
+    **options: Any,
 ) -> Simulation:
     """The simulation of a snapshot.
 
@@ -81,6 +98,7 @@ def load(
         threads: of the simulation; the result does not depend on it.
         device: "cpu" or a CUDA device of Warp; None: the one it was saved from.
         backend: "warp" or "numpy"; None: the one it was saved from.
+        **options: of the constructor of ``Simulation``, in place of those it was saved with.
 
     Raises:
         ValueError: naming file and dataset: not a snapshot, truncated or damaged, of another schema version, a
@@ -110,17 +128,11 @@ def load(
     contact_dt = contacts.pop("contact_dt")
     device, backend = device or header.device, backend or header.backend
     model = _filled(Model(header.sizes, header.real, device, backend), values["model"])
-    state = _filled(State(header.sizes, header.real, device, backend), values["state"])
     joints = _filled(Joints(header.sizes, header.real, device, backend), values["joints"])
-    sim = Simulation(
-        model,
-        state,
-        joints,
-        config=header.config,
-        threads=threads,
-        schedule=header.schedule,
-        on_overflow=header.on_overflow,
-    )
+    state = State(header.sizes, header.real, device, backend)
+    options = {"config": header.config, "threads": threads, **header.options, **options}
+    sim = Simulation(model, state, joints, **options)
+    _filled(state, values["state"])  # afterwards: the constructor would refuse the force that froze a world
     sim.restore_contacts(count, contacts, contact_dt)
     return sim
 
@@ -139,6 +151,7 @@ def _write(file: Any, sim: Simulation) -> None:
             "device": str(model.device),
             "schedule": sim.schedule,
             "on_overflow": sim.on_overflow,
+            "specialize": not (sim.only_discs and sim.variant == "general"),
         }
     )
     slots, _ = contact_slots(sim.contacts)
@@ -156,15 +169,6 @@ def _write(file: Any, sim: Simulation) -> None:
             dataset.attrs.update({"unit": field.unit, "meaning": field.meaning, "axis": field.per})
 
 
-def _sync(path: Path, mode: int) -> None:
-    """Have the system write a file or folder to the disk now."""
-    descriptor = os.open(path, mode)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 class _Header:
     """What a snapshot says about itself."""
 
@@ -180,7 +184,8 @@ class _Header:
         try:
             self.real = float_dtype(file.attrs["dtype"])
             self.device, self.backend = file.attrs["device"], file.attrs["backend"]
-            self.schedule, self.on_overflow = file.attrs["schedule"], file.attrs["on_overflow"]
+            self.options = {name: file.attrs[name] for name in ("schedule", "on_overflow")}
+            self.options["specialize"] = bool(file.attrs["specialize"])
             sizes = {name: int(value) for name, value in file["sizes"].attrs.items()}
             self.sizes = {name: sizes[name] for name in _AXES}
         except KeyError as error:
