@@ -83,14 +83,11 @@ def place_discs(samplers: Sequence[Sampler], count: int, distance: float, size: 
     while len(active):
         if tried and tried % limit == 0:  # jammed: all still active worlds are, as they went through equally many
             if tried >= limit * PLACEMENT_ATTEMPTS:
-                raise ValueError(
-                    f"bodies is {count}: so many do not fit into {size[0]:.3g} x {size[1]:.3g} m of centres"
-                )
-            for world in active:
-                grid_x[world * cells : (world + 1) * cells] = np.inf
-                grid_y[world * cells : (world + 1) * cells] = np.inf
+                raise ValueError(full)
+            for grid in (grid_x, grid_y):
+                grid.reshape(worlds, cells)[active] = np.inf
             placed[active] = 0
-        points = np.concatenate([samplers[world](tried % limit, block) for world in active])
+        points = np.concatenate([samplers[w](tried % limit, block) for w in active.tolist()])
         tried += block
         x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
         owner = np.repeat(active, block)
@@ -150,7 +147,7 @@ class Scene:
             raise ValueError(f"{self.name}.restitution is {self.restitution!r}; it must be <= 1")
 
     @property
-    def material(self) -> dict[str, float]:
+    def material(self) -> dict[str, Any]:
         """Keywords of ``ModelBuilder.add_*`` for the shapes' material."""
         return {"friction": self.friction, "restitution": self.restitution, "density": self.density}
 

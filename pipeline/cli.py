@@ -1,0 +1,173 @@
+"""The command line ``deep-contact``: simulate, demo, protocol, explain.
+
+Options are the fields of the dataclasses below, which tyro turns into flags.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from dc_kernels.arrays import require
+
+from . import evaluate, plots
+from .scenes import AnyScene, Thesis
+from .simulate import Output, RunOptions, SolverOptions, atomic_path, simulate, write_json
+
+
+@dataclass(frozen=True, kw_only=True)
+class Common:
+    """What every command takes."""
+
+    json: bool = False
+    """Print one line of JSON last, and no progress bar."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulate(Common):
+    """Run a scene; write trajectory.h5, summary.json, summary.png and, on request, a video."""
+
+    scene: AnyScene
+    """What to run; each scene has options of its own."""
+    run: RunOptions = field(default_factory=RunOptions)
+    solver: SolverOptions = field(default_factory=SolverOptions)
+    output: Output = field(default_factory=Output)
+
+    def __call__(self) -> dict[str, Any]:
+        summary, _ = simulate(self.scene, self.run, self.solver, self.output, progress=not self.json)
+        if not self.json:
+            print(describe(summary))
+        return summary
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo(Common):
+    """The thesis protocol: None against Builtin against Copy, then accelerated; a table, its plots, and a world."""
+
+    out: Path = Path("out/demo")
+    """Folder of demo.png, protocol.png, protocol.json and, in world/, the files of the world shown."""
+    worlds: int = 10
+    """Worlds of the protocol [1]."""
+    bodies: int = 100
+    """Discs in each world [1]."""
+    steps: int = 250
+    """Steps [1]."""
+    threads: int = 1
+    """Threads that share the worlds [1]."""
+
+    def __call__(self) -> dict[str, Any]:
+        began = time.perf_counter()
+        options = evaluate.ProtocolOptions(
+            worlds=self.worlds, bodies=self.bodies, steps=self.steps, threads=self.threads
+        )
+        pairs: list[tuple[str, evaluate.Acceleration]] = [(start, "none") for start in options.starts]
+        pairs += [("none", "aitken"), ("builtin", "aitken")]
+        runs, result = run_protocol(options, pairs, self.out, self.json)
+        summary, sim = simulate(
+            Thesis(bodies=self.bodies),
+            RunOptions(seed=options.seed),
+            output=Output(out=self.out / "world", steps=self.steps),
+            progress=not self.json,
+        )
+        title = f"{self.bodies} discs fall into a box: {self.worlds} worlds, {self.steps} steps of {options.dt:g} s"
+        with atomic_path(self.out / "demo.png") as partial:
+            plots.save(plots.demo_figure(sim, runs, title), partial)
+        result.update(world=summary, wall_s=time.perf_counter() - began)
+        if not self.json:
+            print(f"{self.out / 'demo.png'}: the picture of it all; {result['wall_s']:.0f} s")
+        return result
+
+
+@dataclass(frozen=True, kw_only=True)
+class Protocol(Common):
+    """Run the thesis protocol: compare start strategies, print the table, draw the theses' plots."""
+
+    protocol: evaluate.ProtocolOptions = field(default_factory=evaluate.ProtocolOptions)
+    out: Path = Path("out/protocol")
+    """Folder of protocol.json and protocol.png."""
+
+    def __call__(self) -> dict[str, Any]:
+        return run_protocol(self.protocol, None, self.out, self.json)[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explain(Common):
+    """Say what runs for a scene, what is skipped, and why."""
+
+    scene: AnyScene
+    """What to explain; each scene has options of its own."""
+    run: RunOptions = field(default_factory=RunOptions)
+    solver: SolverOptions = field(default_factory=SolverOptions)
+
+    def __call__(self) -> dict[str, Any]:
+        text = self.run.simulation(self.scene, self.solver.config()).explain()
+        if not self.json:
+            print(text)
+        return {"scene": self.scene.name, "explain": text}
+
+
+Command = Simulate | Demo | Protocol | Explain
+
+
+def run_protocol(
+    options: evaluate.ProtocolOptions,
+    pairs: Sequence[tuple[str, evaluate.Acceleration]] | None,
+    out: Path,
+    quiet: bool,
+) -> tuple[list[evaluate.Run], dict[str, Any]]:
+    """Run the protocol, write protocol.json and protocol.png, and print the table unless ``quiet``."""
+    runs = evaluate.protocol(options, pairs, progress=not quiet)
+    result = {**evaluate.report(options, runs), "out": str(out)}
+    write_json(out / "protocol.json", result)
+    title = f"thesis protocol: {options.worlds} worlds of {options.bodies} discs, start and solver"
+    with atomic_path(out / "protocol.png") as partial:
+        plots.save(plots.protocol_figure(runs, title), partial)
+    if not quiet:
+        print(f"\n{evaluate.table(runs)}\n\n{out / 'protocol.png'}: the plots of the theses")
+    return runs, result
+
+
+def describe(summary: dict[str, Any]) -> str:
+    """What a run did, in a few lines."""
+    lines = [
+        f"{summary['scene']}: {summary['steps']} steps of {summary['worlds']} world(s), {summary['bodies']} bodies, "
+        f"{summary['simulation_s']:.2f} s in the simulation" + ("" if summary["complete"] else "; interrupted"),
+        f"sweeps: mean {summary['mean_sweeps']:.1f}, median {summary['median_sweeps']:.0f}, "
+        f"unconverged {100.0 * summary['unconverged_share']:.1f} % of the steps with contacts",
+        f"contacts of a world at the end: {summary['contacts_last']:.1f}; "
+        f"overlap: largest {summary['penetration_max_mm']:.3g} mm, mean at the end "
+        f"{summary['penetration_last_mean_mm']:.3g} mm",
+        *(f"world {world} stopped: {flag}" for world, flag in summary["flagged_worlds"].items()),
+        f"{summary['out']}: {', '.join(summary['files'])}",
+    ]
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return 0, or exit with 2 after one line on stderr if a value is wrong."""
+    try:
+        tyro = require("tyro", "pipeline")
+        conf = tyro.conf
+        config = (
+            conf.OmitArgPrefixes,
+            conf.OmitSubcommandPrefixes,
+            conf.CascadeSubcommandArgs,
+            conf.FlagCreatePairsOff,
+        )
+        command = tyro.cli(Command, prog="deep-contact", args=arguments, config=config)
+        result = command()
+    except (ValueError, ImportError, OSError) as error:
+        print(f"deep-contact: {' '.join(str(error).split())}", file=sys.stderr)
+        raise SystemExit(2) from None
+    if command.json:
+        print(json.dumps(result))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
