@@ -9,16 +9,10 @@ import numpy as np
 
 from .arrays import ArrayGroup
 from .backend import bind
-from .types import COLORS, LANES, SERIAL_COLOR, STATS, SolverConfig
+from .types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, SERIAL_COLOR, STATS, STOPS, SolverConfig
 
 if TYPE_CHECKING:
     from .step import Simulation
-
-METHODS = {"pgs": 0, "jacobi": 1}
-ACCELERATIONS = {"none": 0, "sor": 1, "aitken": 2, "nncg": 3}
-STOPS = {"change": 0, "residual": 1}
-COUNTERS = 4
-NORMS = 4
 
 
 class SolveStats(ArrayGroup):

@@ -13,8 +13,8 @@ from .arrays import ArrayGroup, Contacts, Joints, Model, State, allocate
 from .backend import bind, kernel_table
 from .capacity import GROWTH, Cache, Pairs, Rows, blocks_for, bucket_room, move_segments, starts
 from .rows import COLUMNS
-from .solver import COUNTERS, NORMS, SCHEDULES, SolveStats, solver_scalars
-from .types import CAPACITY_FLAGS, COLORS, LANES, MOTION, BodyType, Flag, ShapeType, SolverConfig
+from .solver import SCHEDULES, SolveStats, solver_scalars
+from .types import CAPACITY_FLAGS, COLORS, COUNTERS, LANES, MOTION, NORMS, BodyType, Flag, ShapeType, SolverConfig
 
 Start = Callable[["Simulation"], None]
 _COLLIDE = ("predict", "update_pairs", "narrowphase", "match_contacts", "color_constraints", "pack_rows")

@@ -49,6 +49,11 @@ MAX_VERTICES = 8  # of a polygon: a feature id of 4 bits an edge or vertex fits 
 LANES = 8  # contacts solved side by side; 16 gained under 5 % on AVX-512 and pads small worlds far more
 COLORS = 64  # colours of the contact graph: bits of a mask; the last one is the serial overflow colour
 SERIAL_COLOR = COLORS - 1
+METHODS = {"pgs": 0, "jacobi": 1}  # how kernels know a choice of SolverConfig
+ACCELERATIONS = {"none": 0, "sor": 1, "aitken": 2, "nncg": 3}
+STOPS = {"change": 0, "residual": 1}
+COUNTERS = 4  # of a world's iteration in flight: sweeps done, sweeps into the Aitken period, its length, finished
+NORMS = 4  # change of this sweep, |step|^2 of the sweep before the period's last, of the period or sweep before, free
 KEY_SHAPE_BITS = 24  # contact key = shape A | shape B | feature, 24 + 24 + 16 bits, indices within the world
 KEY_FEATURE_BITS = 16
 
@@ -181,6 +186,7 @@ ROWS = _table(
     ("row_previous", "row pair", "real", "N s", "impulses before the last sweep, or what extrapolation changed"),
     ("row_direction", "row direction", "real", "N s", "search direction of nonlinear CG"),
     ("row_scale", "world", "real", "N s", "norm that the residual is relative to"),
+    ("deepest", "world", "real", "m", "least gap, 0 where nothing overlaps"),
 )
 
 MOTION = _table(
@@ -253,9 +259,9 @@ class SolverConfig:
 
     def __post_init__(self) -> None:
         choices = {
-            "method": ("pgs", "jacobi"),
-            "acceleration": ("none", "sor", "aitken", "nncg"),
-            "stop": ("change", "residual"),
+            "method": tuple(METHODS),
+            "acceleration": tuple(ACCELERATIONS),
+            "stop": tuple(STOPS),
             "start": ("cache", "zero"),
             "position_correction": ("ngs", "baumgarte", "none"),
         }

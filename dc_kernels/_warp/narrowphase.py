@@ -519,7 +519,10 @@ def kernels(dtype: str, hulls: bool) -> dict[str, Any]:
                         arm_a[at] = to_a
                         arm_b[at] = to_b
                         gap[at] = g
-                        friction[at] = wp.sqrt(shape_friction[a] * shape_friction[b])
+                        mu = shape_friction[a]
+                        if shape_friction[b] != mu:
+                            mu = wp.sqrt(mu * shape_friction[b])
+                        friction[at] = mu
                         restitution[at] = wp.max(shape_restitution[a], shape_restitution[b])
                     n += 1
         contact_needed[w] = n

@@ -10,11 +10,12 @@ from typing import Any
 import warp as wp
 
 from ..rows import COLUMNS
-from ..types import COLORS, LANES, BodyType, Flag
+from ..types import COLORS, LANES, METHODS, BodyType, Flag
 from .common import cross, kernel_module, rotate, scalar_types, tangent
 
 DYNAMIC = wp.constant(int(BodyType.DYNAMIC))
 ROW_OVERFLOW = wp.constant(int(Flag.ROW_OVERFLOW))
+JACOBI = wp.constant(METHODS["jacobi"])
 N_COLORS = wp.constant(COLORS)
 N_LANES = wp.constant(LANES)
 
@@ -122,10 +123,14 @@ def row_functions(dtype: str, variant: str) -> dict[str, Any]:
             low = rows[r + LO]
         ln = wp.max(ln0 - (omega * rows[r + EN]) * (normal_speed(rows, r, va, vb) + rows[r + BIAS]), low)
         dn = ln - ln0
+        # a disc's normal impulse has no tangential effect: its tangent need not wait for it
+        vt = tangent_speed(rows, r, va, vb)
         va = normal_change(rows, r, va, 0, dn)
         vb = normal_change(rows, r, vb, 1, dn)
+        if wp.static(not discs):
+            vt = tangent_speed(rows, r, va, vb)
         limit = rows[r + MU] * ln
-        lt = wp.min(wp.max(lt0 - (omega * rows[r + ET]) * tangent_speed(rows, r, va, vb), -limit), limit)
+        lt = wp.min(wp.max(lt0 - (omega * rows[r + ET]) * vt, -limit), limit)
         dt = lt - lt0
         bodies[a] = tangent_change(rows, r, va, 0, dt)
         bodies[b] = tangent_change(rows, r, vb, 1, dt)
@@ -326,6 +331,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         baumgarte: real,
         max_correction: real,
         restitution_threshold: real,
+        method: int,
         # Model:
         body_start: wp.array(dtype=wp.int32),
         length_scale: wp.array(dtype=real),
@@ -369,6 +375,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         rows: wp.array(dtype=real),
         row_body: wp.array(dtype=wp.int32),
         row_scale: wp.array(dtype=real),
+        deepest: wp.array(dtype=real),
         body_rows: wp.array(dtype=wp.int32),
     ):
         """Rows of a world's contacts and joints, in blocks of LANES colour by colour.
@@ -413,9 +420,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                     rows[i] = real(0.0)
                 for i in range(last * 2 * N_LANES, (last + 1) * 2 * N_LANES):
                     row_body[i] = padding_body
-        for b in range(body_start[w], body_start[w + 1]):
-            body_rows[b] = 0
+        if method == JACOBI:
+            for b in range(body_start[w], body_start[w + 1]):
+                body_rows[b] = 0
         scale = real(0.0)
+        least = real(0.0)
         for c in range(start, end):
             k = color[c]
             index = color_fill[count + k]
@@ -429,23 +438,29 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             b = body_b[c]
             row_body[i] = a
             row_body[i + N_LANES] = b
-            body_rows[a] += 1
-            body_rows[b] += 1
+            if method == JACOBI:
+                if method == JACOBI:
+                    body_rows[a] += 1
+                    body_rows[b] += 1
             va = predicted[a]
             vb = predicted[b]
             ia = inv_inertia[a]
             ib = inv_inertia[b]
             n = normal[c]
             tan = tangent(n)
-            ran = cross(arm_a[c], n)
-            rbn = cross(arm_b[c], n)
             rat = cross(arm_a[c], tan)
             rbt = cross(arm_b[c], tan)
+            ran = real(0.0)
+            rbn = real(0.0)
+            if wp.static(not discs):
+                ran = cross(arm_a[c], n)
+                rbn = cross(arm_b[c], n)
             dvx = vb[0] - va[0]
             dvy = vb[1] - va[1]
             un = (n[0] * dvx + n[1] * dvy) + (rbn * vb[2] - ran * va[2])
             ut = (tan[0] * dvx + tan[1] * dvy) + (rbt * vb[2] - rat * va[2])
             g = gap[c]
+            least = wp.min(least, g)
             e = restitution[c]
             bias = real(0.0)
             if g > real(0.0):
@@ -464,7 +479,6 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             en = inverse(ma + mb + ia * ran * ran + ib * rbn * rbn)
             et = inverse(ma + mb + ia * rat * rat + ib * rbt * rbt)
             if wp.static(discs):
-                en = inverse(ma + mb)
                 rows[r + DA] = -rat
                 rows[r + DB] = rbt
                 rows[r + KA] = ia * -rat
@@ -498,8 +512,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 b = joint_body_b[j]
                 row_body[i] = a
                 row_body[i + N_LANES] = b
-                body_rows[a] += 1
-                body_rows[b] += 1
+                if method == JACOBI:
+                    body_rows[a] += 1
+                    body_rows[b] += 1
                 va = predicted[a]
                 vb = predicted[b]
                 ra = rotate(wp.cos(angle[a]), wp.sin(angle[a]), joint_anchor_a[j])
@@ -533,6 +548,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 rows[r + LO] = minus_infinity
                 scale += (en * (un + bias)) * (en * (un + bias))
         row_scale[w] = wp.sqrt(scale)
+        deepest[w] = least
 
     @wp.kernel(module=module, enable_backward=False)
     def unpack_impulses(

@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from ..rows import COLUMNS
-from ..types import COLORS, LANES, SERIAL_COLOR
+from ..types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, NORMS, SERIAL_COLOR, STOPS
 from .common import kernel_module, scalar_types
 from .lanes import has_lanes, lane_functions, range_functions
 from .rows import row_functions
@@ -19,17 +19,10 @@ ENDS = wp.constant(COLORS + 1)
 N_COLORS = wp.constant(COLORS)
 N_LANES = wp.constant(LANES)
 SERIAL = wp.constant(SERIAL_COLOR)
-METHODS = {"pgs": 0, "jacobi": 1}
-ACCELERATIONS = {"none": 0, "sor": 1, "aitken": 2, "nncg": 3}
-STOPS = {"change": 0, "residual": 1}
 JACOBI = wp.constant(METHODS["jacobi"])
 AITKEN = wp.constant(ACCELERATIONS["aitken"])
 NNCG = wp.constant(ACCELERATIONS["nncg"])
 BY_RESIDUAL = wp.constant(STOPS["residual"])
-
-# a world's iteration in flight, between two sweeps
-COUNTERS = 4  # sweeps done, sweeps into the Aitken period, its length, finished
-NORMS = 4  # change of this sweep, |step|^2 before the last of the period, |step|^2 of the period or sweep before, residual
 N_COUNTERS = wp.constant(COUNTERS)
 N_NORMS = wp.constant(NORMS)
 
@@ -533,8 +526,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         iterations: int,
         factor: real,
         max_correction: real,
+        slop_factor: real,
         length_scale: wp.array(dtype=real),
         flags: wp.array(dtype=wp.int32),
+        deepest: wp.array(dtype=real),
         color_block: wp.array(dtype=wp.int32),
         rows: wp.array(dtype=real),
         row_body: wp.array(dtype=wp.int32),
@@ -544,11 +539,15 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         """Position phase after the velocities (nonlinear projection, Box2D 2.3): displacements that undo overlap.
 
         Gaps are those of the narrowphase plus what the displacement changes them by to first order; it ends as soon as
-        a sweep pushes nothing.
+        a sweep pushes nothing. Without joints it is skipped where the step began with no overlap beyond the slop: what
+        an unconverged solve adds is met in the next step.
         """
         w = wp.tid() + world_offset
         if flags[w] != 0:
             return
+        if wp.static(not joints):
+            if deepest[w] >= -slop_factor * length_scale[w]:
+                return
         limit = max_correction * length_scale[w]
         serial = color_block[w * ENDS + SERIAL]
         last = color_block[w * ENDS + N_COLORS]
