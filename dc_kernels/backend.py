@@ -23,14 +23,14 @@ def check_backend(backend: str) -> str:
     return backend
 
 
-def kernel_table(backend: str, dtype: str, variant: str, hulls: bool) -> dict[str, Any]:
+def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool) -> dict[str, Any]:
     """All kernels of a simulation by name.
 
     Args:
         backend: "warp", or "numpy": the oracle, never fast.
         dtype: "float32" or "float64".
         variant: layout of solver rows, a key of ``rows.COLUMNS``.
-        hulls: whether two hulls can meet.
+        only_discs: whether all that moves are discs about their centre of mass.
     """
     if check_backend(backend) == "warp":
         from . import _warp as package
@@ -42,7 +42,7 @@ def kernel_table(backend: str, dtype: str, variant: str, hulls: bool) -> dict[st
     table: dict[str, Any] = {}
     table.update(integrate.kernels(dtype))
     table.update(broadphase.kernels(dtype))
-    table.update(narrowphase.kernels(dtype, hulls))
+    table.update(narrowphase.kernels(dtype, only_discs))
     table.update(contacts.kernels(dtype))
     table.update(rows.kernels(dtype, variant))
     table.update(solver.kernels(dtype, variant))

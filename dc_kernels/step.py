@@ -90,8 +90,8 @@ class Simulation:
         self.schedule = schedule
         self.on_overflow = on_overflow
         self.threads = max(1, min(threads, model.world_count))
-        self.variant, self.hulls = self._specialization(specialize)
-        self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, self.hulls)
+        self.variant = self._specialize(specialize)
+        self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, self.only_discs and specialize)
         self._config = config or SolverConfig()
         shapes = np.diff(model.numpy("shape_start"))
         bodies = np.diff(model.numpy("body_start"))
@@ -136,16 +136,15 @@ class Simulation:
                 index = ", ".join(str(int(i)) for i in bad[0])
                 raise ValueError(f"state.{name}[{index}] is {values[tuple(bad[0])]}; it must be finite")
 
-    def _specialization(self, specialize: bool) -> tuple[str, bool]:
-        """Row variant, and whether two hulls can meet."""
+    def _specialize(self, specialize: bool) -> str:
+        """Row variant: what the scene needs and no more."""
         model = self.model
         moving = (model.numpy("body_type") != BodyType.STATIC)[model.numpy("shape_body")]
-        kind = model.numpy("shape_type")
-        hulls = bool((moving & (kind != ShapeType.DISC)).any())
-        self.only_discs = bool((~moving | ((kind == ShapeType.DISC) & ~model.numpy("shape_center").any(axis=1))).all())
+        centred_disc = (model.numpy("shape_type") == ShapeType.DISC) & ~model.numpy("shape_center").any(axis=1)
+        self.only_discs = bool((~moving | centred_disc).all())
         if model.joint_count:
-            return "joints", hulls
-        return ("discs" if self.only_discs and specialize else "general"), hulls
+            return "joints"
+        return "discs" if self.only_discs and specialize else "general"
 
     def _allocate(self, buckets: np.ndarray) -> None:
         """All groups for the present room."""

@@ -24,6 +24,7 @@ MUTED = "#66788a"
 FILL = "#dce4ec"
 EDGE = "#9fb0c0"
 CYCLE = ("#c2410c", "#1d4ed8", "#0f766e", "#7c3aed", "#b45309", "#475569", "#be185d", "#4d7c0f")
+LINES = ("-", "--", ":", "-.")
 FORCE_MAP = "inferno_r"
 STYLE = {
     "figure.facecolor": "white",
@@ -143,7 +144,7 @@ class WorldDrawing:
             fill = collections.PolyCollection([], facecolors=color, edgecolors=EDGE, linewidths=width, zorder=1)
             self.fills.append(axes.add_collection(fill))
         self.marks = axes.add_collection(collections.LineCollection([], colors=EDGE, linewidths=width, zorder=1.5))
-        self.walls = axes.add_collection(collections.LineCollection([], colors=INK, linewidths=2.0, zorder=2))
+        self.walls = axes.add_collection(collections.LineCollection([], colors=INK, linewidths=2.5, zorder=5))
         axes.set_aspect("equal")
         axes.grid(False)
         axes.set(xlabel="x [m]", ylabel="y [m]")
@@ -162,15 +163,15 @@ class WorldDrawing:
         self.walls.set_segments(_placed(ends, owner, position, angle))
 
     def fit(self, states: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
-        """Show the shapes in all given states (position, angle), and static chains unless they are far larger."""
+        """Show all bodies in all given states (position, angle); static chains only where they pass near them."""
         parts = [_placed(points, owner, *state) for state in states for owner, points in self.shapes.outlines]
-        shown = np.concatenate([part.reshape(-1, 2) for part in parts] or [np.zeros((1, 2))])
         owner, ends = self.shapes.segments
-        walls = _placed(ends, owner, *states[0]).reshape(-1, 2)
-        if len(walls) and (not parts or np.ptp(walls, axis=0).max() <= 4.0 * np.ptp(shown, axis=0).max()):
-            shown = np.concatenate([shown, walls])
+        parts = parts or [_placed(ends, owner, *states[0])]
+        shown = np.concatenate([part.reshape(-1, 2) for part in parts])
+        if not len(shown):
+            return
         low, high = shown.min(axis=0), shown.max(axis=0)
-        pad = 0.03 * float(max(*(high - low), 1e-9))
+        pad = 0.06 * float(max(*(high - low), 1e-9))
         self.axes.set_xlim(low[0] - pad, high[0] + pad)
         self.axes.set_ylim(low[1] - pad, high[1] + pad)
 
@@ -264,67 +265,83 @@ def summary_figure(sim: Any, series: Mapping[str, np.ndarray], dt: float, title:
     """
     worlds = series["sweeps"].shape[1]
     time = dt * np.arange(1, len(series["sweeps"]) + 1)
-    with figure(14.0, 8.0) as fig:
+    with figure(14.0, 8.6) as fig:
         fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
-        grid = fig.add_gridspec(4, 2, width_ratios=(1.35, 1.0))
-        axes = fig.add_subplot(grid[:, 0])
+        grid = fig.add_gridspec(3, 2, width_ratios=(1.25, 1.0))
+        axes = fig.add_subplot(grid[:2, 0])
         draw_world(axes, sim)
         axes.set_title(f"world 0 after {len(time)} steps, {time[-1] if len(time) else 0.0:.2f} s")
-        panels = [fig.add_subplot(grid[i, 1]) for i in range(4)]
         if not len(time):
             return fig
-        _over_worlds(panels[0], time, series["sweeps"], CYCLE[0])
-        _over_worlds(panels[1], time, series["contact_count"], CYCLE[1])
+        sweeps, contacts, energy, overlap = (fig.add_subplot(grid[place]) for place in ((2, 0), (0, 1), (1, 1), (2, 1)))
+        _over_worlds(sweeps, time, series["sweeps"], CYCLE[0])
+        _over_worlds(contacts, time, series["contact_count"], MUTED, "within reach")
+        _over_worlds(contacts, time, series["pressing_count"], CYCLE[1], "that press or overlap")
         kinetic, potential = series["kinetic_energy"], series["potential_energy"]
-        _over_worlds(panels[2], time, kinetic + potential, INK, "total")
-        _over_worlds(panels[2], time, potential, CYCLE[2], "potential")
-        _over_worlds(panels[2], time, kinetic, CYCLE[0], "kinetic")
-        panels[2].legend(ncols=3, fontsize=8, loc="upper right")
-        _over_worlds(panels[3], time, 1e3 * series["penetration_max"], CYCLE[3], "largest")
-        _over_worlds(panels[3], time, 1e3 * series["penetration_mean"], CYCLE[5], "mean of pressing contacts")
-        panels[3].legend(ncols=2, fontsize=8, loc="upper right")
-        titles = ("sweeps of the solver", "contacts", "energy [J]", "overlap [mm]")
-        for panel, name in zip(panels, titles, strict=True):
-            panel.set_title(name)
+        _over_worlds(energy, time, kinetic + potential, INK, "total")
+        _over_worlds(energy, time, potential, CYCLE[2], "potential")
+        _over_worlds(energy, time, kinetic, CYCLE[0], "kinetic")
+        _over_worlds(overlap, time, 1e3 * series["penetration_max"], CYCLE[3], "largest")
+        _over_worlds(overlap, time, 1e3 * series["penetration_mean"], CYCLE[5], "mean of the contacts that press")
+        panels = {"sweeps of the solver": sweeps, "contacts": contacts, "energy [J]": energy, "overlap [mm]": overlap}
+        for name, panel in panels.items():
+            panel.set_title(name + (f" (median and 10-90 % of {worlds} worlds)" if worlds > 2 else ""))
             panel.set_xlim(0.0, time[-1])
-        panels[3].set_xlabel("time [s]" + (f"; median and 10-90 % of {worlds} worlds" if worlds > 2 else ""))
-        for panel in panels[:3]:
-            panel.tick_params(labelbottom=False)
+            if panel is not sweeps:
+                panel.legend(fontsize=8, loc="best")
+        for panel in (sweeps, overlap):
+            panel.set_xlabel("time [s]")
     return fig
+
+
+def line_styles(runs: Sequence[Run]) -> list[dict[str, str]]:
+    """A colour for each start strategy, a line style for each solver, and the label."""
+    starts, solvers = (list(dict.fromkeys(getattr(run, name) for run in runs)) for name in ("start", "solver"))
+    return [
+        {
+            "color": CYCLE[starts.index(run.start) % len(CYCLE)],
+            "linestyle": LINES[solvers.index(run.solver) % len(LINES)],
+            "label": run.label,
+        }
+        for run in runs
+    ]
+
+
+def _count_axis(axes: Any, runs: Sequence[Run]) -> None:
+    """Sweeps on a logarithmic x axis."""
+    axes.set_xscale("log")
+    axes.set_xlim(1, max(run.max_sweeps for run in runs))
+    axes.xaxis.set_major_formatter(require("matplotlib.ticker", "pipeline").FormatStrFormatter("%d"))
 
 
 def draw_steps_left(axes: Any, runs: Sequence[Run]) -> None:
     """Share of steps still iterating after n sweeps, one line for each run."""
-    for i, run in enumerate(runs):
+    for run, style in zip(runs, line_styles(runs), strict=True):
         sweeps = np.arange(1, run.max_sweeps + 1)
         taken = np.sort(np.where(run.converged, run.sweeps, run.max_sweeps + 1)[run.with_contacts])
         left = 1.0 - np.searchsorted(taken, sweeps, side="right") / max(len(taken), 1)
-        axes.plot(sweeps, 100.0 * left, color=CYCLE[i % len(CYCLE)], label=run.label)
-    axes.set_xscale("log")
-    axes.set(xlim=(1, max(run.max_sweeps for run in runs)), ylim=(0, 100))
-    axes.set(xlabel="sweeps n", ylabel="steps [%]", title="steps still iterating after n sweeps")
+        axes.plot(sweeps, 100.0 * left, **style)
+    _count_axis(axes, runs)
+    axes.set(ylim=(0, 100), xlabel="sweeps n", ylabel="steps [%]", title="steps still iterating after n sweeps")
     axes.legend(fontsize=8.5)
 
 
 def draw_change(axes: Any, runs: Sequence[Run]) -> None:
     """Largest impulse change of sweep n, median over the steps with contacts."""
-    for i, run in enumerate(runs):
+    for run, style in zip(runs, line_styles(runs), strict=True):
         if run.decay is not None:
-            sweeps = np.arange(1, len(run.decay) + 1)
-            axes.plot(sweeps, run.decay, color=CYCLE[i % len(CYCLE)], label=run.label)
-    axes.set_xscale("log")
+            axes.plot(np.arange(1, len(run.decay) + 1), run.decay, **style)
+    _count_axis(axes, runs)
     axes.set_yscale("log")
     axes.axhline(runs[0].tolerance, color=MUTED, linewidth=1.0, linestyle="--")
-    axes.set(xlim=(1, max(run.max_sweeps for run in runs)), xlabel="sweep n", ylabel="impulse change [N s]")
-    axes.set_title("largest impulse change of sweep n (median)")
+    axes.set(xlabel="sweep n", ylabel="impulse change [N s]", title="largest impulse change of sweep n (median)")
 
 
 def draw_over_steps(axes: Any, runs: Sequence[Run], name: str, title: str) -> None:
     """A quantity (steps, worlds) of each run over the steps, median over the worlds."""
-    for i, run in enumerate(runs):
+    for run, style in zip(runs, line_styles(runs), strict=True):
         values = getattr(run, name)
-        steps = np.arange(1, len(values) + 1)
-        axes.plot(steps, np.median(values, axis=1), color=CYCLE[i % len(CYCLE)], label=run.label, linewidth=1.2)
+        axes.plot(np.arange(1, len(values) + 1), np.median(values, axis=1), linewidth=1.2, **style)
     axes.set(xlabel="step", title=f"{title} (median of {runs[0].sweeps.shape[1]} worlds)")
     axes.set_xlim(1, len(runs[0].sweeps))
     axes.set_ylim(bottom=0)
@@ -351,7 +368,7 @@ def draw_table(axes: Any, runs: Sequence[Run]) -> None:
     from .evaluate import COLUMNS, cells
 
     axes.axis("off")
-    rows = [cells(run) for run in runs]
+    rows, styles = [cells(run) for run in runs], line_styles(runs)
     table = axes.table(rows, colLabels=[c.title for c in COLUMNS], cellLoc="right", loc="center", bbox=(0, 0, 1, 1))
     table.auto_set_font_size(False)
     table.set_fontsize(8.5)
@@ -363,19 +380,22 @@ def draw_table(axes: Any, runs: Sequence[Run]) -> None:
         if column == 0:
             cell.get_text().set_horizontalalignment("left")
             if row:
-                cell.get_text().set_color(CYCLE[(row - 1) % len(CYCLE)])
+                cell.get_text().set_color(styles[row - 1]["color"])
 
 
 def demo_figure(sim: Any, runs: Sequence[Run], title: str) -> Any:
-    """One picture of it all: a world at its end with its forces, the steps left per sweep, and the table."""
-    with figure(15.0, 7.6) as fig:
+    """One picture of it all: a world at its end with its forces, sweeps per step, steps left per sweep, the table."""
+    with figure(15.0, 8.4) as fig:
         fig.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
-        grid = fig.add_gridspec(2, 2, width_ratios=(1.0, 1.0), height_ratios=(2.1, 1.0))
-        axes = fig.add_subplot(grid[:, 0])
+        grid = fig.add_gridspec(2, 2, height_ratios=(1.75, 1.0))
+        axes = fig.add_subplot(grid[0, 0])
         draw_world(axes, sim)
-        axes.set_title(f"contact forces after {float(sim.state.numpy('time')[0]):.2f} s")
+        axes.set_title(f"one world after {float(sim.state.numpy('time')[0]):.2f} s: how its bodies press on each other")
+        draw_over_steps(fig.add_subplot(grid[1, 0]), runs, "sweeps", "sweeps per step")
         draw_steps_left(fig.add_subplot(grid[0, 1]), runs)
-        draw_table(fig.add_subplot(grid[1, 1]), runs)
+        table = fig.add_subplot(grid[1, 1])
+        draw_table(table, runs)
+        table.set_title("sweeps: mean, median, and share of steps done in n")
     return fig
 
 

@@ -70,8 +70,8 @@ def kernels(dtype: str) -> dict[str, Any]:
 
     @wp.func(module=module)
     def spin_arm(kind: int, center: vec2, extent: real):
-        """Farthest distance of a surface point that a rotation moves, from the centre of mass."""
-        arm = wp.length(center)
+        """Bound on the distance from the centre of mass of what a rotation moves."""
+        arm = wp.abs(center[0]) + wp.abs(center[1])
         if kind != DISC:
             arm += extent
         return arm

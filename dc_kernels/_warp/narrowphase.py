@@ -20,16 +20,16 @@ SHIFT_B = wp.constant(wp.int64(KEY_FEATURE_BITS))
 
 
 @cache
-def kernels(dtype: str, hulls: bool) -> dict[str, Any]:
+def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     """``narrowphase``; one thread a world.
 
     Args:
         dtype: "float32" or "float64".
-        hulls: whether two hulls can meet (if not, their code is not compiled).
+        only_discs: whether all that moves are discs about their centre of mass; what they don't need is not compiled.
     """
     t = scalar_types(dtype)
     real, vec2, vec4 = t.real, t.vec2, t.vec4
-    module = kernel_module("narrowphase", dtype, "hulls" if hulls else "discs")
+    module = kernel_module("narrowphase", dtype, "discs" if only_discs else "all")
     epsilon = real(1e-9 if dtype == "float32" else 1e-15)
 
     class Points:
@@ -361,11 +361,6 @@ def kernels(dtype: str, hulls: bool) -> dict[str, Any]:
                     m.count = 0
         return m
 
-    @wp.func(module=module)
-    def approach(va: vec4, vb: vec4, arm_a: vec2, arm_b: vec2, n: vec2):
-        """Normal velocity of B relative to A at the contact point."""
-        return (n[0] * (vb[0] - va[0]) + n[1] * (vb[1] - va[1])) + (cross(arm_b, n) * vb[2] - cross(arm_a, n) * va[2])
-
     @wp.kernel(module=module, enable_backward=False)
     def narrowphase(
         world_offset: int,
@@ -441,15 +436,13 @@ def kernels(dtype: str, hulls: bool) -> dict[str, Any]:
             if kind_a == DISC and kind_b == DISC:
                 pa = xa
                 pb = xb
-                if center_a[0] != real(0.0) or center_a[1] != real(0.0):
-                    pa = xa + rotate(wp.cos(angle[ba]), wp.sin(angle[ba]), center_a)
-                if center_b[0] != real(0.0) or center_b[1] != real(0.0):
-                    pb = xb + rotate(wp.cos(angle[bb]), wp.sin(angle[bb]), center_b)
                 # nearly all candidates end here: too far apart even if they close at their full relative speed
+                far = ra + rb + speculative + dt * (wp.abs(vb[0] - va[0]) + wp.abs(vb[1] - va[1]))
+                if wp.static(not only_discs):
+                    pa = xa + rotate(wp.cos(angle[ba]), wp.sin(angle[ba]), center_a)
+                    pb = xb + rotate(wp.cos(angle[bb]), wp.sin(angle[bb]), center_b)
+                    far += dt * (wp.abs(va[2]) * wp.length(center_a) + wp.abs(vb[2]) * wp.length(center_b))
                 d = pb - pa
-                dv = vec2(vb[0] - va[0], vb[1] - va[1])
-                arms = wp.abs(va[2]) * wp.length(center_a) + wp.abs(vb[2]) * wp.length(center_b)
-                far = ra + rb + speculative + dt * (wp.length(dv) + arms)
                 if wp.dot(d, d) <= far * far:
                     m = disc_disc(pa, ra, pb, rb)
             elif kind_a == DISC:
@@ -473,7 +466,7 @@ def kernels(dtype: str, hulls: bool) -> dict[str, Any]:
                 m.normal = rotate(c, s, m.normal)
                 m.point0 = rotate(c, s, m.point0) + xa
             else:
-                if wp.static(hulls):
+                if wp.static(not only_discs):
                     ca = wp.cos(angle[ba])
                     sa = wp.sin(angle[ba])
                     cb = wp.cos(angle[bb])
@@ -506,8 +499,11 @@ def kernels(dtype: str, hulls: bool) -> dict[str, Any]:
                     feature = m.feature1
                 to_a = p - xa
                 to_b = p - xb
-                closing = wp.max(-approach(va, vb, to_a, to_b, m.normal) * dt, real(0.0))
-                if g <= speculative + closing:
+                speed = m.normal[0] * (vb[0] - va[0]) + m.normal[1] * (vb[1] - va[1])
+                if wp.static(not only_discs):
+                    speed += cross(to_b, m.normal) * vb[2] - cross(to_a, m.normal) * va[2]
+                # a gap that the step's motion closes is a contact too
+                if g <= speculative + wp.max(-speed * dt, real(0.0)):
                     if n < capacity:
                         at = start + n
                         key[at] = (

@@ -388,6 +388,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if flags[w] != 0:
             return
         dt = step_dt[w]
+        per_dt = real(1.0) / dt
         slop = slop_factor * length_scale[w]
         limit = max_correction * length_scale[w]
         start = contact_start[w]
@@ -395,10 +396,13 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         count = w * N_COLORS
         for k in range(count, count + N_COLORS):
             color_fill[k] = 0
+        used = int(0)
         for c in range(start, end):
             color_fill[count + color[c]] += 1
+            used = wp.max(used, color[c] + 1)
         for j in range(joint_start[w], joint_start[w + 1]):
             color_fill[count + joint_color[j]] += 1
+            used = wp.max(used, joint_color[j] + 1)
         first = block_start[w]
         ends = w * (N_COLORS + 1)
         block = first
@@ -411,7 +415,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             flags[w] = flags[w] | ROW_OVERFLOW
             return
         # empty lanes of a colour's last block
-        for k in range(N_COLORS):
+        for k in range(used):
             filled = color_fill[count + k]
             color_fill[count + k] = 0
             if filled % N_LANES != 0:
@@ -464,9 +468,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             e = restitution[c]
             bias = real(0.0)
             if g > real(0.0):
-                bias = g / dt
+                bias = g * per_dt
             elif baumgarte > real(0.0) and g < -slop:
-                bias = wp.max(baumgarte * (g + slop), -limit) / dt
+                bias = wp.max(baumgarte * (g + slop), -limit) * per_dt
             if e > real(0.0):
                 if un > real(0.0):
                     bias = wp.max(bias, e * un)
@@ -530,7 +534,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 ib = inv_inertia[b]
                 en = inverse(va[3] + vb[3] + ia * ran * ran + ib * rbn * rbn)
                 off = length - joint_length[j]
-                bias = wp.clamp(baumgarte * off, -limit, limit) / dt
+                bias = wp.clamp(baumgarte * off, -limit, limit) * per_dt
                 un = (n[0] * (vb[0] - va[0]) + n[1] * (vb[1] - va[1])) + (rbn * vb[2] - ran * va[2])
                 rows[r + NX] = n[0]
                 rows[r + NY] = n[1]
