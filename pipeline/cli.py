@@ -138,7 +138,7 @@ def describe(summary: dict[str, Any]) -> str:
         f"{summary['scene']}: {summary['steps']} steps of {summary['worlds']} world(s), {summary['bodies']} bodies, "
         f"{summary['simulation_s']:.2f} s in the simulation" + ("" if summary["complete"] else "; interrupted"),
         f"sweeps: mean {summary['mean_sweeps']:.1f}, median {summary['median_sweeps']:.0f}, "
-        f"unconverged {100.0 * summary['unconverged_share']:.1f} % of the steps with contacts",
+        f"unconverged {100.0 * summary['unconverged_share']:.1f} %, of the steps with contacts or joints",
         f"contacts of a world at the end: {summary['contacts_last']:.1f}; "
         f"overlap: largest {summary['penetration_max_mm']:.3g} mm, mean at the end "
         f"{summary['penetration_last_mean_mm']:.3g} mm",

@@ -223,6 +223,7 @@ def run_strategy(options: ProtocolOptions, start: str, acceleration: Acceleratio
         if bar is not None:
             bar.update()
     mean = error / max(count, 1)
+    changes = np.concatenate(histories) if histories else np.zeros((0, 0))
     return Run(
         start=start,
         solver=options.method.upper() if acceleration == "none" else f"{options.method.upper()} + {acceleration}",
@@ -234,7 +235,7 @@ def run_strategy(options: ProtocolOptions, start: str, acceleration: Acceleratio
         start_error=(float(mean[0]), float(mean[1])),
         wall_s=wall - strategy_s,
         strategy_s=strategy_s,
-        decay=np.median(np.concatenate(histories), axis=0) if count and options.history else None,
+        decay=np.median(changes, axis=0) if len(changes) else None,
     )
 
 

@@ -77,12 +77,14 @@ class WorldShapes:
     """Of equally many points each: bodies (n,), within the world, and points (n, points, 2) [m]."""
     segments: tuple[np.ndarray, np.ndarray]
     """Static segments: bodies (n,) and ends (n, 2, 2) [m]."""
+    joints: list[tuple[np.ndarray, np.ndarray]]
+    """The two ends of distance joints: bodies (n,) and anchors (n, 1, 2) [m]."""
     dynamic: np.ndarray
     """Which bodies are dynamic (bodies,)."""
 
     @classmethod
     def of(cls, model: Mapping[str, np.ndarray], world: int) -> WorldShapes:
-        """From the model's arrays by name (``types.MODEL``)."""
+        """From the arrays of a model and its joints by name (``types.MODEL``, ``types.JOINTS``)."""
         bodies = slice(*map(int, model["body_start"][world : world + 2]))
         shapes = np.arange(*model["shape_start"][world : world + 2])
         owner = model["shape_body"][shapes] - bodies.start
@@ -105,7 +107,15 @@ class WorldShapes:
         outlines += [(np.array(owners), np.stack(items)) for owners, items in by_length.values()]
         walls = kinds == ShapeType.SEGMENT
         ends = vertices[first[shapes[walls], None] + np.arange(2)].reshape(-1, 2, 2)
-        return cls(bodies, outlines, (owner[walls], ends), model["body_type"][bodies] == BodyType.DYNAMIC)
+        rows = slice(*map(int, model["joint_start"][world : world + 2]))
+        joints = [
+            (
+                model[f"joint_body_{end}"][rows] - bodies.start,
+                model[f"joint_anchor_{end}"][rows, None].astype(np.float64),
+            )
+            for end in "ab"
+        ]
+        return cls(bodies, outlines, (owner[walls], ends), joints, model["body_type"][bodies] == BodyType.DYNAMIC)
 
 
 def _rounded(vertices: np.ndarray, normals: np.ndarray, radius: float) -> np.ndarray:
@@ -144,8 +154,9 @@ class WorldDrawing:
             fill = collections.PolyCollection([], facecolors=color, edgecolors=EDGE, linewidths=width, zorder=1)
             self.fills.append(axes.add_collection(fill))
         self.marks = axes.add_collection(collections.LineCollection([], colors=EDGE, linewidths=width, zorder=1.5))
+        self.joints = axes.add_collection(collections.LineCollection([], colors=CYCLE[2], linewidths=1.5, zorder=4))
         self.walls = axes.add_collection(collections.LineCollection([], colors=INK, linewidths=2.5, zorder=5))
-        axes.set_aspect("equal")
+        axes.set_aspect("equal", anchor="N")
         axes.grid(False)
         axes.set(xlabel="x [m]", ylabel="y [m]")
         self.update(position, angle)
@@ -159,6 +170,8 @@ class WorldDrawing:
             fill.set_verts(placed)
             radii.append(np.stack([placed.mean(axis=1), placed[:, 0]], axis=1))
         self.marks.set_segments(np.concatenate(radii) if radii else [])
+        joints = [_placed(anchor, owner, position, angle) for owner, anchor in self.shapes.joints]
+        self.joints.set_segments(np.concatenate(joints, axis=1))
         owner, ends = self.shapes.segments
         self.walls.set_segments(_placed(ends, owner, position, angle))
 
@@ -238,10 +251,14 @@ def draw_forces(axes: Any, forces: Forces, colorbar: bool = True) -> None:
         bar.outline.set_visible(False)
 
 
+def arrays(sim: Any) -> dict[str, np.ndarray]:
+    """What a simulation's shapes are drawn from, by name."""
+    return {name: group.numpy(name) for group in (sim.model, sim.joints) for name in group.table}
+
+
 def draw_world(axes: Any, sim: Any, world: int = 0, colorbar: bool = True) -> None:
     """The present state of one world of a simulation, with its contact forces."""
-    model = {name: sim.model.numpy(name) for name in sim.model.table}
-    shapes = WorldShapes.of(model, world)
+    shapes = WorldShapes.of(arrays(sim), world)
     position, angle = sim.state.numpy("position")[shapes.bodies], sim.state.numpy("angle")[shapes.bodies]
     WorldDrawing(axes, shapes, position, angle).fit([(position, angle)])
     draw_forces(axes, Forces.of(sim, world), colorbar)

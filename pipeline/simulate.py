@@ -3,7 +3,7 @@
 Layout of ``trajectory.h5`` (schema ``deep-contact.trajectory``, version 1; attributes of the file: ``schema``,
 ``version``, ``complete``, ``steps``, ``config`` and ``versions`` as JSON; every dataset has ``unit`` and ``meaning``):
 
-- ``model/NAME``: the arrays of ``dc_kernels.types.MODEL``;
+- ``model/NAME``: the arrays of ``dc_kernels.types.MODEL`` and ``JOINTS`` at the start;
 - ``record/step``, ``record/time`` (records,) and ``record/position``, ``angle``, ``velocity``,
   ``angular_velocity`` (records, bodies[, 2]): the start, then every ``record_every`` steps, then the end;
 - ``step/NAME`` (steps, worlds): the quantities of ``STEP_FIELDS`` in every step;
@@ -234,9 +234,10 @@ class TrajectoryWriter:
         model = sim.model
         file.attrs.update(schema=SCHEMA, version=VERSION, complete=False, steps=0)
         file.attrs.update(config=json.dumps(config), versions=json.dumps(versions()))
-        for name, field in model.table.items():
-            data = file.create_dataset(f"model/{name}", data=model.numpy(name))
-            data.attrs.update(unit=field.unit, meaning=field.meaning)
+        for group in (model, sim.joints):
+            for name, field in group.table.items():
+                data = file.create_dataset(f"model/{name}", data=group.numpy(name))
+                data.attrs.update(unit=field.unit, meaning=field.meaning)
         record = file.create_group("record")
         self.record = {
             "step": Column(record, "step", (), np.int64, "1", "steps done"),
@@ -356,7 +357,7 @@ def simulate(
         bar.close()
         complete = done == output.steps
         series = writer.finish(done, complete)
-    busy = series["pressing_count"] > 0
+    busy = (series["pressing_count"] > 0) | (np.diff(sim.model.numpy("joint_start")) > 0)
     solved = series["sweeps"][busy]
     flags = series["flags"][-1] if done else np.zeros(run.worlds, np.int32)
     summary = {

@@ -115,6 +115,16 @@ def kernels(dtype: str) -> dict[str, Any]:
         w = wp.tid() + world_offset
         if flags[w] != 0:
             return
+        start = contact_start[w]
+        end = start + contact_count[w]
+        if joint_start[w] == joint_start[w + 1]:
+            # nothing new, nothing to colour
+            fresh = int(0)
+            for c in range(start, end):
+                if color[c] < 0 or color[c] == SERIAL:
+                    fresh += 1
+            if fresh == 0:
+                return
         for b in range(body_start[w], body_start[w + 1]):
             color_mask[b] = wp.uint64(0)
         for j in range(joint_start[w], joint_start[w + 1]):
@@ -127,8 +137,6 @@ def kernels(dtype: str) -> dict[str, Any]:
                 color_mask[a] = color_mask[a] | bit
             if body_type[b] == DYNAMIC:
                 color_mask[b] = color_mask[b] | bit
-        start = contact_start[w]
-        end = start + contact_count[w]
         for c in range(start, end):
             kept = color[c]
             if kept >= 0 and kept != SERIAL:

@@ -20,6 +20,22 @@ def kernels(dtype: str) -> dict[str, Any]:
     real, vec2, vec4 = t.real, t.vec2, t.vec4
     module = kernel_module("integrate", dtype)
 
+    # fmt: off
+    @wp.func_native(
+        "for (int i = i0; i < i1; ++i) cache_key.data[i] = key.data[i];"
+        "for (int i = i0; i < i1; ++i) cache_impulse.data[i] = impulse.data[i];"
+        "for (int i = i0; i < i1; ++i) cache_color.data[i] = color.data[i];"
+        "for (int i = i0; i < i1; ++i) cache_age.data[i] = age.data[i];"
+    )
+    def copy_contacts(
+        i0: wp.int32, i1: wp.int32,
+        key: wp.array(dtype=wp.int64), impulse: wp.array(dtype=vec2),
+        color: wp.array(dtype=wp.int32), age: wp.array(dtype=wp.int32),
+        cache_key: wp.array(dtype=wp.int64), cache_impulse: wp.array(dtype=vec2),
+        cache_color: wp.array(dtype=wp.int32), cache_age: wp.array(dtype=wp.int32),
+    ): ...
+    # fmt: on
+
     @wp.kernel(module=module, enable_backward=False)
     def predict(
         world_offset: int,
@@ -144,11 +160,9 @@ def kernels(dtype: str) -> dict[str, Any]:
         time[w] = time[w] + wp.float64(step_dt[w])
         start = contact_start[w]
         n = contact_count[w]
-        for c in range(start, start + n):
-            cache_key[c] = key[c]
-            cache_impulse[c] = impulse[c]
-            cache_color[c] = color[c]
-            cache_age[c] = age[c]
+        copy_contacts(
+            start, start + n, key, impulse, color, age, cache_key, cache_impulse, cache_color, cache_age
+        )
         for j in range(joint_start[w], joint_start[w + 1]):
             joint_cache[j] = joint_impulse[j]
         cache_count[w] = n

@@ -361,6 +361,23 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     m.count = 0
         return m
 
+    # one native call instead of nine array stores, each of which would load pointer and stride anew
+    # fmt: off
+    @wp.func_native(
+        "key.data[i] = key_; body_a.data[i] = body_a_; body_b.data[i] = body_b_; normal.data[i] = normal_;"
+        "arm_a.data[i] = arm_a_; arm_b.data[i] = arm_b_; gap.data[i] = gap_; friction.data[i] = friction_;"
+        "restitution.data[i] = restitution_;"
+    )
+    def store_contact(
+        i: wp.int32,
+        key: wp.array(dtype=wp.int64), body_a: wp.array(dtype=wp.int32), body_b: wp.array(dtype=wp.int32),
+        normal: wp.array(dtype=vec2), arm_a: wp.array(dtype=vec2), arm_b: wp.array(dtype=vec2),
+        gap: wp.array(dtype=real), friction: wp.array(dtype=real), restitution: wp.array(dtype=real),
+        key_: wp.int64, body_a_: wp.int32, body_b_: wp.int32, normal_: vec2, arm_a_: vec2, arm_b_: vec2,
+        gap_: real, friction_: real, restitution_: real,
+    ): ...
+    # fmt: on
+
     @wp.kernel(module=module, enable_backward=False)
     def narrowphase(
         world_offset: int,
@@ -505,21 +522,14 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                 # a gap that the step's motion closes is a contact too
                 if g <= speculative + wp.max(-speed * dt, real(0.0)):
                     if n < capacity:
-                        at = start + n
-                        key[at] = (
-                            (wp.int64(a - shape0) << SHIFT_A) | (wp.int64(b - shape0) << SHIFT_B) | wp.int64(feature)
-                        )
-                        body_a[at] = ba
-                        body_b[at] = bb
-                        normal[at] = m.normal
-                        arm_a[at] = to_a
-                        arm_b[at] = to_b
-                        gap[at] = g
                         mu = shape_friction[a]
                         if shape_friction[b] != mu:
                             mu = wp.sqrt(mu * shape_friction[b])
-                        friction[at] = mu
-                        restitution[at] = wp.max(shape_restitution[a], shape_restitution[b])
+                        store_contact(
+                            start + n, key, body_a, body_b, normal, arm_a, arm_b, gap, friction, restitution,
+                            (wp.int64(a - shape0) << SHIFT_A) | (wp.int64(b - shape0) << SHIFT_B) | wp.int64(feature),
+                            ba, bb, m.normal, to_a, to_b, g, mu, wp.max(shape_restitution[a], shape_restitution[b]),
+                        )  # fmt: skip
                     n += 1
         contact_needed[w] = n
         if n > capacity:
