@@ -176,8 +176,9 @@ class WorldDrawing:
         self.walls.set_segments(_placed(ends, owner, position, angle))
 
     def fit(self, states: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
-        """Show all bodies in all given states (position, angle); static chains only where they pass near them."""
-        parts = [_placed(points, owner, *state) for state in states for owner, points in self.shapes.outlines]
+        """Show all bodies and joints in all states (position, angle); static chains only where they pass near."""
+        drawn = [*self.shapes.outlines, *self.shapes.joints]
+        parts = [_placed(points, owner, *state) for state in states for owner, points in drawn if len(owner)]
         owner, ends = self.shapes.segments
         parts = parts or [_placed(ends, owner, *states[0])]
         shown = np.concatenate([part.reshape(-1, 2) for part in parts])
@@ -308,6 +309,8 @@ def summary_figure(sim: Any, series: Mapping[str, np.ndarray], dt: float, title:
                 panel.legend(fontsize=8, loc="best")
         for panel in (sweeps, overlap):
             panel.set_xlabel("time [s]")
+        for panel in (sweeps, contacts, overlap):
+            panel.set_ylim(bottom=0.0)
     return fig
 
 
