@@ -149,7 +149,7 @@ def describe(summary: dict[str, Any]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return 0, or exit with 2 after one line on stderr if a value is wrong."""
+    """Run the command line; return 0, or exit with 2 (130 if interrupted) after one line on stderr."""
     try:
         tyro = require("tyro", "pipeline")
         conf = tyro.conf
@@ -164,6 +164,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, ImportError, OSError) as error:
         print(f"deep-contact: {' '.join(str(error).split())}", file=sys.stderr)
         raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        print("deep-contact: interrupted", file=sys.stderr)
+        raise SystemExit(130) from None
     if command.json:
         print(json.dumps(result))
     return 0

@@ -391,6 +391,14 @@ def test_wrong_values_are_one_line_and_exit_2(arguments, message, capsys):
     assert "Traceback" not in output.err
 
 
+def test_interrupted_protocol_is_one_line(monkeypatch, capsys, tmp_path):
+    monkeypatch.setitem(warmstart.STRATEGIES, "none", lambda seed: lambda sim: signal.raise_signal(signal.SIGINT))
+    with pytest.raises(SystemExit) as caught:
+        main(["protocol", "--worlds", "1", "--bodies", "3", "--json", "--out", str(tmp_path)])
+    assert caught.value.code == 130
+    assert capsys.readouterr().err.splitlines()[-1] == "deep-contact: interrupted"
+
+
 def test_missing_dependency_names_the_extra(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "tyro", None)
     with pytest.raises(SystemExit) as caught:
