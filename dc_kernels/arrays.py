@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -126,6 +126,10 @@ class ArrayGroup:
         self.backend = backend
         for name, field in self.table.items():
             setattr(self, name, allocate(field, sizes[field.per], self.dtype, device, backend))
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
 
     def array(self, name: str) -> Any:
         """The array of a field."""

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from .arrays import ArrayGroup, to_numpy
-from .types import CACHE, LANES, PAIRS, ROWS
+from .arrays import ArrayGroup, Contacts, Joints, Model, allocate, to_numpy
+from .rows import COLUMNS
+from .solver import SolveStats
+from .types import CACHE, COLORS, COUNTERS, LANES, MOTION, NORMS, PAIRS, ROWS, Flag, SolverConfig
 
 GROWTH = 1.25  # of what a step needed, so that a growing pile reallocates rarely
 SPARE_BLOCKS = 10  # blocks beyond full ones: a colour's last block is partly empty, and piles have 6-10 colours
+
+
+class Motion(ArrayGroup):
+    """Velocities and displacements of the step in flight (``types.MOTION``)."""
+
+    table = MOTION
 
 
 class Cache(ArrayGroup):
@@ -58,3 +67,177 @@ def move_segments(array: Any, target: Any, old: np.ndarray, new: np.ndarray, cou
         room[new[w] : new[w] + n] = source[old[w] : old[w] + n]
     if not isinstance(target, np.ndarray) and room.ctypes.data != target.ptr:
         target.assign(room)
+
+
+class Storage:
+    """All arrays of a simulation beside model, state and joints, and the room they have.
+
+    Attributes:
+        pair_room, contact_room, block_room: what is reserved for each world, (W,).
+    """
+
+    def __init__(
+        self, model: Model, joints: Joints, config: SolverConfig, variant: str, pairs: float, contacts: float
+    ) -> None:
+        """Allocate for so many pairs a shape and contacts a body."""
+        self.model = model
+        self.joints = joints
+        self.width = len(COLUMNS[variant]) * LANES
+        self._joint_counts = np.diff(model.numpy("joint_start")).astype(np.int64)
+        shapes = np.diff(model.numpy("shape_start")).astype(np.int64)
+        self.pair_room = np.ceil(pairs * shapes).astype(np.int64)
+        self.contact_room = np.ceil(contacts * np.diff(model.numpy("body_start"))).astype(np.int64)
+        self.block_room = blocks_for(self.contact_room, self._joint_counts)
+        worlds, bodies = model.world_count, model.body_count
+        buckets = bucket_room(shapes)
+        self.sizes = {
+            **model.sizes,
+            "joint": model.joint_count,
+            "body+1": bodies + 1,
+            "body sum": bodies + 1 if config.method == "jacobi" else 1,
+            "bucket": int(buckets.sum()),
+            "world color": worlds * COLORS,
+            "world color+1": worlds * (COLORS + 1),
+            "world counter": worlds * COUNTERS,
+            "world norm": worlds * NORMS,
+            "row direction": 0,
+        }
+        self._count(config)
+        make = (self.sizes, model.dtype, model.device, model.backend)
+        self.motion = Motion(*make)
+        self.pairs = Pairs(*make)
+        self.contacts = Contacts(*make)
+        self.cache = Cache(*make)
+        self.rows = Rows(*make)
+        self.stats = SolveStats(*make)
+        self.stats.allocate_history(config)
+        self.pairs.assign("bucket_start", starts(buckets))
+        self._assign_starts()
+
+    def groups(self) -> tuple[ArrayGroup, ...]:
+        """Every group of arrays."""
+        return (self.motion, self.pairs, self.contacts, self.cache, self.rows, self.stats)
+
+    def adapt(self, config: SolverConfig, before: SolverConfig) -> None:
+        """Allocate what a new configuration needs."""
+        if (config.history, config.max_sweeps) != (before.history, before.max_sweeps):
+            self.stats.allocate_history(config)
+        if config.method == "jacobi" and self.sizes["body sum"] == 1:
+            self.sizes["body sum"] = self.model.body_count + 1
+            self._reallocate(self.motion, ("summed",))
+        if config.acceleration == "nncg" and self.sizes["row direction"] == 0:
+            self.sizes["row direction"] = self.sizes["row pair"]
+            self._reallocate(self.rows, ("row_direction",))
+
+    def grow(self, flags: np.ndarray, config: SolverConfig, error: bool) -> None:
+        """More room for the worlds whose flags say that they ran out of it.
+
+        Raises:
+            OverflowError: instead, naming world, need and room, with error=True.
+        """
+        needs = (
+            (Flag.PAIR_OVERFLOW, "pairs", self.pair_room, self.pairs.numpy("pair_needed")),
+            (Flag.CONTACT_OVERFLOW, "contacts", self.contact_room, self.rows.numpy("contact_needed")),
+            (Flag.ROW_OVERFLOW, "blocks of rows", self.block_room, self.rows.numpy("block_needed")),
+        )
+        for flag, what, room, needed in needs:
+            full = np.flatnonzero(flags & int(flag))
+            if len(full) and error:
+                w = int(full[0])
+                raise OverflowError(
+                    f"world {w} needs {int(needed[w])} {what}, {int(room[w])} are reserved; the step was not taken"
+                )
+            room[full] = np.ceil(GROWTH * needed[full]).astype(np.int64)
+        self._relayout(config)
+
+    def _count(self, config: SolverConfig) -> None:
+        """Sizes of the axes that follow the room."""
+        self.block_room = np.maximum(self.block_room, blocks_for(self.contact_room, self._joint_counts))
+        blocks = int(self.block_room.sum())
+        self.sizes.update(
+            {
+                "pair": int(self.pair_room.sum()),
+                "contact": int(self.contact_room.sum()),
+                "row column": blocks * self.width,
+                "row pair": blocks * 2 * LANES,
+            }
+        )
+        if self.sizes["row direction"] or config.acceleration == "nncg":
+            self.sizes["row direction"] = self.sizes["row pair"]
+
+    def _assign_starts(self) -> None:
+        self.pairs.assign("pair_start", starts(self.pair_room))
+        self.contacts.assign("contact_start", starts(self.contact_room))
+        self.rows.assign("block_start", starts(self.block_room))
+
+    def _reallocate(self, group: ArrayGroup, names: tuple[str, ...]) -> None:
+        """New zeroed arrays for the present sizes."""
+        group.sizes = dict(self.sizes)
+        model = self.model
+        for name in names:
+            field = group.table[name]
+            array = allocate(field, self.sizes[field.per], model.dtype, model.device, model.backend)
+            setattr(group, name, array)
+
+    def _relayout(self, config: SolverConfig) -> None:
+        """Move the contact segments to their new places; pairs and rows are made anew."""
+        old = self.contacts.numpy("contact_start").copy()
+        new = starts(self.contact_room)
+        self._count(config)
+        for group, count in ((self.contacts, "contact_count"), (self.cache, "cache_count")):
+            names = tuple(name for name, field in group.table.items() if field.per == "contact")
+            before = {name: group.array(name) for name in names}
+            self._reallocate(group, names)
+            for name in names:
+                move_segments(before[name], group.array(name), old, new, group.numpy(count))
+        self._reallocate(self.pairs, ("pair_a", "pair_b", "temp_a", "temp_b"))
+        self._reallocate(self.rows, ("slot", "rows", "row_body", "row_impulse", "row_previous", "row_direction"))
+        self.pairs.assign("pair_valid", np.zeros(self.model.world_count, np.int32))
+        self._assign_starts()
+
+    def restore(
+        self, count: np.ndarray, arrays: Mapping[str, np.ndarray], contact_dt: np.ndarray, config: SolverConfig
+    ) -> None:
+        """See ``Simulation.restore_contacts``."""
+        worlds = self.model.world_count
+        count = np.asarray(count, np.int64)
+        if count.shape != (worlds,) or (count < 0).any():
+            raise ValueError(f"count has shape {count.shape}; it must be one number >= 0 for each of {worlds} worlds")
+        total = int(count.sum())
+        for name in ("key", "impulse", "color", "age"):
+            if name not in arrays:
+                raise ValueError(f"{name} is missing; the contact cache needs key, impulse, color and age")
+        for name, values in arrays.items():
+            if len(values) != total:
+                raise ValueError(f"{name} has {len(values)} contacts; the worlds together have {total}")
+        if (count > self.contact_room).any():
+            self.contact_room = np.maximum(self.contact_room, count)
+            self._relayout(config)
+        first = self.contacts.numpy("contact_start")
+        source = np.concatenate([[0], np.cumsum(count)])
+        for name, values in arrays.items():
+            targets: list[tuple[ArrayGroup, str]] = [(self.contacts, name)]
+            if f"cache_{name}" in self.cache.table:
+                targets.append((self.cache, f"cache_{name}"))
+            for group, field in targets:
+                array = group.numpy(field)
+                for w in range(worlds):
+                    array[first[w] : first[w] + count[w]] = values[source[w] : source[w + 1]]
+                if self.model.device != "cpu":
+                    group.array(field).assign(array)
+        self.contacts.assign("contact_count", count)
+        self.cache.assign("cache_count", count)
+        self.contacts.assign("contact_dt", contact_dt)
+        self.cache.assign("joint_cache", self.joints.numpy("joint_impulse"))
+
+    def used(self) -> dict[str, np.ndarray]:
+        """Pairs, contacts and blocks of each world at the last step."""
+        return {
+            "pairs": self.pairs.numpy("pair_count"),
+            "contacts": self.contacts.numpy("contact_count"),
+            "blocks": self.rows.numpy("block_needed"),
+        }
+
+    def reserved(self) -> dict[str, np.ndarray]:
+        """Room of each world for the same."""
+        return {"pairs": self.pair_room, "contacts": self.contact_room, "blocks": self.block_room}

@@ -151,7 +151,7 @@ def _write(file: Any, sim: Simulation) -> None:
             "device": str(model.device),
             "schedule": sim.schedule,
             "on_overflow": sim.on_overflow,
-            "specialize": not (sim.only_discs and sim.variant == "general"),
+            "specialize": sim.specialize,
         }
     )
     slots, _ = contact_slots(sim.contacts)

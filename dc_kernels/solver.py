@@ -20,7 +20,18 @@ class SolveStats(ArrayGroup):
 
     table = STATS
     history: Any
-    """Largest impulse change of each sweep [N s], (W, max_sweeps), zero beyond ``sweeps``; (W, 0) unless asked for."""
+    """Largest impulse change of each sweep [N s], (W, max_sweeps), what lies beyond ``sweeps`` is of earlier solves;
+    (W, 0) unless asked for."""
+
+    def allocate_history(self, config: SolverConfig) -> None:
+        """Room for ``history`` as a configuration wants it."""
+        shape = (self.sizes["world"], config.max_sweeps if config.history else 0)
+        if self.backend == "numpy":
+            self.history = np.zeros(shape, self.dtype)
+        else:
+            import warp as wp
+
+            self.history = wp.zeros(shape, dtype=wp.dtype_from_numpy(self.dtype), device=self.device)
 
 
 def solver_scalars(config: SolverConfig) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -9,22 +10,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .arrays import ArrayGroup, Contacts, Joints, Model, State, allocate
+from .arrays import Contacts, Joints, Model, State
 from .backend import bind, kernel_table
-from .capacity import GROWTH, Cache, Pairs, Rows, blocks_for, bucket_room, move_segments, starts
-from .rows import COLUMNS
+from .capacity import Cache, Motion, Pairs, Rows, Storage
 from .solver import SCHEDULES, SolveStats, solver_scalars
-from .types import CAPACITY_FLAGS, COLORS, COUNTERS, LANES, MOTION, NORMS, BodyType, Flag, ShapeType, SolverConfig
+from .types import CAPACITY_FLAGS, BodyType, ShapeType, SolverConfig
 
 Start = Callable[["Simulation"], None]
 _COLLIDE = ("predict", "update_pairs", "narrowphase", "match_contacts", "color_constraints", "pack_rows")
 _SLACK = 0.05  # of the slop: within it two separating axes count as equal and the first body's is taken
-
-
-class Motion(ArrayGroup):
-    """Velocities and displacements of the step in flight (``types.MOTION``)."""
-
-    table = MOTION
 
 
 class Simulation:
@@ -36,6 +30,13 @@ class Simulation:
 
     Worlds are independent: the result of each has the same bits whatever the others, ``threads`` and the schedule.
     """
+
+    motion: Motion
+    pairs: Pairs
+    contacts: Contacts
+    cache: Cache
+    rows: Rows
+    stats: SolveStats
 
     def __init__(
         self,
@@ -84,21 +85,18 @@ class Simulation:
         self.device = model.device
         self.backend = model.backend
         if joints is None:
-            joints = Joints({name: 0 for name in ("joint",)}, self.dtype, self.device, self.backend)
+            joints = Joints({"joint": 0}, self.dtype, self.device, self.backend)
         self.joints = joints
         self._check_groups()
         self.schedule = schedule
         self.on_overflow = on_overflow
         self.threads = max(1, min(threads, model.world_count))
-        self.variant = self._specialize(specialize)
+        self.specialize = specialize
+        self.variant = self._row_variant()
         self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, self.only_discs and specialize)
         self._config = config or SolverConfig()
-        shapes = np.diff(model.numpy("shape_start"))
-        bodies = np.diff(model.numpy("body_start"))
-        self._pair_room = np.ceil(pairs_per_shape * shapes).astype(np.int64)
-        self._contact_room = np.ceil(contacts_per_body * bodies).astype(np.int64)
-        self._block_room = blocks_for(self._contact_room, np.diff(model.numpy("joint_start")))
-        self._allocate(bucket_room(shapes))
+        self.storage = Storage(model, joints, self._config, self.variant, pairs_per_shape, contacts_per_body)
+        self._rename_groups()
         self._peak = {"pairs": 0, "contacts": 0, "blocks": 0}
         self._phase = "advance"
         self._commands: dict[str, list[list[Callable[[], None]]]] = {}
@@ -136,7 +134,7 @@ class Simulation:
                 index = ", ".join(str(int(i)) for i in bad[0])
                 raise ValueError(f"state.{name}[{index}] is {values[tuple(bad[0])]}; it must be finite")
 
-    def _specialize(self, specialize: bool) -> str:
+    def _row_variant(self) -> str:
         """Row variant: what the scene needs and no more."""
         model = self.model
         moving = (model.numpy("body_type") != BodyType.STATIC)[model.numpy("shape_body")]
@@ -144,60 +142,12 @@ class Simulation:
         self.only_discs = bool((~moving | centred_disc).all())
         if model.joint_count:
             return "joints"
-        return "discs" if self.only_discs and specialize else "general"
+        return "discs" if self.only_discs and self.specialize else "general"
 
-    def _allocate(self, buckets: np.ndarray) -> None:
-        """All groups for the present room."""
-        model = self.model
-        worlds, bodies = model.world_count, model.body_count
-        self._sizes = {
-            **model.sizes,
-            "joint": model.joint_count,
-            "body+1": bodies + 1,
-            "body sum": bodies + 1 if self._config.method == "jacobi" else 1,
-            "bucket": int(buckets.sum()),
-            "world color": worlds * COLORS,
-            "world color+1": worlds * (COLORS + 1),
-            "world counter": worlds * COUNTERS,
-            "world norm": worlds * NORMS,
-        }
-        self._room_sizes()
-        make = (self._sizes, self.dtype, self.device, self.backend)
-        self.motion = Motion(*make)
-        self.pairs = Pairs(*make)
-        self.contacts = Contacts(*make)
-        self.cache = Cache(*make)
-        self.rows = Rows(*make)
-        self.stats = SolveStats(*make)
-        self.stats.history = self._history()
-        self.pairs.assign("bucket_start", starts(buckets))
-        self._assign_starts()
-
-    def _room_sizes(self) -> None:
-        blocks = int(self._block_room.sum())
-        self._sizes.update(
-            {
-                "pair": int(self._pair_room.sum()),
-                "contact": int(self._contact_room.sum()),
-                "row column": blocks * len(COLUMNS[self.variant]) * LANES,
-                "row pair": blocks * 2 * LANES,
-                "row direction": blocks * 2 * LANES if self._config.acceleration == "nncg" else 0,
-            }
-        )
-
-    def _assign_starts(self) -> None:
-        self.pairs.assign("pair_start", starts(self._pair_room))
-        self.contacts.assign("contact_start", starts(self._contact_room))
-        self.rows.assign("block_start", starts(self._block_room))
-
-    def _history(self) -> Any:
-        columns = self._config.max_sweeps if self._config.history else 0
-        if self.backend == "numpy":
-            return np.zeros((self.model.world_count, columns), self.dtype)
-        import warp as wp
-
-        real = wp.dtype_from_numpy(self.dtype)
-        return wp.zeros((self.model.world_count, columns), dtype=real, device=self.device)
+    def _rename_groups(self) -> None:
+        """The groups of the storage under the names users know."""
+        for name in ("motion", "pairs", "contacts", "cache", "rows", "stats"):
+            setattr(self, name, getattr(self.storage, name))
 
     def _bind_all(self) -> None:
         """Pack every launch's arguments, for each shard of worlds."""
@@ -218,21 +168,11 @@ class Simulation:
             "history": self.stats.history,
             **solver_scalars(config),
         }
-        for group in (
-            self.model,
-            self.state,
-            self.joints,
-            self.motion,
-            self.pairs,
-            self.contacts,
-            self.cache,
-            self.rows,
-            self.stats,
-        ):
+        for group in (self.model, self.state, self.joints, *self.storage.groups()):
             self.values.update({name: group.array(name) for name in group.table})
         self._flags = self.state.numpy("flags") if self.device == "cpu" else None
         edges = np.linspace(0, self.model.world_count, self.threads + 1).astype(int)
-        self._shards = [(int(a), int(b - a)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        self._shards = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
         advance = ["displace", "commit"]
         if config.position_correction == "ngs" and config.position_iterations:
             advance.insert(1, "correct_positions")
@@ -258,22 +198,8 @@ class Simulation:
         if config == before:
             return
         self._config = config
-        if (config.history, config.max_sweeps) != (before.history, before.max_sweeps):
-            self.stats.history = self._history()
-        if config.method == "jacobi" and self._sizes["body sum"] == 1:
-            self._sizes["body sum"] = self.model.body_count + 1
-            self._reallocate(self.motion, ("summed",))
-        if config.acceleration == "nncg" and self._sizes["row direction"] == 0:
-            self._sizes["row direction"] = self._sizes["row pair"]
-            self._reallocate(self.rows, ("row_direction",))
+        self.storage.adapt(config, before)
         self._bind_all()
-
-    def _reallocate(self, group: Any, names: tuple[str, ...]) -> None:
-        """New zeroed arrays for the present sizes."""
-        group.sizes = dict(self._sizes)
-        for name in names:
-            field = group.table[name]
-            setattr(group, name, allocate(field, self._sizes[field.per], self.dtype, self.device, self.backend))
 
     # ------------------------------------------------------------------ stepping
 
@@ -436,48 +362,9 @@ class Simulation:
     def _grow(self) -> None:
         """More room for the worlds that ran out of it; their step is then repeated from ``collide``."""
         flags = self.state.numpy("flags").copy()
-        model = self.model
-        needs = (
-            (Flag.PAIR_OVERFLOW, "pairs", self._pair_room, self.pairs.numpy("pair_needed")),
-            (Flag.CONTACT_OVERFLOW, "contacts", self._contact_room, self.rows.numpy("contact_needed")),
-            (Flag.ROW_OVERFLOW, "blocks of rows", self._block_room, self.rows.numpy("block_needed")),
-        )
-        for flag, what, room, needed in needs:
-            full = np.flatnonzero(flags & int(flag))
-            if len(full) and self.on_overflow == "raise":
-                w = int(full[0])
-                flags &= ~int(CAPACITY_FLAGS)
-                self.state.assign("flags", flags)
-                self._phase = "advance"
-                raise OverflowError(
-                    f"world {w} needs {int(needed[w])} {what}, {int(room[w])} are reserved; the step was not taken"
-                )
-            room[full] = np.ceil(GROWTH * needed[full]).astype(np.int64)
-        joints = np.diff(model.numpy("joint_start"))
-        full = np.flatnonzero(flags & int(Flag.CONTACT_OVERFLOW))
-        self._block_room[full] = np.maximum(self._block_room[full], blocks_for(self._contact_room, joints)[full])
-        flags &= ~int(CAPACITY_FLAGS)
-        self.state.assign("flags", flags)
-        self._relayout()
-
-    def _relayout(self) -> None:
-        """Move the contact segments to their new places; pairs and rows are made anew."""
-        old = self.contacts.numpy("contact_start").copy()
-        new = starts(self._contact_room)
-        self._room_sizes()
-        for group, count in ((self.contacts, "contact_count"), (self.cache, "cache_count")):
-            counts = group.numpy(count)
-            names = tuple(name for name, field in group.table.items() if field.per == "contact")
-            before = {name: group.array(name) for name in names}
-            self._reallocate(group, names)
-            for name in names:
-                move_segments(before[name], group.array(name), old, new, counts)
-        self._reallocate(self.pairs, ("pair_a", "pair_b", "temp_a", "temp_b"))
-        self._reallocate(
-            self.rows, ("slot", "rows", "row_body", "row_impulse", "row_previous", "row_direction")
-        )
-        self.pairs.assign("pair_valid", np.zeros(self.model.world_count, np.int32))
-        self._assign_starts()
+        self.state.assign("flags", flags & ~int(CAPACITY_FLAGS))
+        self._phase = "advance"
+        self.storage.grow(flags, self._config, error=self.on_overflow == "raise")
         self._bind_all()
 
     def restore_contacts(self, count: np.ndarray, arrays: Mapping[str, np.ndarray], contact_dt: np.ndarray) -> None:
@@ -492,59 +379,21 @@ class Simulation:
         Raises:
             ValueError: naming a missing field or a wrong shape.
         """
-        count = np.asarray(count, np.int64)
-        if count.shape != (self.model.world_count,) or (count < 0).any():
-            raise ValueError(f"count has shape {count.shape}; it must be one number >= 0 for each world")
-        total = int(count.sum())
-        for name in ("key", "impulse", "color", "age"):
-            if name not in arrays:
-                raise ValueError(f"{name} is missing; the contact cache needs key, impulse, color and age")
-        for name, values in arrays.items():
-            if len(values) != total:
-                raise ValueError(f"{name} has {len(values)} contacts; the worlds together have {total}")
-        if (count > self._contact_room).any():
-            joints = np.diff(self.model.numpy("joint_start"))
-            self._contact_room = np.maximum(self._contact_room, count)
-            self._block_room = np.maximum(self._block_room, blocks_for(self._contact_room, joints))
-            self._relayout()
-        first = self.contacts.numpy("contact_start")
-        source = np.concatenate([[0], np.cumsum(count)])
-        for name, values in arrays.items():
-            targets = [(self.contacts, name)]
-            if f"cache_{name}" in self.cache.table:
-                targets.append((self.cache, f"cache_{name}"))
-            for group, field in targets:
-                array = group.numpy(field)
-                for w in range(self.model.world_count):
-                    array[first[w] : first[w] + count[w]] = values[source[w] : source[w + 1]]
-                if self.device != "cpu":
-                    group.array(field).assign(array)
-        self.contacts.assign("contact_count", count)
-        self.cache.assign("cache_count", count)
-        self.contacts.assign("contact_dt", contact_dt)
-        self.cache.assign("joint_cache", self.joints.numpy("joint_impulse"))
+        self.storage.restore(count, arrays, contact_dt, self._config)
         self._phase = "advance"
+        self._bind_all()
 
     def _note_peak(self) -> None:
         if self.device != "cpu":
             return
-        for name, counts in (
-            ("pairs", self.pairs.numpy("pair_count")),
-            ("contacts", self.contacts.numpy("contact_count")),
-            ("blocks", self.rows.numpy("block_needed")),
-        ):
+        for name, counts in self.storage.used().items():
             self._peak[name] = max(self._peak[name], int(counts.max(initial=0)))
 
     # ------------------------------------------------------------------ reports
 
     def capacity(self) -> dict[str, dict[str, int]]:
         """Pairs, contacts and blocks of rows: reserved in all worlds, used now, and the most one world used."""
-        used = {
-            "pairs": self.pairs.numpy("pair_count"),
-            "contacts": self.contacts.numpy("contact_count"),
-            "blocks": self.rows.numpy("block_needed"),
-        }
-        room = {"pairs": self._pair_room, "contacts": self._contact_room, "blocks": self._block_room}
+        used, room = self.storage.used(), self.storage.reserved()
         return {
             name: {"reserved": int(room[name].sum()), "used": int(used[name].sum()), "peak_of_a_world": peak}
             for name, peak in self._peak.items()
@@ -554,17 +403,7 @@ class Simulation:
         """Bytes allocated: by what they grow with (bodies with their shapes and pairs, contacts with their rows)."""
         total = {"body_bytes": 0, "contact_bytes": 0, "joint_bytes": 0}
         owner = {"contact": "contact_bytes", "joint": "joint_bytes"}
-        for group in (
-            self.model,
-            self.state,
-            self.joints,
-            self.motion,
-            self.pairs,
-            self.contacts,
-            self.cache,
-            self.rows,
-            self.stats,
-        ):
+        for group in (self.model, self.state, self.joints, *self.storage.groups()):
             for axis, size in group.nbytes_by_axis().items():
                 key = "contact_bytes" if axis.startswith("row") else owner.get(axis, "body_bytes")
                 total[key] += size
@@ -588,6 +427,3 @@ class Simulation:
         from .explain import explain
 
         return explain(self)
-
-
-

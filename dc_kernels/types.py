@@ -60,7 +60,7 @@ KEY_FEATURE_BITS = 16
 
 @dataclass(frozen=True)
 class Field:
-    """One array: ``per`` names its axis; ``dtype`` is "real", "vec2", "vec4" (of the model's scalar) or a fixed type."""
+    """One array: ``per`` names its axis; ``dtype`` is "real", "vec2", "vec4" (of the model's scalar) or fixed."""
 
     name: str
     per: str
@@ -201,6 +201,7 @@ STATS = _table(
     ("sweeps", "world", "int32", "1", "sweeps of the last solve"),
     ("change", "world", "real", "N s", "largest impulse change of its last sweep"),
     ("residual", "world", "real", "1", "relative natural map at its end"),
+    ("colors", "world", "int32", "1", "highest colour of the step's constraints, plus one"),
     ("counters", "world counter", "int32", "1", "iteration in flight: sweeps, sweeps into the period, period, done"),
     ("norms", "world norm", "real", "N s", "iteration in flight: change, squared steps"),
 )

@@ -160,9 +160,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         time[w] = time[w] + wp.float64(step_dt[w])
         start = contact_start[w]
         n = contact_count[w]
-        copy_contacts(
-            start, start + n, key, impulse, color, age, cache_key, cache_impulse, cache_color, cache_age
-        )
+        copy_contacts(start, start + n, key, impulse, color, age, cache_key, cache_impulse, cache_color, cache_age)
         for j in range(joint_start[w], joint_start[w + 1]):
             joint_cache[j] = joint_impulse[j]
         cache_count[w] = n

@@ -49,7 +49,9 @@ def _load_bodies(side: str) -> str:
     """Vectors {side}x, {side}y, {side}w, {side}m from the vec4 of LANES = 8 bodies."""
     lines = [f"const Q {side}q{i} = *(const Q*)(body + 4 * (size_t)i{side}[{i}]);" for i in range(LANES)]
     all_lanes = ", ".join(map(str, range(LANES)))
-    lines += [f"const V {side}p{i} = __builtin_shufflevector({side}q{i}, {side}q{i + 4}, {all_lanes});" for i in range(4)]
+    lines += [
+        f"const V {side}p{i} = __builtin_shufflevector({side}q{i}, {side}q{i + 4}, {all_lanes});" for i in range(4)
+    ]
     lines.append(_transpose([f"{side}p{i}" for i in range(4)], [f"{side}{c}" for c in "xywm"], f"{side}t"))
     return "\n".join(lines)
 
@@ -197,13 +199,15 @@ def lane_functions(dtype: str, variant: str, columns: tuple[str, ...]) -> dict[s
         before="V most = zero;",
         after=_largest("most"),
     )
+    mu_at, lo_at = columns.index("mu") * LANES, columns.index("lo") * LANES if low == "lo" else 0
+    width = len(columns) * LANES
     move_code = f"""
 #if defined(__CUDA_ARCH__)
 for (int b = b0; b < b1; ++b) {{
     for (int l = 0; l < {LANES}; ++l) {{
         const int n = b * {2 * LANES} + l, t = n + {LANES};
-        const auto mu = rows.data[b * {len(columns) * LANES} + {columns.index("mu") * LANES} + l];
-        const auto low = {f"rows.data[b * {len(columns) * LANES} + {columns.index('lo') * LANES} + l]" if low == "lo" else "0"};
+        const auto mu = rows.data[b * {width} + {mu_at} + l];
+        const auto low = {f"rows.data[b * {width} + {lo_at} + l]" if low == "lo" else "0"};
         const auto xn = row_impulse.data[n], xt = row_impulse.data[t];
         auto yn = xn + alpha * (xn - row_previous.data[n]);
         yn = yn > low ? yn : low;
@@ -221,11 +225,11 @@ typedef {"float" if dtype == "float32" else "double"} S;
 typedef S V __attribute__((ext_vector_type({LANES}), aligned({LANES // 2})));
 const V zero = (S)0;
 for (int b = b0; b < b1; ++b) {{
-    const S* R = rows.data + (size_t)b * {len(columns) * LANES};
+    const S* R = rows.data + (size_t)b * {width};
     S* X = row_impulse.data + (size_t)b * {2 * LANES};
     S* P = row_previous.data + (size_t)b * {2 * LANES};
-    const V mu = *(const V*)(R + {columns.index("mu") * LANES});
-    const V low = {f"*(const V*)(R + {columns.index('lo') * LANES})" if low == "lo" else "zero"};
+    const V mu = *(const V*)(R + {mu_at});
+    const V low = {f"*(const V*)(R + {lo_at})" if low == "lo" else "zero"};
     const V xn = *(const V*)X, xt = *(const V*)(X + {LANES});
     const V yn = __builtin_elementwise_max(xn + alpha * (xn - *(const V*)P), low);
     const V limit = mu * yn;

@@ -1,0 +1,281 @@
+"""Rows by Jacobian (seed, 2.2.1): packing into blocks, and one row as small dense vectors.
+
+J = [-n, -r_A x n, n, r_B x n] (2.21), the tangent alike (2.22), a distance joint along its line (2.20);
+effective mass 1 / (J M^-1 J^T) (2.24-2.25). Velocities are V = (v_A, w_A, v_B, w_B), (6,).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..rows import COLUMNS
+from ..types import COLORS, LANES, METHODS, Flag
+from .common import Array, Kernels, cross, dot, rotate, rotation, tangent
+
+
+@dataclass
+class Row:
+    """A contact (normal and tangent) or a joint as the solver sees it."""
+
+    at: tuple[int, slice, int]  # where its two impulses lie in an array of shape (blocks, 2, LANES)
+    a: int
+    b: int
+    jacobian: Array  # (2, 6): normal, tangent
+    response: Array  # (2, 6): M^-1 J^T of each, what a unit impulse changes the velocities by
+    effective_mass: Array  # (2,) [kg]
+    bias: Any  # [m/s]
+    friction: Any
+    gap: Any  # [m]
+    low: Any  # least normal impulse [N s]
+    is_joint: bool
+
+    def velocity(self, bodies: Array) -> Array:
+        """V of both bodies, (6,)."""
+        return np.concatenate([bodies[self.a, :3], bodies[self.b, :3]])
+
+    def change(self, bodies: Array, impulses: Array) -> None:
+        """V += M^-1 J^T impulses (2.26)."""
+        v = impulses @ self.response
+        bodies[self.a, :3] += v[:3]
+        bodies[self.b, :3] += v[3:]
+
+
+def by_lane(array: Array, columns: int = 2) -> Array:
+    """A view of shape (blocks, columns, LANES)."""
+    return array.reshape(-1, columns, LANES)
+
+
+def read_row(variant: str, block: int, lane: int, rows: Array, row_body: Array, bodies: Array) -> Row | None:
+    """One row of the packed arrays; None for an empty lane.
+
+    Args:
+        variant: a key of ``rows.COLUMNS``.
+        block: block of rows.
+        lane: lane in the block.
+        rows: packed columns.
+        row_body: packed bodies.
+        bodies: anything whose fourth component is the inverse mass.
+    """
+    a, b = (int(i) for i in by_lane(row_body)[block, :, lane])
+    if a == b:
+        return None
+    columns = COLUMNS[variant]
+    value = dict(zip(columns, by_lane(rows, len(columns))[block, :, lane]))
+    n = np.array([value["nx"], value["ny"]])
+    t = tangent(n)
+    if variant == "discs":
+        j_normal = [*-n, 0.0, *n, 0.0]
+        j_tangent = [*-t, value["dA"], *t, value["dB"]]
+        turn_normal = (0.0, 0.0)
+        turn_tangent = (value["kA"], value["kB"])
+    else:
+        j_normal = [*-n, -value["rAn"], *n, value["rBn"]]
+        j_tangent = [*-t, -value["rAt"], *t, value["rBt"]]
+        turn_normal = (-value["iA"] * value["rAn"], value["iB"] * value["rBn"])
+        turn_tangent = (-value["iA"] * value["rAt"], value["iB"] * value["rBt"])
+    ma, mb = bodies[a, 3], bodies[b, 3]
+    low = value.get("lo", rows.dtype.type(0))
+    return Row(
+        at=(block, slice(None), lane),
+        a=a,
+        b=b,
+        jacobian=np.array([j_normal, j_tangent], rows.dtype),
+        response=np.array(
+            [
+                [*-ma * n, turn_normal[0], *mb * n, turn_normal[1]],
+                [*-ma * t, turn_tangent[0], *mb * t, turn_tangent[1]],
+            ],
+            rows.dtype,
+        ),
+        effective_mass=np.array([value["en"], value["et"]]),
+        bias=value["bias"],
+        friction=value["mu"],
+        gap=value["gap"],
+        low=low,
+        is_joint=bool(low < 0),
+    )
+
+
+def kernels(dtype: str, variant: str) -> Kernels:
+    """``pack_rows`` and ``unpack_impulses``; the arrays bring their scalar type."""
+    columns = COLUMNS[variant]
+
+    def pack_rows(
+        tid: int,
+        world_offset: int,
+        slop_factor: float,
+        baumgarte: float,
+        max_correction: float,
+        restitution_threshold: float,
+        method: int,
+        body_start: Array,
+        length_scale: Array,
+        body_type: Array,
+        inv_inertia: Array,
+        padding_body: int,
+        position: Array,
+        angle: Array,
+        step_dt: Array,
+        predicted: Array,
+        joint_start: Array,
+        joint_body_a: Array,
+        joint_body_b: Array,
+        joint_anchor_a: Array,
+        joint_anchor_b: Array,
+        joint_length: Array,
+        joint_color: Array,
+        contact_start: Array,
+        contact_count: Array,
+        body_a: Array,
+        body_b: Array,
+        normal: Array,
+        arm_a: Array,
+        arm_b: Array,
+        gap: Array,
+        friction: Array,
+        restitution: Array,
+        color: Array,
+        flags: Array,
+        block_start: Array,
+        block_needed: Array,
+        color_block: Array,
+        color_fill: Array,
+        slot: Array,
+        joint_slot: Array,
+        rows: Array,
+        row_body: Array,
+        row_scale: Array,
+        deepest: Array,
+        colors: Array,
+        body_rows: Array,
+    ) -> None:
+        """Rows of a world's contacts and joints, in blocks of LANES colour by colour."""
+        w = tid + world_offset
+        if flags[w]:
+            return
+        dt = step_dt[w]
+        slop = slop_factor * length_scale[w]
+        limit = max_correction * length_scale[w]
+        contacts = np.arange(contact_start[w], contact_start[w] + contact_count[w])
+        joints = np.arange(joint_start[w], joint_start[w + 1])
+        fill = color_fill[w * COLORS : (w + 1) * COLORS]
+        fill[:] = np.bincount(np.concatenate([color[contacts], joint_color[joints]]), minlength=COLORS)
+        ends = color_block[w * (COLORS + 1) : (w + 1) * (COLORS + 1)]
+        ends[:] = block_start[w] + np.concatenate([[0], np.cumsum(-(-fill // LANES))])
+        block_needed[w] = ends[-1] - ends[0]
+        if ends[-1] > block_start[w + 1]:
+            flags[w] |= Flag.ROW_OVERFLOW
+            return
+        used = slice(ends[0], ends[-1])
+        by_lane(rows, len(columns))[used] = 0.0
+        by_lane(row_body)[used] = padding_body
+        jacobi = method == METHODS["jacobi"]
+        if jacobi:
+            body_rows[body_start[w] : body_start[w + 1]] = 0
+        fill[:] = 0
+        squares = rows.dtype.type(0)
+
+        def place(k: int, a: int, b: int) -> tuple[int, int]:
+            """Block and lane of the next row of a colour."""
+            block, lane = ends[k] + fill[k] // LANES, fill[k] % LANES
+            fill[k] += 1
+            by_lane(row_body)[block, :, lane] = a, b
+            if jacobi:
+                body_rows[a] += 1
+                body_rows[b] += 1
+            return block, lane
+
+        def effective_mass(j: Array, a: int, b: int) -> Any:
+            """1 / (J M^-1 J^T), 0 if nothing can move."""
+            ma, mb = predicted[a, 3], predicted[b, 3]
+            k = (j * j) @ np.array([ma, ma, inv_inertia[a], mb, mb, inv_inertia[b]])
+            return 1.0 / k if k > 0 else k
+
+        def direction(d: Array, ra: Array, rb: Array) -> Array:
+            """J of a direction at two arms."""
+            return np.array([*-d, -cross(ra, d), *d, cross(rb, d)])
+
+        def write(block: int, lane: int, n: Array, jn: Array, jt: Array, a: int, b: int, **values: Any) -> None:
+            """All columns of a row, whichever the variant has."""
+            values |= {"nx": n[0], "ny": n[1], "rAn": -jn[2], "rBn": jn[5], "rAt": -jt[2], "rBt": jt[5]}
+            values |= {"iA": inv_inertia[a], "iB": inv_inertia[b], "dA": jt[2], "dB": jt[5]}
+            values |= {"kA": inv_inertia[a] * jt[2], "kB": inv_inertia[b] * jt[5]}
+            by_lane(rows, len(columns))[block, :, lane] = [values[name] for name in columns]
+
+        for c in contacts:
+            a, b, n = body_a[c], body_b[c], normal[c]
+            block, lane = place(color[c], a, b)
+            slot[c] = block * 2 * LANES + lane
+            jn = direction(n, arm_a[c], arm_b[c])
+            jt = direction(tangent(n), arm_a[c], arm_b[c])
+            if variant == "discs":
+                jn[[2, 5]] = 0.0  # the normal of a disc points at its centre
+            v = np.concatenate([predicted[a, :3], predicted[b, :3]])
+            un, ut = jn @ v, jt @ v
+            en, et = effective_mass(jn, a, b), effective_mass(jt, a, b)
+            g, e = gap[c], restitution[c]
+            bias = g.dtype.type(0)
+            if g > 0:
+                bias = g / dt  # the gap may close within the step
+            elif baumgarte > 0 and g < -slop:
+                bias = max(baumgarte * (g + slop), -limit) / dt
+            if e > 0 and un > 0:
+                # Moreau (1988): a separating contact may be left approaching with e times its speed at most
+                bias = max(bias, e * un)
+            elif e > 0 and un < -restitution_threshold and g + un * dt < 0:
+                bias = min(bias, e * un)  # Newton's impact law
+            write(
+                block, lane, n, jn, jt, a, b, en=en, et=et, bias=bias, mu=friction[c], gap=g + slop, lo=0.0
+            )  # fmt: skip
+            squares += (en * (un + bias)) ** 2 + (en * ut) ** 2
+
+        for j in joints:
+            a, b = joint_body_a[j], joint_body_b[j]
+            block, lane = place(joint_color[j], a, b)
+            joint_slot[j] = block * 2 * LANES + lane
+            ra = rotate(rotation(angle[a]), joint_anchor_a[j])
+            rb = rotate(rotation(angle[b]), joint_anchor_b[j])
+            d = (position[b] + rb) - (position[a] + ra)
+            length = np.sqrt(dot(d, d))
+            n = d / length if length > 0 else np.array([1.0, 0.0], d.dtype)
+            jn = direction(n, ra, rb)
+            en = effective_mass(jn, a, b)
+            off = length - joint_length[j]
+            bias = min(max(baumgarte * off, -limit), limit) / dt
+            un = jn @ np.concatenate([predicted[a, :3], predicted[b, :3]])
+            write(
+                block, lane, n, jn, np.zeros(6), a, b, en=en, et=0.0, bias=bias, mu=0.0, gap=off, lo=-np.inf
+            )  # fmt: skip
+            squares += (en * (un + bias)) ** 2
+        row_scale[w] = np.sqrt(squares)
+        deepest[w] = gap[contacts].min(initial=0.0)
+        joints_here = slice(joint_start[w], joint_start[w + 1])
+        colors[w] = max(color[contacts].max(initial=-1), joint_color[joints_here].max(initial=-1)) + 1
+
+    def unpack_impulses(
+        tid: int,
+        world_offset: int,
+        flags: Array,
+        joint_start: Array,
+        joint_slot: Array,
+        contact_start: Array,
+        contact_count: Array,
+        slot: Array,
+        row_impulse: Array,
+        impulse: Array,
+        joint_impulse: Array,
+    ) -> None:
+        """Solved impulses back to contacts and joints."""
+        w = tid + world_offset
+        if flags[w]:
+            return
+        contacts = slice(contact_start[w], contact_start[w] + contact_count[w])
+        impulse[contacts, 0] = row_impulse[slot[contacts]]
+        impulse[contacts, 1] = row_impulse[slot[contacts] + LANES]
+        joints = slice(joint_start[w], joint_start[w + 1])
+        joint_impulse[joints] = row_impulse[joint_slot[joints]]
+
+    return {"pack_rows": pack_rows, "unpack_impulses": unpack_impulses}

@@ -1,0 +1,517 @@
+"""The iteration on packed rows: warm start -> sweeps -> stop, whole (``solve_world``) or cut at the colours."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, NORMS, SERIAL_COLOR, STOPS
+from .common import Array, Kernels
+from .rows import Row, by_lane, read_row
+
+JACOBI = METHODS["jacobi"]
+AITKEN = ACCELERATIONS["aitken"]
+NNCG = ACCELERATIONS["nncg"]
+BY_RESIDUAL = STOPS["residual"]
+HUGE = 3e38
+TINY = 1e-30
+
+
+def sweep_row(row: Row, bodies: Array, row_impulse: Array, omega: float) -> Any:
+    """Projected Gauss-Seidel on one row, normal before friction; the larger impulse change [N s]."""
+    impulse = by_lane(row_impulse)[row.at]
+    before = impulse.copy()
+    change = np.zeros_like(before)
+    speed = row.jacobian[0] @ row.velocity(bodies)
+    impulse[0] = max(before[0] - omega * row.effective_mass[0] * (speed + row.bias), row.low)
+    change[0] = impulse[0] - before[0]
+    speed = row.jacobian[1] @ (row.velocity(bodies) + row.response[0] * change[0])
+    limit = row.friction * impulse[0]
+    impulse[1] = min(max(before[1] - omega * row.effective_mass[1] * speed, -limit), limit)
+    change[1] = impulse[1] - before[1]
+    row.change(bodies, change)
+    return abs(change).max()
+
+
+def jacobi_row(row: Row, bodies: Array, body_rows: Array, row_impulse: Array, summed: Array, omega: float) -> Any:
+    """Jacobi with mass splitting (Tonge et al. 2012): a row meets 1/n of a body that n rows act on.
+
+    Velocities are read from ``bodies`` and the changes added to ``summed``: the average over a body's shares.
+    """
+    impulse = by_lane(row_impulse)[row.at]
+    before = impulse.copy()
+    shares = np.repeat(body_rows[[row.a, row.b]], 3).astype(bodies.dtype)
+    k = row.jacobian @ (shares * row.response).T  # J M_split^-1 J^T, (2, 2)
+    speed = row.jacobian @ row.velocity(bodies)
+    if k[0, 0] > 0:
+        impulse[0] = max(before[0] - omega * (speed[0] + row.bias) / k[0, 0], row.low)
+    limit = row.friction * impulse[0]
+    if k[1, 1] > 0:
+        mixed = k[1, 0] * (impulse[0] - before[0])
+        impulse[1] = min(max(before[1] - omega * (speed[1] + mixed) / k[1, 1], -limit), limit)
+    row.change(summed, impulse - before)
+    return abs(impulse - before).max()
+
+
+def push_row(row: Row, bodies: Array, factor: float, limit: Any) -> Any:
+    """Position correction of one row: displacements that remove a share of what overlaps after the step."""
+    step = max(factor * (row.jacobian[0] @ row.velocity(bodies) + row.gap), -limit)
+    if row.is_joint:
+        step = min(step, limit)
+    push = max(-row.effective_mass[0] * step, row.low)
+    row.change(bodies, np.array([push, 0.0], bodies.dtype))
+    return abs(push)
+
+
+def project_cone(normal: Any, along: Any, friction: Any) -> tuple[Any, Any]:
+    """The nearest point with |along| <= friction * normal."""
+    if normal >= 0 and abs(along) <= friction * normal:
+        return normal, along
+    if friction * abs(along) <= -normal:
+        return 0.0, 0.0
+    nearest = (normal + friction * abs(along)) / (1.0 + friction * friction)
+    return nearest, np.sign(along) * friction * nearest
+
+
+def natural_map_row(row: Row, bodies: Array, row_impulse: Array) -> Any:
+    """Squared natural map of one row [(N s)^2]: impulse minus its projected step on the friction cone."""
+    impulse = by_lane(row_impulse)[row.at]
+    un, ut = row.jacobian @ row.velocity(bodies)
+    un += row.bias
+    e = row.effective_mass[0]
+    if row.is_joint:
+        return (e * un) ** 2
+    zn, zt = project_cone(impulse[0] - e * (un + row.friction * abs(ut)), impulse[1] - e * ut, row.friction)
+    return (impulse[0] - zn) ** 2 + (impulse[1] - zt) ** 2
+
+
+def kernels(dtype: str, variant: str) -> Kernels:
+    """All solver kernels of a row variant; the arrays bring their scalar type."""
+
+    def blocks_of(w: int, color_block: Array) -> slice:
+        ends = color_block[w * (COLORS + 1) : (w + 1) * (COLORS + 1)]
+        return slice(int(ends[0]), int(ends[-1]))
+
+    def world_rows(w: int, color_block: Array, rows: Array, row_body: Array, bodies: Array) -> list[Row]:
+        """Rows of a world in the order of a sweep."""
+        used = blocks_of(w, color_block)
+        lanes = ((block, lane) for block in range(used.start, used.stop) for lane in range(LANES))
+        read = (read_row(variant, block, lane, rows, row_body, bodies) for block, lane in lanes)
+        return [row for row in read if row is not None]
+
+    def natural_map(world: list[Row], bodies: Array, row_impulse: Array, scale: Any) -> Any:
+        """Relative natural map of a world."""
+        total = np.sqrt(sum(natural_map_row(row, bodies, row_impulse) for row in world))
+        return total / scale if scale > TINY else total
+
+    def start_world(
+        w: int,
+        period: int,
+        world: list[Row],
+        body_start: Array,
+        joint_start: Array,
+        joint_slot: Array,
+        joint_impulse: Array,
+        contact_start: Array,
+        contact_count: Array,
+        slot: Array,
+        impulse: Array,
+        predicted: Array,
+        color_block: Array,
+        solved: Array,
+        row_impulse: Array,
+        counters: Array,
+        norms: Array,
+    ) -> None:
+        """Warm start: predicted velocities plus those of the start impulses."""
+        bodies = slice(body_start[w], body_start[w + 1])
+        solved[bodies] = predicted[bodies]
+        by_lane(row_impulse)[blocks_of(w, color_block)] = 0.0
+        contacts = slice(contact_start[w], contact_start[w] + contact_count[w])
+        row_impulse[slot[contacts]] = impulse[contacts, 0]
+        row_impulse[slot[contacts] + LANES] = impulse[contacts, 1]
+        joints = slice(joint_start[w], joint_start[w + 1])
+        row_impulse[joint_slot[joints]] = joint_impulse[joints]
+        for row in world:
+            row.change(solved, by_lane(row_impulse)[row.at])
+        counters[w * COUNTERS : (w + 1) * COUNTERS] = 0, 0, period, 0
+        norms[w * NORMS : (w + 1) * NORMS] = 0.0, HUGE, HUGE, 0.0
+
+    def prepare_sweep(
+        w: int,
+        method: int,
+        acceleration: int,
+        body_start: Array,
+        color_block: Array,
+        solved: Array,
+        summed: Array,
+        row_impulse: Array,
+        row_previous: Array,
+        counters: Array,
+    ) -> None:
+        """Keep the impulses before a sweep whose step is measured; a place to sum up Jacobi's changes."""
+        _, inside, period, _ = counters[w * COUNTERS : (w + 1) * COUNTERS]
+        used = blocks_of(w, color_block)
+        if acceleration == NNCG or (acceleration == AITKEN and inside >= period - 2):
+            by_lane(row_previous)[used] = by_lane(row_impulse)[used]
+        if method == JACOBI:
+            bodies = slice(body_start[w], body_start[w + 1])
+            summed[bodies] = solved[bodies]
+
+    def conclude_sweep(
+        w: int,
+        largest: Any,
+        world: list[Row],
+        method: int,
+        acceleration: int,
+        max_sweeps: int,
+        tolerance: float,
+        stop: int,
+        residual_every: int,
+        period_min: int,
+        period_max: int,
+        cap: float,
+        threshold: float,
+        body_start: Array,
+        color_block: Array,
+        row_scale: Array,
+        solved: Array,
+        summed: Array,
+        row_impulse: Array,
+        row_previous: Array,
+        row_direction: Array,
+        counters: Array,
+        norms: Array,
+        history: Array,
+    ) -> None:
+        """Stop (counter 3 then is 1), or accelerate."""
+        if method == JACOBI:
+            bodies = slice(body_start[w], body_start[w + 1])
+            solved[bodies] = summed[bodies]
+        counter = counters[w * COUNTERS : (w + 1) * COUNTERS]
+        norm = norms[w * NORMS : (w + 1) * NORMS]
+        if history.shape[1] > counter[0]:
+            history[w, counter[0]] = largest
+        counter[0] += 1
+        norm[0] = largest
+        last = counter[0] >= max_sweeps
+        if stop == BY_RESIDUAL:
+            look = last or counter[0] % residual_every == 0
+            converged = look and natural_map(world, solved, row_impulse, row_scale[w]) < tolerance
+        else:
+            converged = largest < tolerance
+        counter[3] = int(last or converged)
+        if counter[3]:
+            return
+        used = blocks_of(w, color_block)
+        x, previous = by_lane(row_impulse)[used], by_lane(row_previous)[used]
+        if acceleration == AITKEN:
+            counter[1] += 1
+            if counter[1] == counter[2] - 1:
+                norm[1] = np.sum((x - previous) ** 2)
+            if counter[1] >= counter[2]:
+                now = np.sum((x - previous) ** 2)
+                if now < norm[1]:
+                    ratio = np.sqrt(now / norm[1])
+                    # the limit of the geometric series, if it is not too far away
+                    alpha = ratio / (1.0 - ratio) if ratio < cap * (1.0 - ratio) else cap
+                    target = x + alpha * (x - previous)
+                    for row in world:
+                        change = by_lane(row_previous)[row.at]
+                        block, _, lane = row.at
+                        new = target[block - used.start, :, lane]
+                        new[0] = max(new[0], row.low)
+                        limit = row.friction * new[0]
+                        new[1] = min(max(new[1], -limit), limit)
+                        change[:] = new - by_lane(row_impulse)[row.at]
+                        by_lane(row_impulse)[row.at] = new
+                        row.change(solved, change)
+                if now > threshold * threshold * norm[2]:
+                    counter[2] = min(2 * counter[2], period_max)
+                else:
+                    counter[2] = max(period_min, counter[2] // 2)
+                norm[2] = now
+                counter[1] = 0
+        if acceleration == NNCG:
+            now = np.sum((x - previous) ** 2)
+            beta = x.dtype.type(0)
+            if counter[0] > 1 and now <= norm[2] and norm[2] > 0:
+                beta = now / norm[2]
+            norm[2] = now
+            direction = by_lane(row_direction)[used]
+            step = beta * direction
+            direction[:] = step + (x - previous)
+            x += step
+            previous[:] = step
+            if beta > 0:
+                for row in world:
+                    row.change(solved, by_lane(row_previous)[row.at])
+
+    def solve_world(
+        tid: int,
+        world_offset: int,
+        method: int,
+        acceleration: int,
+        max_sweeps: int,
+        tolerance: float,
+        stop: int,
+        residual_every: int,
+        omega: float,
+        period_min: int,
+        period_max: int,
+        cap: float,
+        threshold: float,
+        body_start: Array,
+        flags: Array,
+        joint_start: Array,
+        joint_slot: Array,
+        joint_impulse: Array,
+        contact_start: Array,
+        contact_count: Array,
+        slot: Array,
+        impulse: Array,
+        predicted: Array,
+        color_block: Array,
+        rows: Array,
+        row_body: Array,
+        row_scale: Array,
+        body_rows: Array,
+        summed: Array,
+        row_previous: Array,
+        row_direction: Array,
+        counters: Array,
+        norms: Array,
+        solved: Array,
+        row_impulse: Array,
+        history: Array,
+        sweeps: Array,
+        change: Array,
+        residual: Array,
+    ) -> None:
+        """The whole solve of a world."""
+        w = tid + world_offset
+        if flags[w]:
+            return
+        world = world_rows(w, color_block, rows, row_body, predicted)
+        start_world(
+            w, period_min, world, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count,
+            slot, impulse, predicted, color_block, solved, row_impulse, counters, norms,
+        )  # fmt: skip
+        done = max_sweeps == 0 or not world
+        while not done:
+            prepare_sweep(
+                w, method, acceleration, body_start, color_block, solved, summed, row_impulse, row_previous, counters
+            )
+            if method == JACOBI:
+                largest = max(jacobi_row(row, solved, body_rows, row_impulse, summed, omega) for row in world)
+            else:
+                largest = max(sweep_row(row, solved, row_impulse, omega) for row in world)
+            conclude_sweep(
+                w, largest, world, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
+                period_max, cap, threshold, body_start, color_block, row_scale, solved, summed, row_impulse,
+                row_previous, row_direction, counters, norms, history,
+            )  # fmt: skip
+            done = counters[w * COUNTERS + 3] != 0
+        sweeps[w] = counters[w * COUNTERS]
+        change[w] = norms[w * NORMS]
+        residual[w] = natural_map(world, solved, row_impulse, row_scale[w])
+
+    def begin(
+        tid: int,
+        world_offset: int,
+        period_min: int,
+        max_sweeps: int,
+        body_start: Array,
+        flags: Array,
+        joint_start: Array,
+        joint_slot: Array,
+        joint_impulse: Array,
+        contact_start: Array,
+        contact_count: Array,
+        slot: Array,
+        impulse: Array,
+        predicted: Array,
+        color_block: Array,
+        rows: Array,
+        row_body: Array,
+        solved: Array,
+        row_impulse: Array,
+        counters: Array,
+        norms: Array,
+    ) -> None:
+        """Colour schedule: warm start."""
+        w = tid + world_offset
+        if flags[w]:
+            return
+        world = world_rows(w, color_block, rows, row_body, predicted)
+        start_world(
+            w, period_min, world, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count,
+            slot, impulse, predicted, color_block, solved, row_impulse, counters, norms,
+        )  # fmt: skip
+        if max_sweeps == 0 or not world:
+            counters[w * COUNTERS + 3] = 1
+
+    def before_sweep(
+        tid: int,
+        world_offset: int,
+        method: int,
+        acceleration: int,
+        body_start: Array,
+        flags: Array,
+        color_block: Array,
+        solved: Array,
+        summed: Array,
+        row_impulse: Array,
+        row_previous: Array,
+        counters: Array,
+        norms: Array,
+    ) -> None:
+        """Colour schedule: what a sweep needs to know of the state before it."""
+        w = tid + world_offset
+        if flags[w] or counters[w * COUNTERS + 3]:
+            return
+        prepare_sweep(
+            w, method, acceleration, body_start, color_block, solved, summed, row_impulse, row_previous, counters
+        )
+        norms[w * NORMS] = 0.0
+
+    def sweep_color(
+        tid: tuple[int, int],
+        world_offset: int,
+        color: int,
+        method: int,
+        omega: float,
+        flags: Array,
+        color_block: Array,
+        rows: Array,
+        row_body: Array,
+        body_rows: Array,
+        solved: Array,
+        summed: Array,
+        row_impulse: Array,
+        counters: Array,
+        norms: Array,
+    ) -> None:
+        """Colour schedule: one thread a row of the colour; the serial colour is one thread's."""
+        w = tid[0] + world_offset
+        if flags[w] or counters[w * COUNTERS + 3]:
+            return
+        first, last = color_block[w * (COLORS + 1) + color : w * (COLORS + 1) + color + 2]
+        there = range((last - first) * LANES)
+        mine = there if color == SERIAL_COLOR and tid[1] == 0 else there[tid[1] : tid[1] + 1]
+        if color == SERIAL_COLOR and tid[1] > 0:
+            return
+        for i in mine:
+            row = read_row(variant, int(first) + i // LANES, i % LANES, rows, row_body, solved)
+            if row is None:
+                continue
+            if method == JACOBI:
+                change = jacobi_row(row, solved, body_rows, row_impulse, summed, omega)
+            else:
+                change = sweep_row(row, solved, row_impulse, omega)
+            norms[w * NORMS] = max(norms[w * NORMS], change)
+
+    def after_sweep(
+        tid: int,
+        world_offset: int,
+        method: int,
+        acceleration: int,
+        max_sweeps: int,
+        tolerance: float,
+        stop: int,
+        residual_every: int,
+        period_min: int,
+        period_max: int,
+        cap: float,
+        threshold: float,
+        body_start: Array,
+        flags: Array,
+        color_block: Array,
+        rows: Array,
+        row_body: Array,
+        row_scale: Array,
+        summed: Array,
+        row_previous: Array,
+        row_direction: Array,
+        solved: Array,
+        row_impulse: Array,
+        counters: Array,
+        norms: Array,
+        history: Array,
+    ) -> None:
+        """Colour schedule: stop or accelerate."""
+        w = tid + world_offset
+        if flags[w] or counters[w * COUNTERS + 3]:
+            return
+        world = world_rows(w, color_block, rows, row_body, solved)
+        conclude_sweep(
+            w, norms[w * NORMS], world, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
+            period_max, cap, threshold, body_start, color_block, row_scale, solved, summed, row_impulse, row_previous,
+            row_direction, counters, norms, history,
+        )  # fmt: skip
+
+    def finish(
+        tid: int,
+        world_offset: int,
+        flags: Array,
+        color_block: Array,
+        rows: Array,
+        row_body: Array,
+        row_scale: Array,
+        solved: Array,
+        row_impulse: Array,
+        counters: Array,
+        norms: Array,
+        sweeps: Array,
+        change: Array,
+        residual: Array,
+    ) -> None:
+        """Colour schedule: what the solve reports."""
+        w = tid + world_offset
+        if flags[w]:
+            return
+        sweeps[w] = counters[w * COUNTERS]
+        change[w] = norms[w * NORMS]
+        world = world_rows(w, color_block, rows, row_body, solved)
+        residual[w] = natural_map(world, solved, row_impulse, row_scale[w])
+
+    def correct_positions(
+        tid: int,
+        world_offset: int,
+        iterations: int,
+        factor: float,
+        max_correction: float,
+        slop_factor: float,
+        length_scale: Array,
+        flags: Array,
+        deepest: Array,
+        color_block: Array,
+        rows: Array,
+        row_body: Array,
+        displacement: Array,
+    ) -> None:
+        """Position phase after the velocities (nonlinear projection, Box2D 2.3): displacements that undo overlap.
+
+        Without joints it is skipped where the step began with no overlap beyond the slop.
+        """
+        w = tid + world_offset
+        if flags[w]:
+            return
+        if variant != "joints" and deepest[w] >= -slop_factor * length_scale[w]:
+            return
+        limit = max_correction * length_scale[w]
+        world = world_rows(w, color_block, rows, row_body, displacement)
+        for _ in range(iterations):
+            if not max((push_row(row, displacement, factor, limit) for row in world), default=0.0) > 0.0:
+                break
+
+    return {
+        "solve_world": solve_world,
+        "begin": begin,
+        "before_sweep": before_sweep,
+        "sweep_color": sweep_color,
+        "after_sweep": after_sweep,
+        "finish": finish,
+        "correct_positions": correct_positions,
+    }

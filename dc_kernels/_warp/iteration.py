@@ -1,0 +1,289 @@
+"""The iteration of a world's solve: warm start, sweep, stop, acceleration. Shared by both schedules."""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..rows import COLUMNS
+from ..types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, NORMS, SERIAL_COLOR, STOPS
+from .common import kernel_module, scalar_types
+from .lanes import has_lanes, lane_functions, range_functions
+from .row import row_functions
+
+ENDS = wp.constant(COLORS + 1)
+N_COLORS = wp.constant(COLORS)
+N_LANES = wp.constant(LANES)
+SERIAL = wp.constant(SERIAL_COLOR)
+JACOBI = wp.constant(METHODS["jacobi"])
+AITKEN = wp.constant(ACCELERATIONS["aitken"])
+NNCG = wp.constant(ACCELERATIONS["nncg"])
+BY_RESIDUAL = wp.constant(STOPS["residual"])
+N_COUNTERS = wp.constant(COUNTERS)
+N_NORMS = wp.constant(NORMS)
+
+
+@cache
+def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
+    """``start_world``, ``prepare_sweep``, ``sweep_world``, ``conclude_sweep`` and ``natural_map``."""
+    t = scalar_types(dtype)
+    real, vec2, vec4 = t.real, t.vec2, t.vec4
+    module = kernel_module("solver", dtype, variant)
+    row = row_functions(dtype, variant)
+    lanes = lane_functions(dtype, variant, COLUMNS[variant])
+    ranges = range_functions(dtype)
+    sweep_row, jacobi_row, apply_row = row["sweep_row"], row["jacobi_row"], row["apply_row"]
+    natural_map_row = row["natural_map_row"]
+    sweep_lanes, apply_lanes = lanes["sweep"], lanes["apply"]
+    extrapolate = lanes["extrapolate"]
+    distance2, copy_range, conjugate = ranges["distance2"], ranges["copy"], ranges["conjugate"]
+    joints = variant == "joints"
+    huge = real(3e38)
+    tiny = real(1e-30)
+
+    @wp.func(module=module)
+    def sweep_world(
+        w: int,
+        method: int,
+        omega: real,
+        color_block: wp.array(dtype=wp.int32),
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        body_rows: wp.array(dtype=wp.int32),
+        solved: wp.array(dtype=vec4),
+        summed: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+    ):
+        """One sweep over all rows of a world in colour order; the largest impulse change [N s]."""
+        first = color_block[w * ENDS]
+        serial = color_block[w * ENDS + SERIAL]
+        last = color_block[w * ENDS + N_COLORS]
+        change = real(0.0)
+        if method == JACOBI:
+            for block in range(first, last):
+                for lane in range(N_LANES):
+                    change = wp.max(
+                        change,
+                        jacobi_row(block, lane, rows, row_body, solved, body_rows, row_impulse, summed, omega),
+                    )
+            return change
+        if has_lanes() == 1:
+            change = sweep_lanes(rows, row_body, solved, row_impulse, first, serial, omega)
+            first = serial
+        for block in range(first, last):
+            for lane in range(N_LANES):
+                change = wp.max(change, sweep_row(block, lane, rows, row_body, solved, row_impulse, omega))
+        return change
+
+    @wp.func(module=module)
+    def apply_world(
+        w: int,
+        color_block: wp.array(dtype=wp.int32),
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        solved: wp.array(dtype=vec4),
+        delta: wp.array(dtype=real),
+    ):
+        """Velocities follow a change of all row impulses of a world."""
+        first = color_block[w * ENDS]
+        serial = color_block[w * ENDS + SERIAL]
+        last = color_block[w * ENDS + N_COLORS]
+        if has_lanes() == 1:
+            apply_lanes(rows, row_body, solved, delta, first, serial)
+            first = serial
+        for block in range(first, last):
+            for lane in range(N_LANES):
+                apply_row(block, lane, rows, row_body, solved, delta)
+
+    @wp.func(module=module)
+    def natural_map(
+        w: int,
+        color_block: wp.array(dtype=wp.int32),
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        solved: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+        scale: real,
+    ):
+        """Relative natural map: its 2-norm over that of the impulses a frictional stop of each row alone would take."""
+        total = real(0.0)
+        for block in range(color_block[w * ENDS], color_block[w * ENDS + N_COLORS]):
+            for lane in range(N_LANES):
+                total += natural_map_row(block, lane, rows, row_body, solved, row_impulse)
+        total = wp.sqrt(total)
+        if scale > tiny:
+            total = total / scale
+        return total
+
+    @wp.func(module=module)
+    def start_world(
+        w: int,
+        period: int,
+        # Model, joints, contacts:
+        body_start: wp.array(dtype=wp.int32),
+        joint_start: wp.array(dtype=wp.int32),
+        joint_slot: wp.array(dtype=wp.int32),
+        joint_impulse: wp.array(dtype=real),
+        contact_start: wp.array(dtype=wp.int32),
+        contact_count: wp.array(dtype=wp.int32),
+        slot: wp.array(dtype=wp.int32),
+        impulse: wp.array(dtype=vec2),
+        predicted: wp.array(dtype=vec4),
+        # rows:
+        color_block: wp.array(dtype=wp.int32),
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        # out:
+        solved: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+        counters: wp.array(dtype=wp.int32),
+        norms: wp.array(dtype=real),
+    ):
+        """Warm start: predicted velocities plus those of the start impulses."""
+        for b in range(body_start[w], body_start[w + 1]):
+            solved[b] = predicted[b]
+        for i in range(color_block[w * ENDS] * 2 * N_LANES, color_block[w * ENDS + N_COLORS] * 2 * N_LANES):
+            row_impulse[i] = real(0.0)
+        start = contact_start[w]
+        for c in range(start, start + contact_count[w]):
+            i = slot[c]
+            row_impulse[i] = impulse[c][0]
+            row_impulse[i + N_LANES] = impulse[c][1]
+        if wp.static(joints):
+            for j in range(joint_start[w], joint_start[w + 1]):
+                row_impulse[joint_slot[j]] = joint_impulse[j]
+        apply_world(w, color_block, rows, row_body, solved, row_impulse)
+        q = w * N_COUNTERS
+        counters[q] = 0
+        counters[q + 1] = 0
+        counters[q + 2] = period
+        counters[q + 3] = 0
+        p = w * N_NORMS
+        norms[p] = real(0.0)
+        norms[p + 1] = huge
+        norms[p + 2] = huge
+        norms[p + 3] = real(0.0)
+
+    @wp.func(module=module)
+    def prepare_sweep(
+        w: int,
+        method: int,
+        acceleration: int,
+        body_start: wp.array(dtype=wp.int32),
+        color_block: wp.array(dtype=wp.int32),
+        solved: wp.array(dtype=vec4),
+        summed: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+        row_previous: wp.array(dtype=real),
+        counters: wp.array(dtype=wp.int32),
+    ):
+        """Keep the impulses before a sweep whose step is measured; a place to sum up Jacobi's changes."""
+        q = w * N_COUNTERS
+        if acceleration == NNCG or (acceleration == AITKEN and counters[q + 1] >= counters[q + 2] - 2):
+            copy_range(
+                row_previous,
+                row_impulse,
+                color_block[w * ENDS] * 2 * N_LANES,
+                color_block[w * ENDS + N_COLORS] * 2 * N_LANES,
+            )
+        if method == JACOBI:
+            for b in range(body_start[w], body_start[w + 1]):
+                summed[b] = solved[b]
+
+    @wp.func(module=module)
+    def conclude_sweep(
+        w: int,
+        change: real,
+        method: int,
+        acceleration: int,
+        max_sweeps: int,
+        tolerance: real,
+        stop: int,
+        residual_every: int,
+        period_min: int,
+        period_max: int,
+        cap: real,
+        threshold: real,
+        body_start: wp.array(dtype=wp.int32),
+        color_block: wp.array(dtype=wp.int32),
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        row_scale: wp.array(dtype=real),
+        solved: wp.array(dtype=vec4),
+        summed: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+        row_previous: wp.array(dtype=real),
+        row_direction: wp.array(dtype=real),
+        counters: wp.array(dtype=wp.int32),
+        norms: wp.array(dtype=real),
+        history: wp.array2d(dtype=real),
+    ):
+        """Stop, or accelerate; 1 when the world is done."""
+        q = w * N_COUNTERS
+        p = w * N_NORMS
+        if method == JACOBI:
+            for b in range(body_start[w], body_start[w + 1]):
+                solved[b] = summed[b]
+        sweeps = counters[q]
+        if history.shape[1] > sweeps:
+            history[w, sweeps] = change
+        sweeps += 1
+        counters[q] = sweeps
+        norms[p] = change
+        done = int(0)
+        if stop == BY_RESIDUAL:
+            if sweeps % residual_every == 0 or sweeps >= max_sweeps:
+                if natural_map(w, color_block, rows, row_body, solved, row_impulse, row_scale[w]) < tolerance:
+                    done = 1
+        elif change < tolerance:
+            done = 1
+        if sweeps >= max_sweeps:
+            done = 1
+        counters[q + 3] = done
+        if done == 1:
+            return 1
+        i0 = color_block[w * ENDS] * 2 * N_LANES
+        i1 = color_block[w * ENDS + N_COLORS] * 2 * N_LANES
+        if acceleration == AITKEN:
+            inside = counters[q + 1] + 1
+            period = counters[q + 2]
+            if inside == period - 1:
+                norms[p + 1] = distance2(row_impulse, row_previous, i0, i1)
+            if inside >= period:
+                before = norms[p + 1]
+                now = distance2(row_impulse, row_previous, i0, i1)
+                if now < before:
+                    ratio = wp.sqrt(now / before)
+                    alpha = cap
+                    if ratio < cap * (real(1.0) - ratio):
+                        alpha = ratio / (real(1.0) - ratio)
+                    extrapolate(
+                        rows, row_impulse, row_previous, color_block[w * ENDS], color_block[w * ENDS + N_COLORS], alpha
+                    )
+                    apply_world(w, color_block, rows, row_body, solved, row_previous)
+                if now > threshold * threshold * norms[p + 2]:
+                    period = wp.min(2 * period, period_max)
+                else:
+                    period = wp.max(period_min, period / 2)
+                norms[p + 2] = now
+                counters[q + 2] = period
+                inside = 0
+            counters[q + 1] = inside
+        if acceleration == NNCG:
+            now = distance2(row_impulse, row_previous, i0, i1)
+            beta = real(0.0)
+            if sweeps > 1 and now <= norms[p + 2] and norms[p + 2] > real(0.0):
+                beta = now / norms[p + 2]
+            norms[p + 2] = now
+            conjugate(row_impulse, row_previous, row_direction, i0, i1, beta)
+            if beta > real(0.0):
+                apply_world(w, color_block, rows, row_body, solved, row_previous)
+        return 0
+
+    return SimpleNamespace(
+        start_world=start_world,
+        prepare_sweep=prepare_sweep,
+        sweep_world=sweep_world,
+        conclude_sweep=conclude_sweep,
+        natural_map=natural_map,
+    )

@@ -1,0 +1,84 @@
+"""What runs for a scene, what is skipped, and why."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .types import LANES, SERIAL_COLOR, BodyType, Flag, ShapeType
+
+if TYPE_CHECKING:
+    from .step import Simulation
+
+
+def _count(number: int, name: str) -> str:
+    if number == 1:
+        return f"1 {name}"
+    plural = name[:-1] + "ies" if name.endswith("y") else name + "s"
+    return f"{number} {plural}"
+
+
+def explain(sim: Simulation) -> str:
+    """Lines of "stage: what runs or is skipped (why)" for a simulation as it stands."""
+    model, config = sim.model, sim.config
+    body_type = model.numpy("body_type")
+    shape_type = model.numpy("shape_type")
+    friction = bool(model.numpy("shape_friction").any())
+    bounce = bool(model.numpy("shape_restitution").any())
+    kinds = ", ".join(
+        _count(int((body_type == kind).sum()), f"{kind.name.lower()} body")
+        for kind in BodyType
+        if (body_type == kind).any()
+    )
+    shapes = ", ".join(
+        _count(int((shape_type == kind).sum()), kind.name.lower()) for kind in ShapeType if (shape_type == kind).any()
+    )
+    lines = [
+        f"scene: {_count(model.world_count, 'world')}, {kinds or 'no bodies'}; {shapes or 'no shapes'}; "
+        f"{_count(model.joint_count, 'distance joint')}",
+        f"backend: {sim.backend} on {sim.device}, {sim.dtype.name}, {_count(sim.threads, 'thread')} over worlds, "
+        f"schedule {sim.schedule!r}",
+        f"broadphase: pairs are kept while no shape leaves a margin of {config.margin:g} length scales "
+        f"(rebuilt {int(sim.pairs.numpy('rebuilds').sum())} times so far)",
+    ]
+    if sim.only_discs and sim.specialize:
+        lines.append("narrowphase: discs only; hulls, clipping and rotations skipped (all that moves is centred discs)")
+    else:
+        lines.append("narrowphase: all shapes")
+    if sim.variant == "discs":
+        lines.append("rows: discs; the normal arm is skipped (it is zero)")
+    elif sim.variant == "general":
+        why = "asked for by specialize=False" if sim.only_discs else "not all that moves is centred discs"
+        lines.append(f"rows: general ({why}); joint rows skipped (no joints)")
+    else:
+        lines.append("rows: contacts and joints together")
+    if not friction:
+        lines.append("friction: no shape has any; tangential impulses stay zero")
+    if not bounce:
+        lines.append("restitution: no shape has any; impact biases are skipped")
+    if config.method == "jacobi":
+        lines.append("solver: Jacobi with mass splitting, scalar rows")
+    elif sim.schedule == "world" and sim.device == "cpu":
+        lines.append(f"solver: PGS in colour order, {LANES} rows side by side in SIMD lanes")
+    else:
+        lines.append("solver: PGS in colour order, scalar rows")
+    lines.append(
+        f"acceleration: {config.acceleration}; stop at {config.stop} < {config.tolerance:g} or "
+        f"{config.max_sweeps} sweeps; a world without rows is not swept"
+    )
+    if config.position_correction == "ngs":
+        deep = sim.rows.numpy("deepest") < -config.slop * model.numpy("length_scale")
+        run = "always, for the joints" if model.joint_count else f"in {int(deep.sum())} worlds at the last step"
+        lines.append(f"position correction: a phase of its own where an overlap exceeds the slop ({run})")
+    else:
+        lines.append(f"position correction: {config.position_correction}; the position phase is skipped")
+    serial = int((sim.contacts.numpy("color") == SERIAL_COLOR).sum())
+    if serial:
+        lines.append(f"serial colour: {_count(serial, 'contact')} swept one by one (a body has more than 63)")
+    if not config.history:
+        lines.append("history of sweeps: not kept")
+    flags = sim.state.numpy("flags")
+    for w in np.flatnonzero(flags):
+        lines.append(f"world {w}: frozen ({Flag(int(flags[w])).name})")
+    return "\n".join(lines)
