@@ -246,7 +246,7 @@ class SolverConfig:
     position_factor: float = 0.2
     """Share of an overlap that one "ngs" sweep, or one "baumgarte" step, removes [1]."""
     slop: float = 5e-4
-    """Overlap that is left alone [length_scale]."""
+    """Overlap that is left alone, and gap that counts as closed [length_scale]."""
     max_correction: float = 0.2
     """Largest overlap corrected at once [length_scale]."""
     speculative: float = 0.02

@@ -218,8 +218,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
             en, et = effective_mass(jn, a, b), effective_mass(jt, a, b)
             g, e = gap[c], restitution[c]
             bias = g.dtype.type(0)
-            if g > 0:
-                bias = g / dt  # the gap may close within the step
+            if g > slop:
+                bias = g / dt  # the gap may close within the step; a smaller one counts as closed
             elif baumgarte > 0 and g < -slop:
                 bias = max(baumgarte * (g + slop), -limit) / dt
             if e > 0 and un > 0:
