@@ -134,11 +134,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     ):
         """Rows of a world's contacts and joints, in blocks of LANES colour by colour.
 
-        Bias velocity: a gap may close within the step (gap / dt), but one below the slop counts as closed: the round-off
-        of resting gaps would change the problem in each step and cost the warm start a tenth of its gain. A contact
-        that hits within the step faster than the threshold leaves with -e times its speed; a separating contact of a
-        bouncing pair may be left approaching with e times its speed at most (Moreau 1988), without which several impacts
-        at once can gain energy.
+        Bias velocity: a gap may close within the step (gap / dt), but one below the slop counts as closed: the
+        round-off of resting gaps would change the problem in each step and cost the warm start a tenth of its gain.
+        A contact that hits within the step faster than the threshold leaves with -e times its speed; a separating
+        contact of a bouncing pair may be left approaching with e times its speed at most (Moreau 1988), without
+        which several impacts at once can gain energy.
         """
         w = wp.tid() + world_offset
         if flags[w] != 0:
