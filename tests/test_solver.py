@@ -194,7 +194,8 @@ def dense(sim):
     """Jacobian (2c, 3b), inverse masses (3b,), predicted velocities, bias and friction of world 0, from the arrays.
 
     Rows: normal, then tangent, of each contact: J = [-n, -r_A x n, n, r_B x n] (seed, 2.21 and 2.22), written out
-    here from contact geometry alone, without the solver's rows. The bias of an open gap g is g / dt (no restitution).
+    here from contact geometry alone, without the solver's rows. The bias of a gap above the slop is gap / dt; there
+    is no restitution.
     """
     slots, _ = used(sim)
     get = {n: sim.contacts.numpy(n)[slots].astype(float) for n in ("normal", "arm_a", "arm_b", "gap", "friction")}
@@ -210,7 +211,8 @@ def dense(sim):
     moving = sim.model.numpy("body_type") == dc.BodyType.DYNAMIC
     velocity = np.column_stack((sim.state.numpy("velocity"), sim.state.numpy("angular_velocity"))).astype(float)
     velocity[:, :2] += moving[:, None] * sim.model.numpy("gravity")[0] * DT
-    bias = np.maximum(get["gap"], 0.0) / DT
+    slop = sim.config.slop * sim.model.numpy("length_scale")[0]
+    bias = np.where(get["gap"] > slop, get["gap"], 0.0) / DT
     return j, inverse.ravel(), velocity.ravel(), bias, get["friction"]
 
 
