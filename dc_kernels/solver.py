@@ -20,8 +20,7 @@ class SolveStats(ArrayGroup):
 
     table = STATS
     history: Any
-    """Largest impulse change of each sweep [N s], (W, max_sweeps), what lies beyond ``sweeps`` is of earlier solves;
-    (W, 0) unless asked for."""
+    """Largest impulse change of each sweep [N s], (W, max_sweeps), zero beyond ``sweeps``; (W, 0) unless asked for."""
 
     def allocate_history(self, config: SolverConfig) -> None:
         """Room for ``history`` as a configuration wants it."""

@@ -170,7 +170,6 @@ class Simulation:
         }
         for group in (self.model, self.state, self.joints, *self.storage.groups()):
             self.values.update({name: group.array(name) for name in group.table})
-        self._flags = self.state.numpy("flags") if self.device == "cpu" else None
         edges = np.linspace(0, self.model.world_count, self.threads + 1).astype(int)
         self._shards = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
         advance = ["displace", "commit"]
@@ -200,6 +199,10 @@ class Simulation:
         self._config = config
         self.storage.adapt(config, before)
         self._bind_all()
+        if self._phase != "advance":
+            # rows depend on the settings too: those of the step in flight are made anew
+            for shard in self._shards:
+                self.bind("pack_rows", *shard)()
 
     # ------------------------------------------------------------------ stepping
 
@@ -317,9 +320,9 @@ class Simulation:
 
     def _run_shards(self, steps: int) -> None:
         """All steps of every shard; a shard stops at an overflow, which is mended before it goes on."""
-        if self._flags is None:
+        if self.device != "cpu" or self.on_overflow == "raise":
             for _ in range(steps):
-                self._collide()
+                self._collide()  # all worlds, so that none has moved if one raises
                 self._launch("solve")
                 self._launch("advance")
             self._phase = "advance"

@@ -314,6 +314,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
             )  # fmt: skip
             done = counters[w * COUNTERS + 3] != 0
         sweeps[w] = counters[w * COUNTERS]
+        history[w, sweeps[w] :] = 0.0
         change[w] = norms[w * NORMS]
         residual[w] = natural_map(world, solved, row_impulse, row_scale[w])
 
@@ -463,6 +464,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         row_impulse: Array,
         counters: Array,
         norms: Array,
+        history: Array,
         sweeps: Array,
         change: Array,
         residual: Array,
@@ -472,6 +474,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         if flags[w]:
             return
         sweeps[w] = counters[w * COUNTERS]
+        history[w, sweeps[w] :] = 0.0
         change[w] = norms[w * NORMS]
         world = world_rows(w, color_block, rows, row_body, solved)
         residual[w] = natural_map(world, solved, row_impulse, row_scale[w])

@@ -112,7 +112,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 cap, threshold, body_start, color_block, rows, row_body, row_scale, solved, summed, row_impulse,
                 row_previous, row_direction, counters, norms, history,
             )  # fmt: skip
-        sweeps[w] = counters[w * N_COUNTERS]
+        done_sweeps = counters[w * N_COUNTERS]
+        sweeps[w] = done_sweeps
+        for k in range(done_sweeps, history.shape[1]):
+            history[w, k] = real(0.0)
         change[w] = norms[w * N_NORMS]
         residual[w] = natural_map(w, color_block, rows, row_body, solved, row_impulse, row_scale[w])
 
@@ -268,6 +271,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         counters: wp.array(dtype=wp.int32),
         norms: wp.array(dtype=real),
         # out:
+        history: wp.array2d(dtype=real),
         sweeps: wp.array(dtype=wp.int32),
         change: wp.array(dtype=real),
         residual: wp.array(dtype=real),
@@ -276,7 +280,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         w = wp.tid() + world_offset
         if flags[w] != 0:
             return
-        sweeps[w] = counters[w * N_COUNTERS]
+        done_sweeps = counters[w * N_COUNTERS]
+        sweeps[w] = done_sweeps
+        for k in range(done_sweeps, history.shape[1]):
+            history[w, k] = real(0.0)
         change[w] = norms[w * N_NORMS]
         residual[w] = natural_map(w, color_block, rows, row_body, solved, row_impulse, row_scale[w])
 
