@@ -2,7 +2,7 @@
 
 Shapes are hulls of vertices plus a radius. Discs meet discs and hulls in closed form; hulls meet hulls by
 separating axes and clipping of the incident edge (as in Box2D v3). Each pair is treated in the frame of one of
-its shapes and turned to world axes at the end. Nothing is culled early: only the gap decides.
+its shapes and turned to world axes at the end.
 """
 
 from __future__ import annotations
@@ -137,10 +137,12 @@ def clip(edge: int, flip: bool, separation: Any, slack: Any, one: Hull, two: Hul
     return Manifold(normal, points)
 
 
-def hull_hull(a: Hull, b: Hull, slack: Any, epsilon: float) -> Manifold:
-    """Two hulls in the frame of A; normal from A to B."""
+def hull_hull(a: Hull, b: Hull, reach: Any, slack: Any, epsilon: float) -> Manifold:
+    """Two hulls in the frame of A, at most ``reach`` apart; normal from A to B."""
     separation_a, edge_a = max_separation(a, b)
     separation_b, edge_b = max_separation(b, a)
+    if max(separation_a, separation_b) > reach + a.radius + b.radius:
+        return Manifold(a.normals[edge_a], [])
     # prefer A's edge, so that round-off does not switch between the two
     if separation_b > separation_a + slack:
         m = clip(edge_b, True, separation_b, slack, b, a, epsilon)
@@ -259,7 +261,10 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
                 return hull_disc(hull_of(a), local, shape_radius[b], epsilon).placed(turn_a, xa)
             relative = rotation(angle[shape_body[b]] - angle[shape_body[a]])
             hull_b = hull_of(b).placed(relative, rotate(turn_a.T, xb - xa))
-            return hull_hull(hull_of(a), hull_b, slack, epsilon).placed(turn_a, xa)
+            va, vb = predicted[shape_body[a]], predicted[shape_body[b]]
+            spin = sum(abs(v[2]) * (length(shape_center[s]) + shape_extent[s]) for v, s in ((va, a), (vb, b)))
+            reach = speculative + step_dt[w] * (length(vb - va) + spin)
+            return hull_hull(hull_of(a), hull_b, reach, slack, epsilon).placed(turn_a, xa)
 
         speculative = speculative_factor * length_scale[w]
         slack = slack_factor * length_scale[w]

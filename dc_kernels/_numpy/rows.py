@@ -252,8 +252,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
             squares += (en * (un + bias)) ** 2
         row_scale[w] = np.sqrt(squares)
         deepest[w] = gap[contacts].min(initial=0.0)
-        joints_here = slice(joint_start[w], joint_start[w + 1])
-        colors[w] = max(color[contacts].max(initial=-1), joint_color[joints_here].max(initial=-1)) + 1
+        colors[w] = max(color[contacts].max(initial=-1), joint_color[joints].max(initial=-1)) + 1
 
     def unpack_impulses(
         tid: int,
