@@ -77,11 +77,12 @@ def package_versions() -> dict[str, str]:
 
 
 def machine(threads: int = 1) -> dict[str, Any]:
-    """What a figure has to be read with: processor, cores, threads used, Python and package versions."""
+    """What a figure has to be read with: processor, cores, threads used, what else runs, Python and packages."""
     return {
         "cpu": cpu_model(),
         "cores": os.cpu_count(),
         "threads": threads,
+        "load": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",
         "packages": package_versions(),
