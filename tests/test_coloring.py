@@ -189,7 +189,7 @@ def crowd(count, dtype, **options):
 
 @pytest.mark.parametrize("method", ["pgs", "jacobi"])
 def test_more_contacts_at_a_body_than_colours(method):
-    config = dc.SolverConfig(method=method, acceleration="nncg", tolerance=1e-4, max_sweeps=5000, stop="residual")
+    config = dc.SolverConfig(method=method, acceleration="nncg", tolerance=3e-4, max_sweeps=5000, stop="residual")
     sim, big = crowd(130, "float64", config=config)
     dt = 0.005
     sim.collide(dt)
@@ -203,7 +203,7 @@ def test_more_contacts_at_a_body_than_colours(method):
     others = table["color"][at_big & ~serial]
     assert len(np.unique(others)) == len(others) >= SERIAL_COLOR - 5
     sim.solve()
-    assert sim.stats.numpy("residual")[0] < 1e-4
+    assert sim.stats.numpy("residual")[0] < 3e-4
     sim.advance()
     table = contacts_of(sim)
     # what the rows solved is what the bodies got: momentum of every disc, from the contacts alone
