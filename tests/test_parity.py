@@ -156,7 +156,7 @@ def crowd(builder: dc.ModelBuilder, seed: int = 0, count: int = 40) -> None:
             position=draw.uniform((-4, -1), (4, 4)),
             angle=draw.uniform(-9, 9),
             velocity=draw.normal(0, 3, 2),
-            angular_velocity=draw.normal(0, 5),
+            angular_velocity=draw.normal(0, 100 if i % 7 == 0 else 5),
             type=kind,
         )
         size = 0.05 * 30 ** draw.uniform()
