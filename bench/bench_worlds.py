@@ -135,7 +135,7 @@ def report(values: dict[str, Any]) -> str:
         )
         for name, text in texts.items()
     ]
-    header = ("thesis worlds, 250 steps of 0.01 s", "worlds/s", "overlap mean [mm]", "max [mm]", "overlapping pairs")
+    header = ("thesis worlds, 250 steps of 0.01 s", "worlds/s", "overlap mean [mm]", "max [mm]", "touching pairs")
     return "\n".join(
         [
             timing.table(header, rows),

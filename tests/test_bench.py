@@ -92,7 +92,7 @@ def test_disc_worlds_are_those_of_the_simulation():
     for world, expected in zip(worlds, cases.disc_positions(model, state), strict=True):
         np.testing.assert_array_equal(world.positions, expected)
         assert world.positions.shape == (20, 2) and world.walls.shape == (3, 2, 2)
-        assert len(peers.overlaps(world.positions, world.radii, world.walls)) == 0
+        assert not peers.overlaps(world.positions, world.radii, world.walls).any()
         # the walls touch a disc in each corner and no smaller box would hold them
         corner = scene.side - 0.499
         inner = np.array([[0.499, 0.499], [corner, 0.499]])
@@ -101,9 +101,10 @@ def test_disc_worlds_are_those_of_the_simulation():
 
 def test_overlaps_by_hand():
     walls = np.array([[[0.0, 0.0], [10.0, 0.0]]])
-    positions = np.array([[2.0, 0.75], [3.5, 1.0], [11.0, 0.0], [20.0, 0.0]])
-    radii = np.array([1.0, 1.0, 1.5, 1.0])
-    expected = [2.0 - np.hypot(1.5, 0.25), 0.25, 0.5]  # two discs, the floor, the floor's end
+    positions = np.array([[2.0, 0.75], [3.5, 1.0], [11.0, 0.0], [20.0, 0.0], [20.0, 2.0005], [20.0, 4.0025]])
+    radii = np.array([1.0, 1.0, 1.5, 1.0, 1.0, 1.0])
+    # two discs, two with a gap of half a millimetre (the next gap is too wide), the floor, the floor's end
+    expected = [2.0 - np.hypot(1.5, 0.25), 0.0, 0.25, 0.0, 0.5]
     np.testing.assert_allclose(peers.overlaps(positions, radii, walls), expected, rtol=1e-12)
     assert peers.mean_overlap_mm(np.array([1e-3, 3e-3])) == pytest.approx(2.0)
     assert peers.mean_overlap_mm(np.empty(0)) == 0.0
