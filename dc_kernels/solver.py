@@ -47,6 +47,7 @@ def solver_scalars(config: SolverConfig) -> dict[str, Any]:
         "period_max": config.aitken_period_max,
         "cap": config.aitken_cap,
         "threshold": config.aitken_threshold,
+        "patience": config.aitken_patience,
     }
 
 

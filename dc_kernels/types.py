@@ -52,9 +52,12 @@ SERIAL_COLOR = COLORS - 1
 METHODS = {"pgs": 0, "jacobi": 1}  # how kernels know a choice of SolverConfig
 ACCELERATIONS = {"none": 0, "sor": 1, "aitken": 2, "nncg": 3}
 STOPS = {"change": 0, "residual": 1}
-COUNTERS = 4  # of a world's iteration in flight: sweeps done, sweeps into the Aitken period, its length, finished
-NORMS = 4  # change of this sweep, |step|^2 of the sweep before the period's last, of the period or sweep before, free
-KEY_SHAPE_BITS = 24  # contact key = shape A | shape B | feature, 24 + 24 + 16 bits, indices within the world
+# a world's iteration in flight: sweeps done, sweeps into the Aitken period, its length, finished, periods without
+# progress, plain sweeps to follow them
+COUNTERS = 6
+# change of this sweep, |step|^2 of the sweep before the period's last, of the period or sweep before, least so far
+NORMS = 4
+KEY_SHAPE_BITS = 23  # contact key = shape A | shape B | feature, 23 + 23 + 16 bits, indices within the world
 KEY_FEATURE_BITS = 16
 
 
@@ -183,7 +186,7 @@ ROWS = _table(
     ("rows", "row column", "real", "1", "columns of the rows, see rows.py"),
     ("row_body", "row pair", "int32", "1", "bodies of the rows"),
     ("row_impulse", "row pair", "real", "N s", "normal and tangential impulses"),
-    ("row_previous", "row pair", "real", "N s", "impulses before the last sweep, or what extrapolation changed"),
+    ("row_change", "row pair", "real", "N s", "what the last sweep, or its acceleration, changed the impulses by"),
     ("row_direction", "row direction", "real", "N s", "search direction of nonlinear CG"),
     ("row_scale", "world", "real", "N s", "norm that the residual is relative to"),
     ("deepest", "world", "real", "m", "least gap, 0 where nothing overlaps"),
@@ -239,6 +242,9 @@ class SolverConfig:
     """Largest multiple of the last step to move on by [1]."""
     aitken_threshold: float = 0.95
     """Back off when the step shrank by less than this factor over a period [1]."""
+    aitken_patience: int = 20
+    """Periods without a smaller step after which plain sweeps follow, 2 aitken_period_max and twice as many each
+    time: extrapolation alone can cycle for good where plain Gauss-Seidel converges [1]."""
     position_correction: Literal["ngs", "baumgarte", "none"] = "ngs"
     """A phase of its own after the velocities (Box2D 2.3), a velocity bias, or nothing."""
     position_iterations: int = 4
@@ -277,6 +283,7 @@ class SolverConfig:
             "omega": (0.0, 2.0, False),
             "aitken_period": (3, 2**31 - 1, True),
             "aitken_period_max": (3, 2**31 - 1, True),
+            "aitken_patience": (1, 2**31 - 1, True),
             "aitken_cap": (0.0, float("inf"), True),
             "aitken_threshold": (0.0, 1.0, False),
             "position_iterations": (0, 2**31 - 1, True),

@@ -36,7 +36,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     natural_map_row = row["natural_map_row"]
     sweep_lanes, apply_lanes = lanes["sweep"], lanes["apply"]
     extrapolate = lanes["extrapolate"]
-    distance2, copy_range, conjugate = ranges["distance2"], ranges["copy"], ranges["conjugate"]
+    squares, conjugate = ranges["squares"], ranges["conjugate"]
     joints = variant == "joints"
     huge = real(3e38)
     tiny = real(1e-30)
@@ -53,6 +53,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         solved: wp.array(dtype=vec4),
         summed: wp.array(dtype=vec4),
         row_impulse: wp.array(dtype=real),
+        row_change: wp.array(dtype=real),
     ):
         """One sweep over all rows of a world in colour order; the largest impulse change [N s]."""
         first = color_block[w * ENDS]
@@ -64,15 +65,17 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
                 for lane in range(N_LANES):
                     change = wp.max(
                         change,
-                        jacobi_row(block, lane, rows, row_body, solved, body_rows, row_impulse, summed, omega),
+                        jacobi_row(
+                            block, lane, rows, row_body, solved, body_rows, row_impulse, row_change, summed, omega
+                        ),
                     )
             return change
         if has_lanes() == 1:
-            change = sweep_lanes(rows, row_body, solved, row_impulse, first, serial, omega)
+            change = sweep_lanes(rows, row_body, solved, row_impulse, row_change, first, serial, omega)
             first = serial
         for block in range(first, last):
             for lane in range(N_LANES):
-                change = wp.max(change, sweep_row(block, lane, rows, row_body, solved, row_impulse, omega))
+                change = wp.max(change, sweep_row(block, lane, rows, row_body, solved, row_impulse, row_change, omega))
         return change
 
     @wp.func(module=module)
@@ -119,6 +122,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     def start_world(
         w: int,
         period: int,
+        period_max: int,
         # Model, joints, contacts:
         body_start: wp.array(dtype=wp.int32),
         joint_start: wp.array(dtype=wp.int32),
@@ -158,34 +162,23 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         counters[q + 1] = 0
         counters[q + 2] = period
         counters[q + 3] = 0
+        counters[q + 4] = 0
+        counters[q + 5] = 2 * period_max
         p = w * N_NORMS
         norms[p] = real(0.0)
         norms[p + 1] = huge
         norms[p + 2] = huge
-        norms[p + 3] = real(0.0)
+        norms[p + 3] = huge
 
     @wp.func(module=module)
     def prepare_sweep(
         w: int,
         method: int,
-        acceleration: int,
         body_start: wp.array(dtype=wp.int32),
-        color_block: wp.array(dtype=wp.int32),
         solved: wp.array(dtype=vec4),
         summed: wp.array(dtype=vec4),
-        row_impulse: wp.array(dtype=real),
-        row_previous: wp.array(dtype=real),
-        counters: wp.array(dtype=wp.int32),
     ):
-        """Keep the impulses before a sweep whose step is measured; a place to sum up Jacobi's changes."""
-        q = w * N_COUNTERS
-        if acceleration == NNCG or (acceleration == AITKEN and counters[q + 1] >= counters[q + 2] - 2):
-            copy_range(
-                row_previous,
-                row_impulse,
-                color_block[w * ENDS] * 2 * N_LANES,
-                color_block[w * ENDS + N_COLORS] * 2 * N_LANES,
-            )
+        """A place to sum up Jacobi's changes."""
         if method == JACOBI:
             for b in range(body_start[w], body_start[w + 1]):
                 summed[b] = solved[b]
@@ -204,6 +197,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         period_max: int,
         cap: real,
         threshold: real,
+        patience: int,
         body_start: wp.array(dtype=wp.int32),
         color_block: wp.array(dtype=wp.int32),
         rows: wp.array(dtype=real),
@@ -212,7 +206,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         solved: wp.array(dtype=vec4),
         summed: wp.array(dtype=vec4),
         row_impulse: wp.array(dtype=real),
-        row_previous: wp.array(dtype=real),
+        row_change: wp.array(dtype=real),
         row_direction: wp.array(dtype=real),
         counters: wp.array(dtype=wp.int32),
         norms: wp.array(dtype=real),
@@ -248,19 +242,19 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             inside = counters[q + 1] + 1
             period = counters[q + 2]
             if inside == period - 1:
-                norms[p + 1] = distance2(row_impulse, row_previous, i0, i1)
+                norms[p + 1] = squares(row_change, i0, i1)
             if inside >= period:
                 before = norms[p + 1]
-                now = distance2(row_impulse, row_previous, i0, i1)
+                now = squares(row_change, i0, i1)
                 if now < before:
                     ratio = wp.sqrt(now / before)
                     alpha = cap
                     if ratio < cap * (real(1.0) - ratio):
                         alpha = ratio / (real(1.0) - ratio)
                     extrapolate(
-                        rows, row_impulse, row_previous, color_block[w * ENDS], color_block[w * ENDS + N_COLORS], alpha
+                        rows, row_impulse, row_change, color_block[w * ENDS], color_block[w * ENDS + N_COLORS], alpha
                     )
-                    apply_world(w, color_block, rows, row_body, solved, row_previous)
+                    apply_world(w, color_block, rows, row_body, solved, row_change)
                 if now > threshold * threshold * norms[p + 2]:
                     period = wp.min(2 * period, period_max)
                 else:
@@ -268,16 +262,25 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
                 norms[p + 2] = now
                 counters[q + 2] = period
                 inside = 0
+                stalled = counters[q + 4] + 1
+                if now < norms[p + 3]:
+                    norms[p + 3] = now
+                    stalled = 0
+                if stalled >= patience:
+                    inside = -counters[q + 5]
+                    counters[q + 5] = 2 * counters[q + 5]
+                    stalled = 0
+                counters[q + 4] = stalled
             counters[q + 1] = inside
         if acceleration == NNCG:
-            now = distance2(row_impulse, row_previous, i0, i1)
+            now = squares(row_change, i0, i1)
             beta = real(0.0)
             if sweeps > 1 and now <= norms[p + 2] and norms[p + 2] > real(0.0):
                 beta = now / norms[p + 2]
             norms[p + 2] = now
-            conjugate(row_impulse, row_previous, row_direction, i0, i1, beta)
+            conjugate(row_impulse, row_change, row_direction, i0, i1, beta)
             if beta > real(0.0):
-                apply_world(w, color_block, rows, row_body, solved, row_previous)
+                apply_world(w, color_block, rows, row_body, solved, row_change)
         return 0
 
     return SimpleNamespace(

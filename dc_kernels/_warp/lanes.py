@@ -136,8 +136,8 @@ def _largest(name: str) -> str:
 def lane_functions(dtype: str, variant: str, columns: tuple[str, ...]) -> dict[str, Any]:
     """``sweep``, ``apply``, ``push`` and ``extrapolate`` over blocks b0..b1.
 
-    ``extrapolate`` moves impulses on along their last change, x <- clamp(x + alpha (x - previous)), and leaves
-    in ``previous`` what it changed them by.
+    ``extrapolate`` moves impulses on along their last change, x <- clamp(x + alpha change), and leaves in
+    ``change`` what it moved them by.
 
     Args:
         dtype: "float32" or "float64".
@@ -167,6 +167,8 @@ def lane_functions(dtype: str, variant: str, columns: tuple[str, ...]) -> dict[s
         const V dt = lt - lt0;
         {_APPLY_TANGENT[kind]}
         *(V*)L = ln; *(V*)(L + {LANES}) = lt;
+        S* D = row_change.data + (size_t)b * {2 * LANES};
+        *(V*)D = dn; *(V*)(D + {LANES}) = dt;
         most = __builtin_elementwise_max(
             most, __builtin_elementwise_max(__builtin_elementwise_abs(dn), __builtin_elementwise_abs(dt)));
         """,
@@ -209,14 +211,14 @@ for (int b = b0; b < b1; ++b) {{
         const auto mu = rows.data[b * {width} + {mu_at} + l];
         const auto low = {f"rows.data[b * {width} + {lo_at} + l]" if low == "lo" else "0"};
         const auto xn = row_impulse.data[n], xt = row_impulse.data[t];
-        auto yn = xn + alpha * (xn - row_previous.data[n]);
+        auto yn = xn + alpha * row_change.data[n];
         yn = yn > low ? yn : low;
         const auto limit = mu * yn;
-        auto yt = xt + alpha * (xt - row_previous.data[t]);
+        auto yt = xt + alpha * row_change.data[t];
         yt = yt > -limit ? yt : -limit;
         yt = yt < limit ? yt : limit;
         row_impulse.data[n] = yn; row_impulse.data[t] = yt;
-        row_previous.data[n] = yn - xn; row_previous.data[t] = yt - xt;
+        row_change.data[n] = yn - xn; row_change.data[t] = yt - xt;
     }}
 }}
 #else
@@ -227,16 +229,16 @@ const V zero = (S)0;
 for (int b = b0; b < b1; ++b) {{
     const S* R = rows.data + (size_t)b * {width};
     S* X = row_impulse.data + (size_t)b * {2 * LANES};
-    S* P = row_previous.data + (size_t)b * {2 * LANES};
+    S* D = row_change.data + (size_t)b * {2 * LANES};
     const V mu = *(const V*)(R + {mu_at});
     const V low = {f"*(const V*)(R + {lo_at})" if low == "lo" else "zero"};
     const V xn = *(const V*)X, xt = *(const V*)(X + {LANES});
-    const V yn = __builtin_elementwise_max(xn + alpha * (xn - *(const V*)P), low);
+    const V yn = __builtin_elementwise_max(xn + alpha * *(const V*)D, low);
     const V limit = mu * yn;
     const V yt = __builtin_elementwise_min(
-        __builtin_elementwise_max(xt + alpha * (xt - *(const V*)(P + {LANES})), -limit), limit);
+        __builtin_elementwise_max(xt + alpha * *(const V*)(D + {LANES}), -limit), limit);
     *(V*)X = yn; *(V*)(X + {LANES}) = yt;
-    *(V*)P = yn - xn; *(V*)(P + {LANES}) = yt - xt;
+    *(V*)D = yn - xn; *(V*)(D + {LANES}) = yt - xt;
 }}
 #endif
 """
@@ -245,7 +247,7 @@ for (int b = b0; b < b1; ++b) {{
     def extrapolate(
         rows: wp.array(dtype=real),
         row_impulse: wp.array(dtype=real),
-        row_previous: wp.array(dtype=real),
+        row_change: wp.array(dtype=real),
         b0: wp.int32,
         b1: wp.int32,
         alpha: real,
@@ -257,6 +259,7 @@ for (int b = b0; b < b1; ++b) {{
         row_body: wp.array(dtype=wp.int32),
         bodies: wp.array(dtype=vec4),
         row_impulse: wp.array(dtype=real),
+        row_change: wp.array(dtype=real),
         b0: wp.int32,
         b1: wp.int32,
         omega: real,
@@ -286,17 +289,17 @@ for (int b = b0; b < b1; ++b) {{
     return {"sweep": sweep, "apply": apply, "push": push, "extrapolate": extrapolate}
 
 
-_DISTANCE2 = """
+_SQUARES = """
 #if defined(__CUDA_ARCH__)
 S_TYPE out = 0;
-for (int i = i0; i < i1; ++i) { const S_TYPE d = x.data[i] - y.data[i]; out += d * d; }
+for (int i = i0; i < i1; ++i) out += x.data[i] * x.data[i];
 return out;
 #else
 #pragma clang fp contract(off)
 typedef S_TYPE V __attribute__((ext_vector_type(8), aligned(4)));
 V sum = (S_TYPE)0;
 for (int i = i0; i < i1; i += 8) {
-    const V d = *(const V*)(x.data + i) - *(const V*)(y.data + i);
+    const V d = *(const V*)(x.data + i);
     sum += d * d;
 }
 return ((sum[0] + sum[1]) + (sum[2] + sum[3])) + ((sum[4] + sum[5]) + (sum[6] + sum[7]));
@@ -308,40 +311,37 @@ _CONJUGATE = """
 #endif
 for (int i = i0; i < i1; ++i) {
     const S_TYPE step = beta * direction.data[i];
-    direction.data[i] = step + (x.data[i] - previous.data[i]);
+    direction.data[i] = step + change.data[i];
     x.data[i] += step;
-    previous.data[i] = step;
+    change.data[i] = step;
 }
 """
 
 
 @cache
 def range_functions(dtype: str) -> dict[str, Any]:
-    """Whole ranges of row impulses i0..i1 (a multiple of 8 long): ``distance2``, ``copy`` and ``conjugate``.
+    """Whole ranges of row impulses i0..i1 (a multiple of 8 long): ``squares`` and ``conjugate``.
 
     ``conjugate`` is a step of nonsmooth nonlinear CG (Silcowitz, Niebe, Erleben 2010): x moves on by beta times the
-    direction, the direction becomes that step plus the last change, and ``previous`` holds what x moved by.
+    direction, the direction becomes that step plus the last change, and ``change`` holds what x moved by.
     """
     real = scalar_types(dtype).real
     name = {"float32": "float", "float64": "double"}[dtype]
 
-    @wp.func_native(_DISTANCE2.replace("S_TYPE", name))
-    def distance2(x: wp.array(dtype=real), y: wp.array(dtype=real), i0: wp.int32, i1: wp.int32) -> real: ...
-
-    @wp.func_native("for (int i = i0; i < i1; ++i) to.data[i] = source.data[i];")
-    def copy(to: wp.array(dtype=real), source: wp.array(dtype=real), i0: wp.int32, i1: wp.int32): ...
+    @wp.func_native(_SQUARES.replace("S_TYPE", name))
+    def squares(x: wp.array(dtype=real), i0: wp.int32, i1: wp.int32) -> real: ...
 
     @wp.func_native(_CONJUGATE.replace("S_TYPE", name))
     def conjugate(
         x: wp.array(dtype=real),
-        previous: wp.array(dtype=real),
+        change: wp.array(dtype=real),
         direction: wp.array(dtype=real),
         i0: wp.int32,
         i1: wp.int32,
         beta: real,
     ): ...
 
-    return {"distance2": distance2, "copy": copy, "conjugate": conjugate}
+    return {"squares": squares, "conjugate": conjugate}
 
 
 @wp.func_native("""

@@ -113,7 +113,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
                 before = vertices[first + 2]
                 beyond = vertices[first + 3]
                 if corner == 0 and (before[0] != q[0] or before[1] != q[1]):
-                    if wp.dot(d, q - before) <= real(0.0):
+                    if wp.dot(d, q - before) < real(-1e-4) * distance * wp.length(q - before):
                         m.count = 0
                 if corner == 1 and (beyond[0] != q[0] or beyond[1] != q[1]):
                     m.count = 0
@@ -162,6 +162,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
     def clip(
         edge: int,
         flip: bool,
+        forced: bool,
         separation: real,
         slack: real,
         # reference hull (its frame is used):
@@ -178,7 +179,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         vertices: wp.array(dtype=vec2),
         vertex_normals: wp.array(dtype=vec2),
     ):
-        """Manifold on a reference edge: the incident edge clipped to it, or the closest corners."""
+        """Manifold on a reference edge: the incident edge clipped to it, or the closest corners unless forced."""
         m = Manifold()
         r1 = edge
         r2 = edge + 1
@@ -208,33 +209,6 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         u2 = wp.dot(q2 - p1, along)
         radii = radius1 + radius2
         m.normal = normal
-        # closest corners: cores apart, and the incident edge's near end lies beyond an end of the reference edge
-        if wp.max(u1, u2) <= real(0.0) or wp.min(u1, u2) >= length or separation > slack:
-            ref = r1
-            pr = p1
-            if u1 + u2 > length:
-                ref = r2
-                pr = p2
-            inc = i1
-            qi = q1
-            other = q2
-            if wp.length_sq(q2 - pr) < wp.length_sq(q1 - pr):
-                inc = i2
-                qi = q2
-                other = q1
-            d = qi - pr
-            outside = wp.dot(qi - pr, along)
-            beyond = (ref == r1 and outside < real(0.0)) or (ref == r2 and outside > real(0.0))
-            # the reference corner must not see the inside of the incident edge
-            sees = wp.dot(-d, other - qi) <= real(0.0)
-            distance = wp.length(d)
-            if beyond and sees and distance > slack:
-                m.count = 1
-                m.normal = d / distance
-                m.gap0 = distance - radii
-                m.point0 = pr + m.normal * (radius1 + real(0.5) * m.gap0)
-                m.feature0 = feature_of(ref, inc, flip)
-                return m
         # clip both ends of the incident edge to the reference edge; a degenerate clip keeps the nearer end
         w1 = wp.clamp(u1, real(0.0), length)
         w2 = wp.clamp(u2, real(0.0), length)
@@ -246,6 +220,34 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
             k2 = q1 + (q2 - q1) * ((w2 - u1) / span)
         g1 = wp.dot(normal, k1 - p1)
         g2 = wp.dot(normal, k2 - p1)
+        outside = wp.max(u1, u2) < real(0.0) or wp.min(u1, u2) > length
+        if forced and outside:
+            return m  # what lies past the end of a chain's segment is its neighbour's
+        if (outside and (separation > slack or (n1 == 2 and n2 == 2))) or (
+            separation > slack and wp.min(g1, g2) > separation + slack
+        ):
+            # cores apart, and the nearest point of the incident hull does not face the edge: two corners are closest
+            nearest = real(1e30)
+            ref = int(0)
+            inc = int(0)
+            apart = x
+            for j in range(n2):
+                qj = rotate(c, s, vertices[first2 + j]) + x
+                for i in range(n1):
+                    between = qj - vertices[first1 + i]
+                    squared = wp.length_sq(between)
+                    if squared < nearest:
+                        nearest = squared
+                        ref = i
+                        inc = j
+                        apart = between
+            distance = wp.sqrt(nearest)
+            m.count = 1
+            m.normal = apart / distance
+            m.gap0 = distance - radii
+            m.point0 = vertices[first1 + ref] + m.normal * (radius1 + real(0.5) * m.gap0)
+            m.feature0 = feature_of(ref, inc, flip)
+            return m
         half = real(0.5) * (radius1 - radius2)
         m.count = 2
         m.gap0 = g1 - radii
@@ -255,6 +257,16 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         # the incident edge runs against the reference edge: its first end meets the reference's second
         m.feature0 = feature_of(r2, i1, flip)
         m.feature1 = feature_of(r1, i2, flip)
+        if outside:
+            # deep overlap past the edge's end: the support vertex itself, not a point of its edge's extension
+            k1 = q1
+            k2 = q2
+            g1 = wp.dot(normal, q1 - p1)
+            g2 = wp.dot(normal, q2 - p1)
+            m.gap0 = g1 - radii
+            m.gap1 = g2 - radii
+            m.point0 = k1 + normal * (half - real(0.5) * g1)
+            m.point1 = k2 + normal * (half - real(0.5) * g2)
         if w1 == w2 or wp.abs(span) <= epsilon * length:
             # one point only: the deeper end
             m.count = 1
@@ -292,7 +304,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         # prefer A's edge, so that round-off does not switch between the two
         if sep_b > sep_a + slack:
             m = clip(
-                edge_b, True, sep_b, slack, first_b, n_b, radius_b, first_a, n_a, radius_a, c, -s, back,
+                edge_b, True, False, sep_b, slack, first_b, n_b, radius_b, first_a, n_a, radius_a, c, -s, back,
                 vertices, vertex_normals,
             )  # fmt: skip
             m.normal = -rotate(c, s, m.normal)
@@ -300,7 +312,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
             m.point1 = rotate(c, s, m.point1) + x
         else:
             m = clip(
-                edge_a, False, sep_a, slack, first_a, n_a, radius_a, first_b, n_b, radius_b, c, s, x,
+                edge_a, False, False, sep_a, slack, first_a, n_a, radius_a, first_b, n_b, radius_b, c, s, x,
                 vertices, vertex_normals,
             )  # fmt: skip
         if segment:
@@ -327,29 +339,13 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
                     if turn <= real(0.0):
                         bad = True
                     else:
-                        # between: on the inner side of both normals' half circles
-                        bad = cross(theirs, m.normal) * cross(theirs, own) < real(0.0)
+                        # between: no farther from this segment's normal than the neighbour's is
+                        bad = wp.dot(m.normal, own) * wp.length(theirs) < wp.dot(theirs, own)
             if bad:
-                low = real(1e30)
-                turned = rotate_back(c, s, own)
-                for j in range(n_b):
-                    low = wp.min(low, wp.dot(turned, vertices[first_b + j]))
-                separation = low + wp.dot(own, x - v1)
                 m = clip(
-                    face, False, separation, real(1e30), first_a, n_a, radius_a, first_b, n_b, radius_b, c, s, x,
+                    face, False, True, real(0.0), real(1e30), first_a, n_a, radius_a, first_b, n_b, radius_b, c, s, x,
                     vertices, vertex_normals,
                 )  # fmt: skip
-                q = rotate(c, s, vertices[first_b]) + x
-                # a hull that only reaches past the end of this segment is its neighbour's
-                lo = wp.dot(q - v1, v2 - v1)
-                hi = lo
-                for j in range(1, n_b):
-                    q = rotate(c, s, vertices[first_b + j]) + x
-                    u = wp.dot(q - v1, v2 - v1)
-                    lo = wp.min(lo, u)
-                    hi = wp.max(hi, u)
-                if hi <= real(0.0) or lo >= wp.length_sq(v2 - v1):
-                    m.count = 0
         return m
 
     return SimpleNamespace(

@@ -99,6 +99,7 @@ def row_functions(dtype: str, variant: str) -> dict[str, Any]:
         row_body: wp.array(dtype=wp.int32),
         bodies: wp.array(dtype=vec4),
         row_impulse: wp.array(dtype=real),
+        row_change: wp.array(dtype=real),
         omega: real,
     ):
         """Projected Gauss-Seidel on one row, normal before friction; the larger impulse change [N s]."""
@@ -128,6 +129,8 @@ def row_functions(dtype: str, variant: str) -> dict[str, Any]:
         bodies[b] = tangent_change(rows, r, vb, 1, dt)
         row_impulse[i] = ln
         row_impulse[i + N_LANES] = lt
+        row_change[i] = dn
+        row_change[i + N_LANES] = dt
         return wp.max(wp.abs(dn), wp.abs(dt))
 
     @wp.func(module=module)
@@ -161,6 +164,7 @@ def row_functions(dtype: str, variant: str) -> dict[str, Any]:
         bodies: wp.array(dtype=vec4),
         body_rows: wp.array(dtype=wp.int32),
         row_impulse: wp.array(dtype=real),
+        row_change: wp.array(dtype=real),
         summed: wp.array(dtype=vec4),
         omega: real,
     ):
@@ -197,6 +201,8 @@ def row_functions(dtype: str, variant: str) -> dict[str, Any]:
         summed[b] = tangent_change(rows, r, normal_change(rows, r, summed[b], 1, dn), 1, dt)
         row_impulse[i] = ln
         row_impulse[i + N_LANES] = lt
+        row_change[i] = dn
+        row_change[i + N_LANES] = dt
         return wp.max(wp.abs(dn), wp.abs(dt))
 
     @wp.func(module=module)
@@ -276,7 +282,7 @@ def row_functions(dtype: str, variant: str) -> dict[str, Any]:
         zn = ln - e * (un + mu * wp.abs(ut))
         zt = lt - e * ut
         size = wp.abs(zt)
-        if size > mu * zn:
+        if zn < real(0.0) or size > mu * zn:
             if mu * size <= -zn:
                 zn = real(0.0)
                 zt = real(0.0)

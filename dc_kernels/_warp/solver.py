@@ -60,6 +60,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         period_max: int,
         cap: real,
         threshold: real,
+        patience: int,
         # Model, state, joints, contacts:
         body_start: wp.array(dtype=wp.int32),
         flags: wp.array(dtype=wp.int32),
@@ -79,7 +80,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         body_rows: wp.array(dtype=wp.int32),
         # Scratch:
         summed: wp.array(dtype=vec4),
-        row_previous: wp.array(dtype=real),
+        row_change: wp.array(dtype=real),
         row_direction: wp.array(dtype=real),
         counters: wp.array(dtype=wp.int32),
         norms: wp.array(dtype=real),
@@ -96,21 +97,21 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if flags[w] != 0:
             return
         start_world(
-            w, period_min, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count, slot,
-            impulse, predicted, color_block, rows, row_body, solved, row_impulse, counters, norms,
+            w, period_min, period_max, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count,
+            slot, impulse, predicted, color_block, rows, row_body, solved, row_impulse, counters, norms,
         )  # fmt: skip
         done = int(0)
         if max_sweeps == 0 or color_block[w * ENDS] == color_block[w * ENDS + N_COLORS]:
             done = 1
         while done == 0:
-            prepare_sweep(
-                w, method, acceleration, body_start, color_block, solved, summed, row_impulse, row_previous, counters
+            prepare_sweep(w, method, body_start, solved, summed)
+            largest = sweep_world(
+                w, method, omega, color_block, rows, row_body, body_rows, solved, summed, row_impulse, row_change
             )
-            largest = sweep_world(w, method, omega, color_block, rows, row_body, body_rows, solved, summed, row_impulse)
             done = conclude_sweep(
                 w, largest, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min, period_max,
-                cap, threshold, body_start, color_block, rows, row_body, row_scale, solved, summed, row_impulse,
-                row_previous, row_direction, counters, norms, history,
+                cap, threshold, patience, body_start, color_block, rows, row_body, row_scale, solved, summed,
+                row_impulse, row_change, row_direction, counters, norms, history,
             )  # fmt: skip
         done_sweeps = counters[w * N_COUNTERS]
         sweeps[w] = done_sweeps
@@ -123,6 +124,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     def begin(
         world_offset: int,
         period_min: int,
+        period_max: int,
         max_sweeps: int,
         body_start: wp.array(dtype=wp.int32),
         flags: wp.array(dtype=wp.int32),
@@ -148,8 +150,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if flags[w] != 0:
             return
         start_world(
-            w, period_min, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count, slot,
-            impulse, predicted, color_block, rows, row_body, solved, row_impulse, counters, norms,
+            w, period_min, period_max, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count,
+            slot, impulse, predicted, color_block, rows, row_body, solved, row_impulse, counters, norms,
         )  # fmt: skip
         if max_sweeps == 0 or color_block[w * ENDS] == color_block[w * ENDS + N_COLORS]:
             counters[w * N_COUNTERS + 3] = 1
@@ -158,14 +160,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     def before_sweep(
         world_offset: int,
         method: int,
-        acceleration: int,
         body_start: wp.array(dtype=wp.int32),
         flags: wp.array(dtype=wp.int32),
-        color_block: wp.array(dtype=wp.int32),
         solved: wp.array(dtype=vec4),
         summed: wp.array(dtype=vec4),
-        row_impulse: wp.array(dtype=real),
-        row_previous: wp.array(dtype=real),
         counters: wp.array(dtype=wp.int32),
         norms: wp.array(dtype=real),
     ):
@@ -173,9 +171,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         w = wp.tid() + world_offset
         if flags[w] != 0 or counters[w * N_COUNTERS + 3] != 0:
             return
-        prepare_sweep(
-            w, method, acceleration, body_start, color_block, solved, summed, row_impulse, row_previous, counters
-        )
+        prepare_sweep(w, method, body_start, solved, summed)
         norms[w * N_NORMS] = real(0.0)
 
     @wp.kernel(module=module, enable_backward=False)
@@ -192,6 +188,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         solved: wp.array(dtype=vec4),
         summed: wp.array(dtype=vec4),
         row_impulse: wp.array(dtype=real),
+        row_change: wp.array(dtype=real),
         counters: wp.array(dtype=wp.int32),
         norms: wp.array(dtype=real),
     ):
@@ -213,10 +210,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             lane = k % N_LANES
             if method == JACOBI:
                 change = wp.max(
-                    change, jacobi_row(block, lane, rows, row_body, solved, body_rows, row_impulse, summed, omega)
+                    change,
+                    jacobi_row(block, lane, rows, row_body, solved, body_rows, row_impulse, row_change, summed, omega),
                 )
             else:
-                change = wp.max(change, sweep_row(block, lane, rows, row_body, solved, row_impulse, omega))
+                change = wp.max(change, sweep_row(block, lane, rows, row_body, solved, row_impulse, row_change, omega))
         if change > real(0.0):
             wp.atomic_max(norms, w * N_NORMS, change)
 
@@ -233,6 +231,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         period_max: int,
         cap: real,
         threshold: real,
+        patience: int,
         body_start: wp.array(dtype=wp.int32),
         flags: wp.array(dtype=wp.int32),
         color_block: wp.array(dtype=wp.int32),
@@ -240,7 +239,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         row_body: wp.array(dtype=wp.int32),
         row_scale: wp.array(dtype=real),
         summed: wp.array(dtype=vec4),
-        row_previous: wp.array(dtype=real),
+        row_change: wp.array(dtype=real),
         row_direction: wp.array(dtype=real),
         solved: wp.array(dtype=vec4),
         row_impulse: wp.array(dtype=real),
@@ -254,8 +253,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             return
         conclude_sweep(
             w, norms[w * N_NORMS], method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
-            period_max, cap, threshold, body_start, color_block, rows, row_body, row_scale, solved, summed,
-            row_impulse, row_previous, row_direction, counters, norms, history,
+            period_max, cap, threshold, patience, body_start, color_block, rows, row_body, row_scale, solved, summed,
+            row_impulse, row_change, row_direction, counters, norms, history,
         )  # fmt: skip
 
     @wp.kernel(module=module, enable_backward=False)
