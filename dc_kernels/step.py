@@ -156,6 +156,7 @@ class Simulation:
         self.values: dict[str, Any] = {
             "margin_factor": config.margin,
             "speculative_factor": config.speculative,
+            "speculative_limit": config.speculative_max,
             "slack_factor": _SLACK * config.slop,
             "slop_factor": config.slop,
             "baumgarte": baumgarte,

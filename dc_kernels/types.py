@@ -194,6 +194,7 @@ ROWS = _table(
 
 MOTION = _table(
     ("step_dt", "world", "real", "s", "time step"),
+    ("reach", "world", "real", "m", "speculative distance of the step"),
     ("predicted", "body+1", "vec4", "m/s", "velocity with forces applied, spin [rad/s], inverse mass [1/kg]"),
     ("solved", "body+1", "vec4", "m/s", "velocity with impulses applied"),
     ("summed", "body sum", "vec4", "m/s", "velocity that Jacobi adds up"),
@@ -257,6 +258,8 @@ class SolverConfig:
     """Largest overlap corrected at once [length_scale]."""
     speculative: float = 0.02
     """A gap below this is a contact, as is one that closes within the step [length_scale]."""
+    speculative_max: float = 0.1
+    """The same where bodies are fast: what the fastest moves in a step, up to this [length_scale]."""
     margin: float = 0.08
     """Broadphase boxes are this much larger on each side, so that pairs last several steps [length_scale]."""
     restitution_threshold: float = 1.0
@@ -291,6 +294,7 @@ class SolverConfig:
             "slop": (0.0, float("inf"), True),
             "max_correction": (0.0, float("inf"), False),
             "speculative": (0.0, float("inf"), True),
+            "speculative_max": (0.0, float("inf"), True),
             "margin": (0.0, float("inf"), True),
             "restitution_threshold": (0.0, float("inf"), True),
         }

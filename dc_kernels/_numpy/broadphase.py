@@ -19,7 +19,6 @@ def update_pairs(
     tid: int,
     world_offset: int,
     margin_factor: float,
-    speculative_factor: float,
     shape_start: Array,
     length_scale: Array,
     cell_size: Array,
@@ -37,6 +36,7 @@ def update_pairs(
     angle: Array,
     flags: Array,
     step_dt: Array,
+    reach: Array,
     predicted: Array,
     bucket_start: Array,
     bucket: Array,
@@ -61,7 +61,7 @@ def update_pairs(
     if flags[w]:
         return
     dt = step_dt[w]
-    pad = 0.5 * speculative_factor * length_scale[w]  # on each side: a pair closer than the speculative distance counts
+    pad = 0.5 * reach[w]  # on each side: a pair closer than the speculative distance counts
 
     def swept_box(shape: int, steps: float, extra: float) -> Array:
         """Box of a shape over ``steps`` time steps, plus a margin."""

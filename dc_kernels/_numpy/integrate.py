@@ -18,7 +18,10 @@ def kernels(dtype: str) -> Kernels:
 def predict(
     tid: int,
     world_offset: int,
+    speculative_factor: float,
+    speculative_limit: float,
     body_start: Array,
+    length_scale: Array,
     gravity: Array,
     body_type: Array,
     inv_mass: Array,
@@ -30,8 +33,9 @@ def predict(
     step_dt: Array,
     flags: Array,
     predicted: Array,
+    reach: Array,
 ) -> None:
-    """Velocities with forces and gravity applied; the fourth component is the inverse mass."""
+    """Velocities with forces and gravity applied, with the inverse mass; what the fastest body covers in the step."""
     w = tid + world_offset
     if flags[w]:
         return
@@ -47,8 +51,11 @@ def predict(
                 v = velocity[b] + (gravity[w] + force[b] * inv_mass[b]) * dt
                 spin = angular_velocity[b] + torque[b] * inv_inertia[b] * dt
                 predicted[b] = [*v, spin, inv_mass[b]]
+        fastest = np.sqrt((predicted[bodies, :2] ** 2).sum(axis=1).max(initial=0.0))
     if not np.isfinite(predicted[bodies, :3]).all():
         flags[w] = Flag.NONFINITE
+        return
+    reach[w] = max(min(fastest * dt, speculative_limit * length_scale[w]), speculative_factor * length_scale[w])
 
 
 def displace(

@@ -7,6 +7,7 @@ its shapes and turned to world axes at the end.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,10 +77,12 @@ def hull_disc(hull: Hull, p: Array, r: Any, epsilon: float) -> Manifold:
         distance = length(d)
         if distance > epsilon * (hull.radius + r):
             normal = d / distance
-        # what lies beyond an end of a segment is its neighbour's; what only the corner sees is the later segment's
-        if corner == 0 and hull.before is not None and dot(d, hull.vertices[0] - hull.before) < 0:
-            return Manifold(normal, [])
-        if corner == 1 and hull.beyond is not None and dot(d, hull.vertices[1] - hull.vertices[0]) >= 0:
+        # a chain's corner is the later segment's, unless the earlier one's edge faces the disc
+        if corner == 0 and hull.before is not None:
+            before = hull.vertices[0] - hull.before
+            if dot(d, before) < -1e-4 * distance * length(before):
+                return Manifold(normal, [])
+        if corner == 1 and hull.beyond is not None:
             return Manifold(normal, [])
     gap = distance - hull.radius - r
     return Manifold(normal, [(p - normal * (r + 0.5 * gap), gap, 0)])
@@ -92,10 +95,24 @@ def max_separation(hull: Hull, other: Hull) -> tuple[Any, int]:
     return distance[edge], edge
 
 
-def clip(edge: int, flip: bool, separation: Any, slack: Any, one: Hull, two: Hull, epsilon: float) -> Manifold:
+def closest_corners(one: Hull, two: Hull, feature: Callable[[int, int], int]) -> Manifold:
+    """One point between the nearest vertices of two hulls that are apart, along the line that joins them."""
+    between = two.vertices[:, None] - one.vertices
+    of_two, of_one = np.unravel_index(np.argmin(dot(between, between)), between.shape[:2])
+    d = between[of_two, of_one]
+    gap = length(d) - one.radius - two.radius
+    n = d / length(d)
+    at = one.vertices[of_one] + n * (one.radius + 0.5 * gap)
+    return Manifold(n, [(at, gap, feature(int(of_one), int(of_two)))])
+
+
+def clip(
+    edge: int, flip: bool, forced: bool, separation: Any, slack: Any, one: Hull, two: Hull, epsilon: float
+) -> Manifold:
     """Manifold on an edge of hull one: the incident edge of hull two clipped to it, or the closest corners.
 
-    Both hulls are in the same frame; ``flip``: hull one is the pair's second shape, which orders the feature.
+    Both hulls are in the same frame; ``flip``: hull one is the pair's second shape, which orders the feature;
+    ``forced``: the normal has to be the edge's, and what lies past its ends is not its own.
     """
 
     def feature(of_one: int, of_two: int) -> int:
@@ -111,22 +128,20 @@ def clip(edge: int, flip: bool, separation: Any, slack: Any, one: Hull, two: Hul
     along = (p2 - p1) / size
     u1, u2 = dot(q1 - p1, along), dot(q2 - p1, along)
     radii = one.radius + two.radius
-    if max(u1, u2) <= 0 or min(u1, u2) >= size or separation > slack:
-        # cores apart: two corners may be closest, if each lies beyond the end of the other's edge
-        ref, pr = (r2, p2) if u1 + u2 > size else (r1, p1)
-        nearer = length(q2 - pr) < length(q1 - pr)
-        inc, qi, other = (i2, q2, q1) if nearer else (i1, q1, q2)
-        d = qi - pr
-        outside = dot(d, along)
-        beyond = outside < 0 if ref == r1 else outside > 0
-        if beyond and dot(-d, other - qi) <= 0 and length(d) > slack:
-            gap = length(d) - radii
-            n = d / length(d)
-            return Manifold(n, [(pr + n * (one.radius + 0.5 * gap), gap, feature(ref, inc))])
+    outside = max(u1, u2) < 0 or min(u1, u2) > size
+    if forced and outside:
+        return Manifold(normal, [])
     w1, w2 = np.clip([u1, u2], 0.0, size)
     span = u2 - u1
     upright = abs(span) <= epsilon * size
     k1, k2 = (q1, q2) if upright else (q1 + (q2 - q1) * ((w1 - u1) / span), q1 + (q2 - q1) * ((w2 - u1) / span))
+    # how far the edge is from what it faces: farther than the separation if the nearest point lies beside it
+    faced = min(dot(normal, k1 - p1), dot(normal, k2 - p1))
+    segments = len(one.vertices) == len(two.vertices) == 2  # past the end of one another they cannot overlap
+    if (separation > slack and (outside or faced > separation + slack)) or (outside and segments):
+        return closest_corners(one, two, feature)
+    if outside:  # deep overlap: the incident edge's own ends, not points of its extension
+        k1, k2 = q1, q2
     points = []
     # the incident edge runs against the reference edge: its first end meets the reference's second
     for k, f in ((k1, feature(r2, i1)), (k2, feature(r1, i2))):
@@ -145,18 +160,13 @@ def hull_hull(a: Hull, b: Hull, reach: Any, slack: Any, epsilon: float) -> Manif
         return Manifold(a.normals[edge_a], [])
     # prefer A's edge, so that round-off does not switch between the two
     if separation_b > separation_a + slack:
-        m = clip(edge_b, True, separation_b, slack, b, a, epsilon)
+        m = clip(edge_b, True, False, separation_b, slack, b, a, epsilon)
         m.normal = -m.normal
     else:
-        m = clip(edge_a, False, separation_a, slack, a, b, epsilon)
+        m = clip(edge_a, False, False, separation_a, slack, a, b, epsilon)
     if m.points and catches_corner(a, m.normal):
-        # the segment's own edge is the reference, unless the hull only reaches past one of its ends
-        v1, v2 = a.vertices
         face = 0 if dot(a.normals[0], m.normal) >= 0 else 1
-        u = dot(b.vertices - v1, v2 - v1)
-        if u.max() <= 0 or u.min() >= dot(v2 - v1, v2 - v1):
-            return Manifold(a.normals[face], [])
-        m = clip(face, False, dot(a.normals[face], b.vertices - v1).min(), np.inf, a, b, epsilon)
+        m = clip(face, False, True, 0.0, np.inf, a, b, epsilon)
     return m
 
 
@@ -176,7 +186,8 @@ def catches_corner(segment: Hull, normal: Array) -> bool:
     if turn <= 0:
         return True  # a hollow or flat corner has no normals of its own
     theirs = side * np.array([neighbour[1], -neighbour[0]])
-    return bool(cross(theirs, normal) * cross(theirs, own) < 0)
+    # farther from this segment's normal than the neighbour's is
+    return bool(dot(normal, own) * length(theirs) < dot(theirs, own))
 
 
 def kernels(dtype: str, only_discs: bool) -> Kernels:
@@ -191,7 +202,6 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
     def narrowphase(
         tid: int,
         world_offset: int,
-        speculative_factor: float,
         slack_factor: float,
         shape_start: Array,
         length_scale: Array,
@@ -208,6 +218,7 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
         position: Array,
         angle: Array,
         step_dt: Array,
+        reach: Array,
         predicted: Array,
         pair_start: Array,
         pair_count: Array,
@@ -263,10 +274,10 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
             hull_b = hull_of(b).placed(relative, rotate(turn_a.T, xb - xa))
             va, vb = predicted[shape_body[a]], predicted[shape_body[b]]
             spin = sum(abs(v[2]) * (length(shape_center[s]) + shape_extent[s]) for v, s in ((va, a), (vb, b)))
-            reach = speculative + step_dt[w] * (length(vb - va) + spin)
-            return hull_hull(hull_of(a), hull_b, reach, slack, epsilon).placed(turn_a, xa)
+            within = speculative + step_dt[w] * (length(vb - va) + spin)
+            return hull_hull(hull_of(a), hull_b, within, slack, epsilon).placed(turn_a, xa)
 
-        speculative = speculative_factor * length_scale[w]
+        speculative = reach[w]
         slack = slack_factor * length_scale[w]
         found = []
         for pair in range(pair_start[w], pair_start[w] + pair_count[w]):

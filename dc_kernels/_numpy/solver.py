@@ -18,7 +18,7 @@ HUGE = 3e38
 TINY = 1e-30
 
 
-def sweep_row(row: Row, bodies: Array, row_impulse: Array, omega: float) -> Any:
+def sweep_row(row: Row, bodies: Array, row_impulse: Array, row_change: Array, omega: float) -> Any:
     """Projected Gauss-Seidel on one row, normal before friction; the larger impulse change [N s]."""
     impulse = by_lane(row_impulse)[row.at]
     before = impulse.copy()
@@ -31,10 +31,13 @@ def sweep_row(row: Row, bodies: Array, row_impulse: Array, omega: float) -> Any:
     impulse[1] = min(max(before[1] - omega * row.effective_mass[1] * speed, -limit), limit)
     change[1] = impulse[1] - before[1]
     row.change(bodies, change)
+    by_lane(row_change)[row.at] = change
     return abs(change).max()
 
 
-def jacobi_row(row: Row, bodies: Array, body_rows: Array, row_impulse: Array, summed: Array, omega: float) -> Any:
+def jacobi_row(
+    row: Row, bodies: Array, body_rows: Array, row_impulse: Array, row_change: Array, summed: Array, omega: float
+) -> Any:
     """Jacobi with mass splitting (Tonge et al. 2012): a row meets 1/n of a body that n rows act on.
 
     Velocities are read from ``bodies`` and the changes added to ``summed``: the average over a body's shares.
@@ -50,8 +53,10 @@ def jacobi_row(row: Row, bodies: Array, body_rows: Array, row_impulse: Array, su
     if k[1, 1] > 0:
         mixed = k[1, 0] * (impulse[0] - before[0])
         impulse[1] = min(max(before[1] - omega * (speed[1] + mixed) / k[1, 1], -limit), limit)
-    row.change(summed, impulse - before)
-    return abs(impulse - before).max()
+    change = impulse - before
+    row.change(summed, change)
+    by_lane(row_change)[row.at] = change
+    return abs(change).max()
 
 
 def push_row(row: Row, bodies: Array, factor: float, limit: Any) -> Any:
@@ -108,6 +113,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
     def start_world(
         w: int,
         period: int,
+        period_max: int,
         world: list[Row],
         body_start: Array,
         joint_start: Array,
@@ -135,26 +141,11 @@ def kernels(dtype: str, variant: str) -> Kernels:
         row_impulse[joint_slot[joints]] = joint_impulse[joints]
         for row in world:
             row.change(solved, by_lane(row_impulse)[row.at])
-        counters[w * COUNTERS : (w + 1) * COUNTERS] = 0, 0, period, 0
-        norms[w * NORMS : (w + 1) * NORMS] = 0.0, HUGE, HUGE, 0.0
+        counters[w * COUNTERS : (w + 1) * COUNTERS] = 0, 0, period, 0, 0, 2 * period_max
+        norms[w * NORMS : (w + 1) * NORMS] = 0.0, HUGE, HUGE, HUGE
 
-    def prepare_sweep(
-        w: int,
-        method: int,
-        acceleration: int,
-        body_start: Array,
-        color_block: Array,
-        solved: Array,
-        summed: Array,
-        row_impulse: Array,
-        row_previous: Array,
-        counters: Array,
-    ) -> None:
-        """Keep the impulses before a sweep whose step is measured; a place to sum up Jacobi's changes."""
-        _, inside, period, _ = counters[w * COUNTERS : (w + 1) * COUNTERS]
-        used = blocks_of(w, color_block)
-        if acceleration == NNCG or (acceleration == AITKEN and inside >= period - 2):
-            by_lane(row_previous)[used] = by_lane(row_impulse)[used]
+    def prepare_sweep(w: int, method: int, body_start: Array, solved: Array, summed: Array) -> None:
+        """A place to sum up Jacobi's changes."""
         if method == JACOBI:
             bodies = slice(body_start[w], body_start[w + 1])
             summed[bodies] = solved[bodies]
@@ -173,13 +164,14 @@ def kernels(dtype: str, variant: str) -> Kernels:
         period_max: int,
         cap: float,
         threshold: float,
+        patience: int,
         body_start: Array,
         color_block: Array,
         row_scale: Array,
         solved: Array,
         summed: Array,
         row_impulse: Array,
-        row_previous: Array,
+        row_change: Array,
         row_direction: Array,
         counters: Array,
         norms: Array,
@@ -205,48 +197,54 @@ def kernels(dtype: str, variant: str) -> Kernels:
         if counter[3]:
             return
         used = blocks_of(w, color_block)
-        x, previous = by_lane(row_impulse)[used], by_lane(row_previous)[used]
+        x, change = by_lane(row_impulse)[used], by_lane(row_change)[used]
         if acceleration == AITKEN:
             counter[1] += 1
             if counter[1] == counter[2] - 1:
-                norm[1] = np.sum((x - previous) ** 2)
+                norm[1] = np.sum(change**2)
             if counter[1] >= counter[2]:
-                now = np.sum((x - previous) ** 2)
+                now = np.sum(change**2)
                 if now < norm[1]:
                     ratio = np.sqrt(now / norm[1])
                     # the limit of the geometric series, if it is not too far away
                     alpha = ratio / (1.0 - ratio) if ratio < cap * (1.0 - ratio) else cap
-                    target = x + alpha * (x - previous)
                     for row in world:
-                        change = by_lane(row_previous)[row.at]
-                        block, _, lane = row.at
-                        new = target[block - used.start, :, lane]
+                        impulse, move = by_lane(row_impulse)[row.at], by_lane(row_change)[row.at]
+                        new = impulse + alpha * move
                         new[0] = max(new[0], row.low)
                         limit = row.friction * new[0]
                         new[1] = min(max(new[1], -limit), limit)
-                        change[:] = new - by_lane(row_impulse)[row.at]
-                        by_lane(row_impulse)[row.at] = new
-                        row.change(solved, change)
+                        move[:] = new - impulse
+                        impulse[:] = new
+                        row.change(solved, move)
                 if now > threshold * threshold * norm[2]:
                     counter[2] = min(2 * counter[2], period_max)
                 else:
                     counter[2] = max(period_min, counter[2] // 2)
                 norm[2] = now
                 counter[1] = 0
+                counter[4] += 1
+                if now < norm[3]:
+                    norm[3] = now
+                    counter[4] = 0
+                if counter[4] >= patience:  # the extrapolation cycles: plain sweeps, each time twice as many
+                    counter[1] = -counter[5]
+                    counter[5] *= 2
+                    counter[4] = 0
         if acceleration == NNCG:
-            now = np.sum((x - previous) ** 2)
+            now = np.sum(change**2)
             beta = x.dtype.type(0)
             if counter[0] > 1 and now <= norm[2] and norm[2] > 0:
                 beta = now / norm[2]
             norm[2] = now
             direction = by_lane(row_direction)[used]
             step = beta * direction
-            direction[:] = step + (x - previous)
+            direction[:] = step + change
             x += step
-            previous[:] = step
+            change[:] = step
             if beta > 0:
                 for row in world:
-                    row.change(solved, by_lane(row_previous)[row.at])
+                    row.change(solved, by_lane(row_change)[row.at])
 
     def solve_world(
         tid: int,
@@ -262,6 +260,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         period_max: int,
         cap: float,
         threshold: float,
+        patience: int,
         body_start: Array,
         flags: Array,
         joint_start: Array,
@@ -278,7 +277,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         row_scale: Array,
         body_rows: Array,
         summed: Array,
-        row_previous: Array,
+        row_change: Array,
         row_direction: Array,
         counters: Array,
         norms: Array,
@@ -295,22 +294,22 @@ def kernels(dtype: str, variant: str) -> Kernels:
             return
         world = world_rows(w, color_block, rows, row_body, predicted)
         start_world(
-            w, period_min, world, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count,
-            slot, impulse, predicted, color_block, solved, row_impulse, counters, norms,
+            w, period_min, period_max, world, body_start, joint_start, joint_slot, joint_impulse, contact_start,
+            contact_count, slot, impulse, predicted, color_block, solved, row_impulse, counters, norms,
         )  # fmt: skip
         done = max_sweeps == 0 or not world
         while not done:
-            prepare_sweep(
-                w, method, acceleration, body_start, color_block, solved, summed, row_impulse, row_previous, counters
-            )
+            prepare_sweep(w, method, body_start, solved, summed)
+            by_lane(row_change)[blocks_of(w, color_block)] = 0.0  # of empty lanes too
             if method == JACOBI:
-                largest = max(jacobi_row(row, solved, body_rows, row_impulse, summed, omega) for row in world)
+                changes = (jacobi_row(row, solved, body_rows, row_impulse, row_change, summed, omega) for row in world)
             else:
-                largest = max(sweep_row(row, solved, row_impulse, omega) for row in world)
+                changes = (sweep_row(row, solved, row_impulse, row_change, omega) for row in world)
+            largest = max(changes)
             conclude_sweep(
                 w, largest, world, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
-                period_max, cap, threshold, body_start, color_block, row_scale, solved, summed, row_impulse,
-                row_previous, row_direction, counters, norms, history,
+                period_max, cap, threshold, patience, body_start, color_block, row_scale, solved, summed, row_impulse,
+                row_change, row_direction, counters, norms, history,
             )  # fmt: skip
             done = counters[w * COUNTERS + 3] != 0
         sweeps[w] = counters[w * COUNTERS]
@@ -322,6 +321,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         tid: int,
         world_offset: int,
         period_min: int,
+        period_max: int,
         max_sweeps: int,
         body_start: Array,
         flags: Array,
@@ -347,8 +347,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
             return
         world = world_rows(w, color_block, rows, row_body, predicted)
         start_world(
-            w, period_min, world, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count,
-            slot, impulse, predicted, color_block, solved, row_impulse, counters, norms,
+            w, period_min, period_max, world, body_start, joint_start, joint_slot, joint_impulse, contact_start,
+            contact_count, slot, impulse, predicted, color_block, solved, row_impulse, counters, norms,
         )  # fmt: skip
         if max_sweeps == 0 or not world:
             counters[w * COUNTERS + 3] = 1
@@ -357,24 +357,18 @@ def kernels(dtype: str, variant: str) -> Kernels:
         tid: int,
         world_offset: int,
         method: int,
-        acceleration: int,
         body_start: Array,
         flags: Array,
-        color_block: Array,
         solved: Array,
         summed: Array,
-        row_impulse: Array,
-        row_previous: Array,
         counters: Array,
         norms: Array,
     ) -> None:
-        """Colour schedule: what a sweep needs to know of the state before it."""
+        """Colour schedule: what precedes a sweep."""
         w = tid + world_offset
         if flags[w] or counters[w * COUNTERS + 3]:
             return
-        prepare_sweep(
-            w, method, acceleration, body_start, color_block, solved, summed, row_impulse, row_previous, counters
-        )
+        prepare_sweep(w, method, body_start, solved, summed)
         norms[w * NORMS] = 0.0
 
     def sweep_color(
@@ -391,6 +385,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         solved: Array,
         summed: Array,
         row_impulse: Array,
+        row_change: Array,
         counters: Array,
         norms: Array,
     ) -> None:
@@ -404,13 +399,15 @@ def kernels(dtype: str, variant: str) -> Kernels:
         if color == SERIAL_COLOR and tid[1] > 0:
             return
         for i in mine:
-            row = read_row(variant, int(first) + i // LANES, i % LANES, rows, row_body, solved)
+            block, lane = int(first) + i // LANES, i % LANES
+            row = read_row(variant, block, lane, rows, row_body, solved)
             if row is None:
+                by_lane(row_change)[block, :, lane] = 0.0
                 continue
             if method == JACOBI:
-                change = jacobi_row(row, solved, body_rows, row_impulse, summed, omega)
+                change = jacobi_row(row, solved, body_rows, row_impulse, row_change, summed, omega)
             else:
-                change = sweep_row(row, solved, row_impulse, omega)
+                change = sweep_row(row, solved, row_impulse, row_change, omega)
             norms[w * NORMS] = max(norms[w * NORMS], change)
 
     def after_sweep(
@@ -426,6 +423,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         period_max: int,
         cap: float,
         threshold: float,
+        patience: int,
         body_start: Array,
         flags: Array,
         color_block: Array,
@@ -433,7 +431,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         row_body: Array,
         row_scale: Array,
         summed: Array,
-        row_previous: Array,
+        row_change: Array,
         row_direction: Array,
         solved: Array,
         row_impulse: Array,
@@ -448,8 +446,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
         world = world_rows(w, color_block, rows, row_body, solved)
         conclude_sweep(
             w, norms[w * NORMS], world, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
-            period_max, cap, threshold, body_start, color_block, row_scale, solved, summed, row_impulse, row_previous,
-            row_direction, counters, norms, history,
+            period_max, cap, threshold, patience, body_start, color_block, row_scale, solved, summed, row_impulse,
+            row_change, row_direction, counters, norms, history,
         )  # fmt: skip
 
     def finish(

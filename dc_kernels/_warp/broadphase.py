@@ -160,7 +160,6 @@ def kernels(dtype: str) -> dict[str, Any]:
     def update_pairs(
         world_offset: int,
         margin_factor: real,
-        speculative_factor: real,
         # Model:
         shape_start: wp.array(dtype=wp.int32),
         length_scale: wp.array(dtype=real),
@@ -180,6 +179,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         angle: wp.array(dtype=real),
         flags: wp.array(dtype=wp.int32),
         step_dt: wp.array(dtype=real),
+        reach: wp.array(dtype=real),
         predicted: wp.array(dtype=vec4),
         # Scratch:
         bucket_start: wp.array(dtype=wp.int32),
@@ -206,7 +206,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         last = shape_start[w + 1]
         dt = step_dt[w]
         # half the speculative distance on each side: a pair closer than it is found
-        pad = real(0.5) * speculative_factor * length_scale[w]
+        pad = real(0.5) * reach[w]
 
         keep = pair_valid[w]
         shape = first
@@ -323,11 +323,11 @@ def kernels(dtype: str) -> dict[str, Any]:
                 upper += 1
                 side = side * real(2.0)
                 if (above & wp.int64(1)) != wp.int64(0):
-                    reach = real(0.5) * side
-                    x0 = int(wp.floor((outer[0] - reach) / side))
-                    x1 = int(wp.floor((outer[2] + reach) / side))
-                    y0 = int(wp.floor((outer[1] - reach) / side))
-                    y1 = int(wp.floor((outer[3] + reach) / side))
+                    half = real(0.5) * side
+                    x0 = int(wp.floor((outer[0] - half) / side))
+                    x1 = int(wp.floor((outer[2] + half) / side))
+                    y0 = int(wp.floor((outer[1] - half) / side))
+                    y1 = int(wp.floor((outer[3] + half) / side))
                     for cy in range(y0, y1 + 1):
                         for cx in range(x0, x1 + 1):
                             at = bucket_of(cx, cy, upper, mask)

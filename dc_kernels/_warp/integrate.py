@@ -39,8 +39,11 @@ def kernels(dtype: str) -> dict[str, Any]:
     @wp.kernel(module=module, enable_backward=False)
     def predict(
         world_offset: int,
+        speculative_factor: real,
+        speculative_limit: real,
         # Model:
         body_start: wp.array(dtype=wp.int32),
+        length_scale: wp.array(dtype=real),
         gravity: wp.array(dtype=vec2),
         body_type: wp.array(dtype=wp.int32),
         inv_mass: wp.array(dtype=real),
@@ -55,8 +58,13 @@ def kernels(dtype: str) -> dict[str, Any]:
         flags: wp.array(dtype=wp.int32),
         # out:
         predicted: wp.array(dtype=vec4),
+        reach: wp.array(dtype=real),
     ):
-        """Velocities with forces and gravity applied; the fourth component is the inverse mass."""
+        """Velocities with forces and gravity applied; the fourth component is the inverse mass.
+
+        ``reach`` is the speculative distance of the step: what the fastest body covers, for whatever it hits may leave
+        as fast, within limits. With a fixed 0.02 instead of up to 0.1 diameters, overlaps at impact reach 65 mm, not 1.
+        """
         w = wp.tid() + world_offset
         if flags[w] != 0:
             return
@@ -64,6 +72,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         g = gravity[w]
         # x - x is 0 for a finite x, NaN for inf and NaN
         check = real(0.0)
+        fastest = real(0.0)
         for b in range(body_start[w], body_start[w + 1]):
             kind = body_type[b]
             if kind == DYNAMIC:
@@ -77,8 +86,12 @@ def kernels(dtype: str) -> dict[str, Any]:
                 predicted[b] = vec4(velocity[b][0], velocity[b][1], angular_velocity[b], real(0.0))
             p = predicted[b]
             check += (p[0] - p[0]) + (p[1] - p[1]) + (p[2] - p[2])
+            fastest = wp.max(fastest, p[0] * p[0] + p[1] * p[1])
         if check != real(0.0):
             flags[w] = NONFINITE
+            return
+        scale = length_scale[w]
+        reach[w] = wp.max(wp.min(wp.sqrt(fastest) * dt, speculative_limit * scale), speculative_factor * scale)
 
     @wp.kernel(module=module, enable_backward=False)
     def displace(

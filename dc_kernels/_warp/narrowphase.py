@@ -51,7 +51,6 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     @wp.kernel(module=module, enable_backward=False)
     def narrowphase(
         world_offset: int,
-        speculative_factor: real,
         slack_factor: real,
         # Model:
         shape_start: wp.array(dtype=wp.int32),
@@ -70,6 +69,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         position: wp.array(dtype=vec2),
         angle: wp.array(dtype=real),
         step_dt: wp.array(dtype=real),
+        reach: wp.array(dtype=real),
         predicted: wp.array(dtype=vec4),
         # Pairs in:
         pair_start: wp.array(dtype=wp.int32),
@@ -97,7 +97,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         if flags[w] != 0:
             return
         dt = step_dt[w]
-        speculative = speculative_factor * length_scale[w]
+        speculative = reach[w]
         slack = slack_factor * length_scale[w]
         shape0 = shape_start[w]
         start = contact_start[w]
@@ -163,11 +163,11 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     dv = vec2(vb[0] - va[0], vb[1] - va[1])
                     arms_a = wp.abs(va[2]) * (wp.length(center_a) + shape_extent[a])
                     arms_b = wp.abs(vb[2]) * (wp.length(center_b) + shape_extent[b])
-                    reach = speculative + dt * (wp.length(dv) + arms_a + arms_b)
+                    within = speculative + dt * (wp.length(dv) + arms_a + arms_b)
                     m = hull_hull(
                         vertex_start[a], hull_size(a, kind_a, vertex_start), kind_a == SEGMENT, ra,
                         vertex_start[b], hull_size(b, kind_b, vertex_start), rb,
-                        c, s, rotate_back(ca, sa, xb - xa), reach, slack, vertices, vertex_normals,
+                        c, s, rotate_back(ca, sa, xb - xa), within, slack, vertices, vertex_normals,
                     )  # fmt: skip
                     m.normal = rotate(ca, sa, m.normal)
                     m.point0 = rotate(ca, sa, m.point0) + xa
