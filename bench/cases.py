@@ -18,8 +18,8 @@ BATCH = 64  # worlds in a batch
 SWEEP_PILES = {2_000: (1_000, 1), 20_000: (10_000, 1), 200_000: (10_000, 10)}
 # Bodies in a world: worlds in the batch.
 SCALING_WORLDS = {100: 64, 1_000: 8, 10_000: 1, 100_000: 1}
-SETTLING = {100: 300, 1_000: 700, 10_000: 1_000, 100_000: 1_600}  # steps until a dropped pile has come to rest
-SETTLING_COPIES = 30  # steps after piles at rest were put side by side
+SETTLING = {100: 300, 1_000: 700, 10_000: 650, 100_000: 1_600}  # steps until a dropped pile has come to rest
+SETTLING_COPIES = 12  # steps after piles at rest were put side by side
 SWEEPS = 30  # at most in a step of a settled pile: enough to keep it at rest from the cache
 
 
