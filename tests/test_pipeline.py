@@ -31,7 +31,7 @@ from pipeline.simulate import (
 
 ROOT = Path(__file__).resolve().parent.parent
 PNG = b"\x89PNG"
-SMALL = evaluate.ProtocolOptions(worlds=2, bodies=8, steps=80)
+SMALL = evaluate.ProtocolOptions(worlds=2, bodies=8, steps=120)
 
 
 @pytest.fixture(scope="module")
@@ -242,13 +242,14 @@ def test_protocol_compares_the_starts(runs):
     assert [run.start for run in runs] == ["none", "builtin", "copy"]
     none, builtin, copy = (run.summary() for run in runs)
     assert none["states"] > 40
-    assert copy["median_sweeps"] <= 2 < builtin["median_sweeps"] < none["median_sweeps"]
+    assert copy["median_sweeps"] <= 2 < builtin["median_sweeps"]
+    assert copy["mean_sweeps"] < builtin["mean_sweeps"] < none["mean_sweeps"]
     assert copy["done_in"]["10"] > 0.7
     assert none["start_error_normal"] > copy["start_error_normal"]
     for run in runs:
         shares = list(run.summary()["done_in"].values())
         assert shares == sorted(shares)
-        assert run.sweeps.shape == (80, 2)
+        assert run.sweeps.shape == (SMALL.steps, SMALL.worlds)
         assert run.decay.shape == (1000,)
 
 
@@ -257,7 +258,7 @@ def test_protocol_is_its_worlds_own_closed_loop(runs):
     config = dc.SolverConfig(acceleration="none")
     sim = dc.Simulation(*Thesis(bodies=8).build(2, evaluate.HELD_OUT_SEED).finalize(), config=config)
     sweeps, contacts = [], []
-    for _ in range(80):
+    for _ in range(SMALL.steps):
         sim.step(0.01)
         sweeps.append(dc.to_numpy(sim.stats.sweeps).copy())
         contacts.append(pressing(sim))
@@ -265,7 +266,7 @@ def test_protocol_is_its_worlds_own_closed_loop(runs):
     np.testing.assert_array_equal(runs[1].contacts, contacts)
     sim = dc.Simulation(*Thesis(bodies=8).build(2, evaluate.HELD_OUT_SEED).finalize(), config=config)
     squares = []
-    for _ in range(80):
+    for _ in range(SMALL.steps):
         sim.step(0.01, start=warmstart.none)
         squares.append(sim.contacts.numpy("impulse")[contact_slots(sim.contacts)[0]].astype(float) ** 2)
     np.testing.assert_allclose(runs[0].start_error, np.concatenate(squares).mean(axis=0), rtol=1e-6)

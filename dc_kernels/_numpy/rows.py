@@ -43,6 +43,9 @@ class Row:
         bodies[self.b, :3] += v[3:]
 
 
+OPEN = 1e6  # a row that lets this many times the gap close within the step never acts
+
+
 def by_lane(array: Array, columns: int = 2) -> Array:
     """A view of shape (blocks, columns, LANES)."""
     return array.reshape(-1, columns, LANES)
@@ -222,15 +225,19 @@ def kernels(dtype: str, variant: str) -> Kernels:
                 bias = g / dt  # the gap may close within the step; a smaller one counts as closed
             elif baumgarte > 0 and g < -slop:
                 bias = max(baumgarte * (g + slop), -limit) / dt
-            if e > 0 and un > 0:
+            counted = True
+            if e > 0 and g > slop and g + un * dt >= 0:
+                bias, counted = OPEN * g / dt, False  # what another impact pushes across it bounces in the next step
+            elif e > 0 and un > 0:
                 # Moreau (1988): a separating contact may be left approaching with e times its speed at most
                 bias = max(bias, e * un)
-            elif e > 0 and un < -restitution_threshold and g + un * dt < 0:
+            elif e > 0 and un < -restitution_threshold:
                 bias = min(bias, e * un)  # Newton's impact law
             write(
                 block, lane, n, jn, jt, a, b, en=en, et=et, bias=bias, mu=friction[c], gap=g + slop, lo=0.0
             )  # fmt: skip
-            squares += (en * (un + bias)) ** 2 + (en * ut) ** 2
+            if counted:
+                squares += (en * (un + bias)) ** 2 + (en * ut) ** 2
 
         for j in joints:
             a, b = joint_body_a[j], joint_body_b[j]

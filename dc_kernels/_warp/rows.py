@@ -18,6 +18,7 @@ ROW_OVERFLOW = wp.constant(int(Flag.ROW_OVERFLOW))
 JACOBI = wp.constant(METHODS["jacobi"])
 N_COLORS = wp.constant(COLORS)
 N_LANES = wp.constant(LANES)
+OPEN = wp.constant(1e6)  # a row that lets this many times the gap close within the step never acts
 
 
 @cache
@@ -136,9 +137,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
 
         Bias velocity: a gap may close within the step (gap / dt), but one below the slop counts as closed: the
         round-off of resting gaps would change the problem in each step and cost the warm start a tenth of its gain.
-        A contact that hits within the step faster than the threshold leaves with -e times its speed; a separating
-        contact of a bouncing pair may be left approaching with e times its speed at most (Moreau 1988), without
-        which several impacts at once can gain energy.
+        A contact that hits within the step faster than the threshold leaves with -e times its speed. A gap of a
+        bouncing pair that stays open is left alone: what another impact pushes across it bounces in the next step. A
+        closed separating contact of such a pair may be left approaching with e times its speed at most (Moreau 1988),
+        without which several impacts at once can gain energy.
         """
         w = wp.tid() + world_offset
         if flags[w] != 0:
@@ -226,10 +228,14 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 bias = g * per_dt
             elif baumgarte > real(0.0) and g < -slop:
                 bias = wp.max(baumgarte * (g + slop), -limit) * per_dt
+            counted = real(1.0)
             if e > real(0.0):
-                if un > real(0.0):
+                if g > slop and g + un * dt >= real(0.0):
+                    bias = real(OPEN) * g * per_dt
+                    counted = real(0.0)
+                elif un > real(0.0):
                     bias = wp.max(bias, e * un)
-                elif un < -restitution_threshold and g + un * dt < real(0.0):
+                elif un < -restitution_threshold:
                     bias = wp.min(bias, e * un)
             ma = va[3]
             mb = vb[3]
@@ -242,7 +248,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 store_row(rows, r, n[0], n[1], ran, rbn, rat, rbt, ia, ib, en, et, bias, mu, g + slop)
             if wp.static(joints):
                 store_row(rows, r, n[0], n[1], ran, rbn, rat, rbt, ia, ib, en, et, bias, mu, g + slop, real(0.0))
-            scale += (en * (un + bias)) * (en * (un + bias)) + (en * ut) * (en * ut)
+            scale += counted * ((en * (un + bias)) * (en * (un + bias)) + (en * ut) * (en * ut))
         if wp.static(joints):
             for j in range(joint_start[w], joint_start[w + 1]):
                 k = joint_color[j]
