@@ -13,6 +13,7 @@ from .solver import SolveStats
 from .types import CACHE, COLORS, COUNTERS, LANES, MOTION, NORMS, PAIRS, ROWS, Flag, SolverConfig
 
 GROWTH = 1.25  # of what a step needed, so that a growing pile reallocates rarely
+PADDING = 8  # bodies between the padding bodies of two shards: more than a cache line
 SPARE_BLOCKS = 10  # blocks beyond full ones: a colour's last block is partly empty, and piles have 6-10 colours
 
 
@@ -77,9 +78,16 @@ class Storage:
     """
 
     def __init__(
-        self, model: Model, joints: Joints, config: SolverConfig, variant: str, pairs: float, contacts: float
+        self,
+        model: Model,
+        joints: Joints,
+        config: SolverConfig,
+        variant: str,
+        pairs: float,
+        contacts: float,
+        shards: int,
     ) -> None:
-        """Allocate for so many pairs a shape and contacts a body."""
+        """Allocate for so many pairs a shape and contacts a body, and a padding body for each shard of worlds."""
         self.model = model
         self.joints = joints
         self.width = len(COLUMNS[variant]) * LANES
@@ -93,8 +101,8 @@ class Storage:
         self.sizes = {
             **model.sizes,
             "joint": model.joint_count,
-            "body+1": bodies + 1,
-            "body sum": bodies + 1 if config.method == "jacobi" else 1,
+            "body+1": bodies + PADDING * shards,
+            "body sum": bodies + PADDING * shards if config.method == "jacobi" else 1,
             "bucket": int(buckets.sum()),
             "world color": worlds * COLORS,
             "world color+1": worlds * (COLORS + 1),
@@ -123,7 +131,7 @@ class Storage:
         if (config.history, config.max_sweeps) != (before.history, before.max_sweeps):
             self.stats.allocate_history(config)
         if config.method == "jacobi" and self.sizes["body sum"] == 1:
-            self.sizes["body sum"] = self.model.body_count + 1
+            self.sizes["body sum"] = self.sizes["body+1"]
             self._reallocate(self.motion, ("summed",))
         if config.acceleration == "nncg" and self.sizes["row direction"] == 0:
             self.sizes["row direction"] = self.sizes["row pair"]

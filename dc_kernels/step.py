@@ -12,7 +12,7 @@ import numpy as np
 
 from .arrays import Contacts, Joints, Model, State
 from .backend import bind, kernel_table
-from .capacity import Cache, Motion, Pairs, Rows, Storage
+from .capacity import PADDING, Cache, Motion, Pairs, Rows, Storage
 from .solver import SCHEDULES, SolveStats, solver_scalars
 from .types import CAPACITY_FLAGS, BodyType, ShapeType, SolverConfig
 
@@ -50,7 +50,7 @@ class Simulation:
         on_overflow: Literal["grow", "raise"] = "grow",
         specialize: bool = True,
         pairs_per_shape: float = 4.0,
-        contacts_per_body: float = 2.0,
+        contacts_per_body: float = 2.5,
     ) -> None:
         """Allocate everything a step needs.
 
@@ -95,10 +95,13 @@ class Simulation:
         self.variant = self._row_variant()
         self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, self.only_discs and specialize)
         self._config = config or SolverConfig()
-        self.storage = Storage(model, joints, self._config, self.variant, pairs_per_shape, contacts_per_body)
+        self.storage = Storage(
+            model, joints, self._config, self.variant, pairs_per_shape, contacts_per_body, self.threads
+        )
         self._rename_groups()
         self._peak = {"pairs": 0, "contacts": 0, "blocks": 0}
         self._phase = "advance"
+        self._halt = False
         self._commands: dict[str, list[list[Callable[[], None]]]] = {}
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._bind_all()
@@ -163,7 +166,6 @@ class Simulation:
             "max_correction": config.max_correction,
             "restitution_threshold": config.restitution_threshold,
             "use_cache": int(config.start == "cache"),
-            "padding_body": self.model.body_count,
             "iterations": config.position_iterations,
             "factor": config.position_factor,
             "history": self.stats.history,
@@ -185,7 +187,11 @@ class Simulation:
 
     def bind(self, name: str, first: int, count: int) -> Callable[[], None]:
         """A launch of a kernel over the worlds first .. first + count, one thread each."""
-        return bind(self.kernels[name], count, {**self.values, "world_offset": first}, self.device)
+        # empty lanes write zeros to a padding body: one for each shard, or threads would share its cache line
+        shard = next((i for i, (a, n) in enumerate(self._shards) if a <= first < a + n), 0)
+        padding = self.model.body_count + PADDING * shard
+        values = {**self.values, "world_offset": first, "padding_body": padding}
+        return bind(self.kernels[name], count, values, self.device)
 
     @property
     def config(self) -> SolverConfig:
@@ -330,6 +336,7 @@ class Simulation:
             return
         left = [steps] * len(self._shards)
         while any(left):
+            self._halt = False
             work = [i for i, n in enumerate(left) if n]
             if self._pool is None:
                 done = [self._run_shard(i, left[i]) for i in work]
@@ -337,20 +344,23 @@ class Simulation:
                 done = list(self._pool.map(self._run_shard, work, [left[i] for i in work]))
             for i, n in zip(work, done, strict=True):
                 left[i] -= n
-            if any(left):
+            if self._overflowed():
                 self._grow()
         self._note_peak()
         self._phase = "advance"
 
     def _run_shard(self, shard: int, steps: int) -> int:
-        """Steps that finished before one of the shard's worlds ran out of room."""
+        """Steps that finished before a world ran out of room, in this shard or in another."""
         collide, solve, advance = (self._commands[phase][shard] for phase in ("collide", "solve", "advance"))
         first, count = self._shards[shard]
         flags = self.state.numpy("flags")[first : first + count]
         for done in range(steps):
+            if self._halt:  # another shard waits for room
+                return done
             for command in collide:
                 command()
             if (flags & int(CAPACITY_FLAGS)).any():
+                self._halt = True
                 return done
             for command in solve:
                 command()

@@ -76,7 +76,7 @@ def _table(*rows: tuple[str, str, str, str, str]) -> dict[str, Field]:
     return {row[0]: Field(*row) for row in rows}
 
 
-# axes: world W, world+1, body, body+1 (last one: the padding body of empty solver lanes), shape, shape+1,
+# axes: world W, world+1, body, body+1 (behind the bodies: padding bodies of empty solver lanes), shape, shape+1,
 # vertex, joint, contact (capacity), pair (capacity), block (capacity, of LANES solver rows), bucket
 MODEL = _table(
     ("body_start", "world+1", "int32", "1", "first body of each world"),
