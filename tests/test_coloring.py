@@ -243,6 +243,17 @@ def test_acceleration_does_not_stall_on_a_crowded_body(count):
     assert max(left.values()) < 5 * left["none"]
 
 
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_the_default_acceleration_converges_on_a_crowded_body(dtype):
+    """Without plain sweeps in between, the extrapolation cycles here for ever."""
+    sim, _ = crowd(60, dtype, config=dc.SolverConfig(tolerance=1e-6, max_sweeps=20_000))
+    sim.collide(0.005)
+    sim.solve()
+    assert sim.stats.numpy("sweeps")[0] < 20_000
+    assert sim.stats.numpy("change")[0] < 1e-6
+    assert sim.stats.numpy("residual")[0] < 1e-6
+
+
 def test_the_serial_colour_gives_the_same_bits_in_either_schedule():
     impulses = []
     for schedule in ("world", "color"):

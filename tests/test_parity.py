@@ -328,6 +328,8 @@ RUN_CASES = {
     "kinematic": (kinematic, "color", {}),
     "frozen": (frozen, "world", {}),
     "worlds": (worlds, "world", {"acceleration": "none"}),
+    "impatient": (mixed, "world", {"aitken_patience": 1, "aitken_period_max": 4, "max_sweeps": 60}),
+    "impatient by colour": (boxes, "color", {"aitken_patience": 1, "aitken_period_max": 4, "max_sweeps": 60}),
 }
 
 
