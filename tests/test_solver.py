@@ -399,6 +399,23 @@ def test_stops_on_the_residual_checked_every_few_sweeps():
             assert sim.stats.numpy("residual")[w] >= 1e-4
 
 
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_no_impulse_solves_a_gap_that_stays_open(friction, backend):
+    """Also without friction, where the cone of impulses is a ray."""
+    builder = dc.ModelBuilder()
+    builder.add_world(length_scale=1.0)
+    builder.add_box(builder.add_body((0.0, -0.5), type=dc.BodyType.STATIC), 5.0, 0.5, friction=friction)
+    builder.add_disc(builder.add_body((0.0, 0.515)), 0.5, friction=friction)
+    model, state, _ = builder.finalize("float64", backend=backend)
+    sim = dc.Simulation(model, state, config=dc.SolverConfig(stop="residual"))
+    sim.collide(1e-3)
+    assert sim.contacts.numpy("contact_count")[0] == 1
+    sim.solve()
+    assert sim.stats.numpy("residual")[0] == 0.0
+    assert not sim.contacts.numpy("impulse")[:1].any()
+
+
 def test_residual_falls_to_round_off_and_is_relative_to_a_frictional_stop():
     """From zero impulses at contacts that all close, the natural map is of the order of its scale."""
     sim = settled()
