@@ -221,7 +221,8 @@ class Pair:
     def run(self, name: str, dim: int | tuple[int, int] | None = None, **more: Any) -> None:
         """Launch a kernel of both backends on equal arrays and compare all of them; Warp's results remain."""
         dim = self.sim.model.world_count if dim is None else dim
-        values: Mapping[str, Any] = {**self.sim.values, "world_offset": 0, **more}
+        shared = {"world_offset": 0, "padding_body": self.sim.model.body_count}
+        values: Mapping[str, Any] = {**self.sim.values, **shared, **more}
         arrays = [key for key in argument_names(self.oracle[name]) if not np.isscalar(values[key])]
         copies = {key: to_numpy(values[key]).copy() for key in arrays}
         bind(self.oracle[name], dim, {**values, **copies}, "cpu")()

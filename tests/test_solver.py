@@ -64,7 +64,7 @@ def solve_from(sim, start=0.0, **changes):
     return (
         sim.contacts.numpy("impulse")[slots].copy(),
         sim.joints.numpy("joint_impulse").copy(),
-        sim.motion.numpy("solved")[:-1, :3].copy(),
+        sim.motion.numpy("solved")[: sim.model.body_count, :3].copy(),
     )
 
 
