@@ -86,15 +86,15 @@ def settled(bodies: int, worlds: int = 1) -> dc.Simulation:
     return sim
 
 
-def side_by_side(sim: dc.Simulation, copies: int, **options: Any) -> dc.Simulation:
+def side_by_side(sim: dc.Simulation, copies: int, *, shuffled: bool = False, **options: Any) -> dc.Simulation:
     """One world with copies of a settled thesis pile next to each other, every second one mirrored, at rest again.
 
-    It spares the fall of so large a pile. The bodies' order is random, as it is in the thesis worlds: in the order of
-    their places they would be cheaper.
+    It spares the fall of so large a pile.
 
     Args:
         sim: holds the pile in its first world.
         copies: how many.
+        shuffled: number the bodies at random instead of by place.
         options: of ``dc.Simulation``, except config.
     """
     pile = disc_positions(sim.model, sim.state)[0]
@@ -105,7 +105,9 @@ def side_by_side(sim: dc.Simulation, copies: int, **options: Any) -> dc.Simulati
     builder = dc.ModelBuilder()
     builder.add_world(gravity=(0.0, -scene.gravity))
     scene.add_static_chain(builder, [(left, scene.side), (left, 0.0), (-left, 0.0), (-left, scene.side)])
-    builder.add_discs(np.random.default_rng(0).permutation(positions), scene.radius, **scene.material)
+    if shuffled:
+        positions = np.random.default_rng(0).permutation(positions)
+    builder.add_discs(positions, scene.radius, **scene.material)
     model, state, joints = builder.finalize()
     wide = dc.Simulation(model, state, joints, config=dc.SolverConfig(max_sweeps=SWEEPS), **options)
     wide.run(SETTLING_COPIES, DT)

@@ -21,6 +21,11 @@ _COLLIDE = ("predict", "update_pairs", "narrowphase", "match_contacts", "color_c
 _SLACK = 0.05  # of the slop: within it two separating axes count as equal and the first body's is taken
 
 
+def _uniform(values: np.ndarray) -> float:
+    """The value that all have in common, -1 if they differ."""
+    return float(values[0]) if len(values) and (values == values[0]).all() else -1.0
+
+
 class Simulation:
     """Rigid bodies with contacts in any number of worlds, stepped together.
 
@@ -161,6 +166,8 @@ class Simulation:
             "speculative_factor": config.speculative,
             "speculative_limit": config.speculative_max,
             "slack_factor": _SLACK * config.slop,
+            "uniform_friction": _uniform(self.model.numpy("shape_friction")),
+            "uniform_restitution": _uniform(self.model.numpy("shape_restitution")),
             "slop_factor": config.slop,
             "baumgarte": baumgarte,
             "max_correction": config.max_correction,

@@ -248,7 +248,7 @@ class SolverConfig:
     time: extrapolation alone can cycle for good where plain Gauss-Seidel converges [1]."""
     position_correction: Literal["ngs", "baumgarte", "none"] = "ngs"
     """A phase of its own after the velocities (Box2D 2.3), a velocity bias, or nothing."""
-    position_iterations: int = 4
+    position_iterations: int = 3
     """Sweeps of the "ngs" phase; it is skipped where nothing overlaps by more than the slop [1]."""
     position_factor: float = 0.2
     """Share of an overlap that one "ngs" sweep, or one "baumgarte" step, removes [1]."""
@@ -284,8 +284,8 @@ class SolverConfig:
             "tolerance": (0.0, float("inf"), True),
             "residual_every": (1, 2**31 - 1, True),
             "omega": (0.0, 2.0, False),
-            "aitken_period": (3, 2**31 - 1, True),
-            "aitken_period_max": (3, 2**31 - 1, True),
+            "aitken_period": (3, 2**29, True),
+            "aitken_period_max": (3, 2**29, True),
             "aitken_patience": (1, 2**31 - 1, True),
             "aitken_cap": (0.0, float("inf"), True),
             "aitken_threshold": (0.0, 1.0, False),

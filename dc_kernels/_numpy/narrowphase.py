@@ -203,6 +203,8 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
         tid: int,
         world_offset: int,
         slack_factor: float,
+        uniform_friction: float,
+        uniform_restitution: float,
         shape_start: Array,
         length_scale: Array,
         shape_body: Array,

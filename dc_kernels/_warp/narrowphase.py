@@ -52,6 +52,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     def narrowphase(
         world_offset: int,
         slack_factor: real,
+        uniform_friction: real,
+        uniform_restitution: real,
         # Model:
         shape_start: wp.array(dtype=wp.int32),
         length_scale: wp.array(dtype=real),
@@ -192,13 +194,19 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                 # a gap that the step's motion closes is a contact too
                 if g <= speculative + wp.max(-speed * dt, real(0.0)):
                     if n < capacity:
-                        mu = shape_friction[a]
-                        if shape_friction[b] != mu:
-                            mu = wp.sqrt(mu * shape_friction[b])
+                        # a scene of one material need not look it up
+                        mu = uniform_friction
+                        e = uniform_restitution
+                        if mu < real(0.0):
+                            mu = shape_friction[a]
+                            if shape_friction[b] != mu:
+                                mu = wp.sqrt(mu * shape_friction[b])
+                        if e < real(0.0):
+                            e = wp.max(shape_restitution[a], shape_restitution[b])
                         store_contact(
                             start + n, key, body_a, body_b, normal, arm_a, arm_b, gap, friction, restitution,
                             (wp.int64(a - shape0) << SHIFT_A) | (wp.int64(b - shape0) << SHIFT_B) | wp.int64(feature),
-                            ba, bb, m.normal, to_a, to_b, g, mu, wp.max(shape_restitution[a], shape_restitution[b]),
+                            ba, bb, m.normal, to_a, to_b, g, mu, e,
                         )  # fmt: skip
                     n += 1
         contact_needed[w] = n
