@@ -260,7 +260,7 @@ class SolverConfig:
     """A gap below this is a contact, as is one that closes within the step [length_scale]."""
     speculative_max: float = 0.1
     """The same where bodies are fast: what the fastest moves in a step, up to this [length_scale]."""
-    margin: float = 0.08
+    margin: float = 0.1
     """Broadphase boxes are this much larger on each side, so that pairs last several steps [length_scale]."""
     restitution_threshold: float = 1.0
     """Approach speed below which a contact does not bounce [m/s]."""

@@ -8,6 +8,7 @@ from ..types import BodyType, Flag, ShapeType
 from .common import Array, Kernels, rotate, rotation
 
 PREDICT_STEPS = 4.0  # steps of motion a moving shape's box is stretched by
+REACH_GROWTH = 1.5  # a box made for a speculative distance this much larger outlives bodies speeding up
 
 
 def kernels(dtype: str) -> Kernels:
@@ -89,8 +90,7 @@ def update_pairs(
 
     rebuilds[w] += 1
     for shape in shapes:
-        static = body_type[shape_body[shape]] == BodyType.STATIC
-        box[shape] = swept_box(shape, PREDICT_STEPS, pad + (0.0 if static else margin_factor * length_scale[w]))
+        box[shape] = swept_box(shape, PREDICT_STEPS, REACH_GROWTH * pad + margin_factor * length_scale[w])
     pairs = []
     for a in shapes:
         for b in np.arange(a + 1, shapes[-1] + 1):

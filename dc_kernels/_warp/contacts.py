@@ -85,6 +85,13 @@ def kernels(dtype: str) -> dict[str, Any]:
         for j in range(joint_start[w], joint_start[w + 1]):
             joint_impulse[j] = joint_cache[j] * scale
 
+    @wp.func(module=module)
+    def taken(body: int, body_type: wp.array(dtype=wp.int32), color_mask: wp.array(dtype=wp.uint64)):
+        """Colours that a further constraint of the body must not have: only dynamic bodies forbid any."""
+        if body_type[body] == DYNAMIC:
+            return color_mask[body]
+        return wp.uint64(0)
+
     @wp.kernel(module=module, enable_backward=False)
     def color_constraints(
         world_offset: int,
@@ -127,37 +134,29 @@ def kernels(dtype: str) -> dict[str, Any]:
                 return
         for b in range(body_start[w], body_start[w + 1]):
             color_mask[b] = wp.uint64(0)
+        # masks of bodies that do not move fill up too, but nobody asks for them
         for j in range(joint_start[w], joint_start[w + 1]):
             a = joint_body_a[j]
             b = joint_body_b[j]
-            free = lowest_free(color_mask[a] | color_mask[b])
+            free = lowest_free(taken(a, body_type, color_mask) | taken(b, body_type, color_mask))
             joint_color[j] = free
-            bit = color_bit(free)
-            if body_type[a] == DYNAMIC:
-                color_mask[a] = color_mask[a] | bit
-            if body_type[b] == DYNAMIC:
-                color_mask[b] = color_mask[b] | bit
+            color_mask[a] = color_mask[a] | color_bit(free)
+            color_mask[b] = color_mask[b] | color_bit(free)
         for c in range(start, end):
             kept = color[c]
             if kept >= 0 and kept != SERIAL:
-                bit = color_bit(kept)
                 a = body_a[c]
                 b = body_b[c]
-                if body_type[a] == DYNAMIC:
-                    color_mask[a] = color_mask[a] | bit
-                if body_type[b] == DYNAMIC:
-                    color_mask[b] = color_mask[b] | bit
+                color_mask[a] = color_mask[a] | color_bit(kept)
+                color_mask[b] = color_mask[b] | color_bit(kept)
         for c in range(start, end):
             kept = color[c]
             if kept < 0 or kept == SERIAL:
                 a = body_a[c]
                 b = body_b[c]
-                free = lowest_free(color_mask[a] | color_mask[b])
+                free = lowest_free(taken(a, body_type, color_mask) | taken(b, body_type, color_mask))
                 color[c] = free
-                bit = color_bit(free)
-                if body_type[a] == DYNAMIC:
-                    color_mask[a] = color_mask[a] | bit
-                if body_type[b] == DYNAMIC:
-                    color_mask[b] = color_mask[b] | bit
+                color_mask[a] = color_mask[a] | color_bit(free)
+                color_mask[b] = color_mask[b] | color_bit(free)
 
     return {"match_contacts": match_contacts, "color_constraints": color_constraints}
