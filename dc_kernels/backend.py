@@ -33,12 +33,16 @@ def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool) -> di
         only_discs: whether all that moves are discs about their centre of mass.
     """
     if check_backend(backend) == "warp":
-        from . import _warp as package
         from ._warp import broadphase, contacts, integrate, narrowphase, rows, solver
     else:
-        from . import _numpy as package  # type: ignore[no-redef]
-        from ._numpy import broadphase, contacts, integrate, narrowphase, rows, solver  # type: ignore[no-redef]
-    del package
+        from ._numpy import (  # type: ignore[attr-defined, no-redef]
+            broadphase,
+            contacts,
+            integrate,
+            narrowphase,
+            rows,
+            solver,
+        )
     table: dict[str, Any] = {}
     table.update(integrate.kernels(dtype))
     table.update(broadphase.kernels(dtype))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import os
+import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal
@@ -17,8 +19,21 @@ from .solver import SCHEDULES, SolveStats, solver_scalars
 from .types import CAPACITY_FLAGS, BodyType, ShapeType, SolverConfig
 
 Start = Callable[["Simulation"], None]
+Launch = Callable[[], None]
 _COLLIDE = ("predict", "update_pairs", "narrowphase", "match_contacts", "color_constraints", "pack_rows")
+SHARDS_PER_THREAD = 2
+CHUNK = 50  # steps that a thread takes of a shard at a time
 _SLACK = 0.05  # of the slop: within it two separating axes count as equal and the first body's is taken
+
+
+def in_turn(launches: list[Launch]) -> Launch:
+    """One call that makes several."""
+
+    def run() -> None:
+        for launch in launches:
+            launch()
+
+    return run
 
 
 def _uniform(values: np.ndarray) -> float:
@@ -96,18 +111,25 @@ class Simulation:
         self.schedule = schedule
         self.on_overflow = on_overflow
         self.threads = max(1, min(threads, model.world_count))
+        # more shards than threads: who is done first takes on what is left
+        shards = 1 if self.threads == 1 else min(SHARDS_PER_THREAD * self.threads, model.world_count)
+        edges = np.linspace(0, model.world_count, shards + 1).astype(int)
+        self._shards = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
         self.specialize = specialize
         self.variant = self._row_variant()
         self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, self.only_discs and specialize)
         self._config = config or SolverConfig()
         self.storage = Storage(
-            model, joints, self._config, self.variant, pairs_per_shape, contacts_per_body, self.threads
+            model, joints, self._config, self.variant, pairs_per_shape, contacts_per_body, len(self._shards)
         )
         self._rename_groups()
         self._peak = {"pairs": 0, "contacts": 0, "blocks": 0}
         self._phase = "advance"
         self._halt = False
-        self._commands: dict[str, list[list[Callable[[], None]]]] = {}
+        self._lock = threading.Lock()
+        self._left: list[int] = []
+        self._busy: set[int] = set()
+        self._commands: dict[str, list[Launch]] = {}
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._bind_all()
 
@@ -180,19 +202,33 @@ class Simulation:
         }
         for group in (self.model, self.state, self.joints, *self.storage.groups()):
             self.values.update({name: group.array(name) for name in group.table})
-        edges = np.linspace(0, self.model.world_count, self.threads + 1).astype(int)
-        self._shards = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
-        advance = ["displace", "commit"]
+        self._advance = ["displace", "commit"]
         if config.position_correction == "ngs" and config.position_iterations:
-            advance.insert(1, "correct_positions")
-        solve = SCHEDULES[self.schedule]
-        self._commands = {
-            "collide": [[self.bind(name, *shard) for name in _COLLIDE] for shard in self._shards],
-            "solve": [solve(self, *shard) for shard in self._shards],
-            "advance": [[self.bind(name, *shard) for name in advance] for shard in self._shards],
-        }
+            self._advance.insert(1, "correct_positions")
+        self._commands = {"collide": [], "solve": [], "advance": [], "step": []}
+        for shard in self._shards:
+            collide = [self.bind(name, *shard) for name in _COLLIDE]
+            solve = SCHEDULES[self.schedule](self, *shard)
+            move = [self.bind(name, *shard) for name in self._advance]
+            driven = self.schedule != "world"  # by the host, from values: not to be recorded
+            self._commands["collide"].append(self._record(collide))
+            self._commands["solve"].append(in_turn(solve) if driven else self._record(solve))
+            self._commands["advance"].append(self._record(move))
+            whole = [*collide, *solve, *move]
+            self._commands["step"].append(in_turn(whole) if driven else self._record(whole))
 
-    def bind(self, name: str, first: int, count: int) -> Callable[[], None]:
+    def _record(self, launches: list[Launch]) -> Launch:
+        """One call for several launches: on a CPU a graph, whose replay costs a world 10 us a step, not 80."""
+        if self.backend != "warp" or self.device != "cpu":
+            return in_turn(launches)
+        import warp as wp
+
+        with wp.ScopedCapture(device="cpu") as capture:
+            for launch in launches:
+                launch()
+        return functools.partial(wp.capture_launch, capture.graph)
+
+    def bind(self, name: str, first: int, count: int) -> Launch:
         """A launch of a kernel over the worlds first .. first + count, one thread each."""
         # empty lanes write zeros to a padding body: one for each shard, or threads would share its cache line
         shard = next((i for i, (a, n) in enumerate(self._shards) if a <= first < a + n), 0)
@@ -322,15 +358,11 @@ class Simulation:
         self._phase = "collide"
 
     def _launch(self, phase: str) -> None:
-        def run(commands: list[Callable[[], None]]) -> None:
-            for command in commands:
-                command()
-
         shards = self._commands[phase]
         if self._pool is None:
-            run(shards[0])
+            shards[0]()
         else:
-            list(self._pool.map(run, shards))
+            list(self._pool.map(lambda launch: launch(), shards))
 
     def _run_shards(self, steps: int) -> None:
         """All steps of every shard; a shard stops at an overflow, which is mended before it goes on."""
@@ -341,38 +373,63 @@ class Simulation:
                 self._launch("advance")
             self._phase = "advance"
             return
-        left = [steps] * len(self._shards)
-        while any(left):
+        self._left = [steps] * len(self._shards)
+        while any(self._left):
             self._halt = False
-            work = [i for i, n in enumerate(left) if n]
             if self._pool is None:
-                done = [self._run_shard(i, left[i]) for i in work]
+                for shard, left in enumerate(self._left):
+                    self._left[shard] -= self._run_shard(shard, left)
             else:
-                done = list(self._pool.map(self._run_shard, work, [left[i] for i in work]))
-            for i, n in zip(work, done, strict=True):
-                left[i] -= n
-            if self._overflowed():
+                try:
+                    list(self._pool.map(self._work, range(self.threads)))
+                except BaseException:
+                    self._halt = True  # an interrupt: threads end their step; worlds may have come to different times
+                    raise
+            behind = np.flatnonzero(self.state.numpy("flags") & int(CAPACITY_FLAGS))
+            if len(behind):
                 self._grow()
+            for w in behind:
+                self._repeat(int(w))
         self._note_peak()
         self._phase = "advance"
 
+    def _repeat(self, w: int) -> None:
+        """The step of a world that ran out of room, and so stayed behind the others."""
+        in_turn([self.bind(name, w, 1) for name in _COLLIDE])()
+        while self._overflowed():
+            self._grow()
+            in_turn([self.bind(name, w, 1) for name in _COLLIDE])()
+        in_turn([*SCHEDULES[self.schedule](self, w, 1), *(self.bind(name, w, 1) for name in self._advance)])()
+
+    def _work(self, _: int) -> None:
+        """Run chunks of the shard that is farthest behind and free, until none is left or room is needed."""
+        while not self._halt:
+            with self._lock:
+                free = [i for i, n in enumerate(self._left) if n and i not in self._busy]
+                if not free:
+                    return
+                shard = max(free, key=lambda i: self._left[i])
+                self._busy.add(shard)
+            done = 0
+            try:
+                done = self._run_shard(shard, min(self._left[shard], CHUNK))
+            finally:
+                with self._lock:
+                    self._left[shard] -= done
+                    self._busy.discard(shard)
+
     def _run_shard(self, shard: int, steps: int) -> int:
-        """Steps that finished before a world ran out of room, in this shard or in another."""
-        collide, solve, advance = (self._commands[phase][shard] for phase in ("collide", "solve", "advance"))
+        """Steps taken until some world ran out of room; worlds that did not have taken the last one too."""
+        step = self._commands["step"][shard]
         first, count = self._shards[shard]
         flags = self.state.numpy("flags")[first : first + count]
         for done in range(steps):
             if self._halt:  # another shard waits for room
                 return done
-            for command in collide:
-                command()
+            step()
             if (flags & int(CAPACITY_FLAGS)).any():
                 self._halt = True
-                return done
-            for command in solve:
-                command()
-            for command in advance:
-                command()
+                return done + 1
         return steps
 
     # ------------------------------------------------------------------ capacity
