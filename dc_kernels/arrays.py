@@ -106,6 +106,11 @@ def to_torch(array: Any) -> Any:
     return wp.to_torch(array, requires_grad=False)
 
 
+def uniform(values: np.ndarray) -> float:
+    """The value that all have in common, -1 if they differ."""
+    return float(values[0]) if len(values) and (values == values[0]).all() else -1.0
+
+
 class ArrayGroup:
     """Named arrays allocated from a table of fields; an attribute for each."""
 
@@ -155,6 +160,44 @@ class ArrayGroup:
             target.numpy()[...] = values
         else:
             target.assign(values)
+
+    def check(self, label: str) -> None:
+        """Raise ValueError, naming field and index, for an array that a kernel must not see.
+
+        That is one of another type, dtype, shape, device or memory layout than ``allocate`` gives, or with NaN or inf.
+        Steps do not look again: there a value that is not finite flags and freezes its world.
+        """
+        for name, field in self.table.items():
+            array = getattr(self, name)
+            scalar, shape = numpy_spec(field, self.dtype)
+            count = self.sizes[field.per]
+            found: tuple[Any, ...] = (
+                type(array).__name__,
+                getattr(array, "dtype", None),
+                getattr(array, "shape", None),
+            )
+            if self.backend == "numpy":
+                wanted: tuple[Any, ...] = ("ndarray", scalar, (count, *shape))
+                whole = isinstance(array, np.ndarray) and array.flags.c_contiguous
+            else:
+                import warp as wp
+
+                dtype = warp_dtype(field, self.dtype)
+                if found[0] == "array" and wp.types.types_equal(found[1], dtype):
+                    found = (found[0], dtype, found[2])  # Warp makes equal vector types anew
+                found += (str(getattr(array, "device", None)),)
+                wanted = ("array", dtype, (count,), self.device)
+                whole = getattr(array, "is_contiguous", False)
+            if found != wanted:
+                raise ValueError(f"{label}.{name} is {found}; it must be {wanted}")
+            if not whole:
+                raise ValueError(f"{label}.{name} has strides {array.strides}; it must be contiguous")
+            if scalar.kind == "f":
+                values = to_numpy(array)
+                bad = np.argwhere(~np.isfinite(values))
+                if len(bad):
+                    index = ", ".join(str(int(i)) for i in bad[0])
+                    raise ValueError(f"{label}.{name}[{index}] is {values[tuple(bad[0])]}; it must be finite")
 
     def nbytes(self) -> int:
         """Bytes of all arrays."""

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 BACKENDS = ("warp", "numpy")
+Launch = Callable[[], None]
 
 
 def check_backend(backend: str) -> str:
@@ -60,7 +61,7 @@ def argument_names(kernel: Any) -> list[str]:
     return list(inspect.signature(kernel).parameters)[1:]
 
 
-def bind(kernel: Any, dim: int | tuple[int, int], values: Mapping[str, Any], device: str) -> Callable[[], None]:
+def bind(kernel: Any, dim: int | tuple[int, int], values: Mapping[str, Any], device: str) -> Launch:
     """A launch with its arguments taken by name and packed once; calling it costs 2-3 us on the warp backend."""
     arguments = [values[name] for name in argument_names(kernel)]
     if hasattr(kernel, "adj"):
@@ -78,5 +79,15 @@ def bind(kernel: Any, dim: int | tuple[int, int], values: Mapping[str, Any], dev
             for i in range(extent[0]):
                 for j in range(extent[1]):
                     kernel((i, j), *arguments)
+
+    return run
+
+
+def in_turn(launches: list[Launch]) -> Launch:
+    """One call that makes several."""
+
+    def run() -> None:
+        for launch in launches:
+            launch()
 
     return run

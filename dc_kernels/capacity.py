@@ -238,6 +238,20 @@ class Storage:
         self.contacts.assign("contact_dt", contact_dt)
         self.cache.assign("joint_cache", self.joints.numpy("joint_impulse"))
 
+    def check_start(self) -> None:
+        """Raise ValueError, naming the contact, if a start impulse is NaN or inf."""
+        impulse = self.contacts.numpy("impulse")
+        first = self.contacts.numpy("contact_start")
+        for w, count in enumerate(self.contacts.numpy("contact_count")):
+            start = impulse[first[w] : first[w] + count]
+            bad = np.argwhere(~np.isfinite(start))
+            if len(bad):
+                c, k = (int(i) for i in bad[0])
+                raise ValueError(
+                    f"contacts.impulse[{first[w] + c}, {k}] (contact {c} of world {w}) is {start[c, k]}; "
+                    "a start impulse must be finite"
+                )
+
     def used(self) -> dict[str, np.ndarray]:
         """Pairs, contacts and blocks of each world at the last step."""
         return {

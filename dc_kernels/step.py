@@ -12,33 +12,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .arrays import Contacts, Joints, Model, State
-from .backend import bind, kernel_table
+from .arrays import Contacts, Joints, Model, State, uniform
+from .backend import Launch, bind, in_turn, kernel_table
 from .capacity import PADDING, Cache, Motion, Pairs, Rows, Storage
 from .solver import SCHEDULES, SolveStats, solver_scalars
 from .types import CAPACITY_FLAGS, BodyType, ShapeType, SolverConfig
 
 Start = Callable[["Simulation"], None]
-Launch = Callable[[], None]
 _COLLIDE = ("predict", "update_pairs", "narrowphase", "match_contacts", "color_constraints", "pack_rows")
 SHARDS_PER_THREAD = 2
 CHUNK = 50  # steps that a thread takes of a shard at a time
 _SLACK = 0.05  # of the slop: within it two separating axes count as equal and the first body's is taken
-
-
-def in_turn(launches: list[Launch]) -> Launch:
-    """One call that makes several."""
-
-    def run() -> None:
-        for launch in launches:
-            launch()
-
-    return run
-
-
-def _uniform(values: np.ndarray) -> float:
-    """The value that all have in common, -1 if they differ."""
-    return float(values[0]) if len(values) and (values == values[0]).all() else -1.0
 
 
 class Simulation:
@@ -150,19 +134,9 @@ class Simulation:
                 )
         if self.joints.sizes["joint"] != model.joint_count:
             raise ValueError(f"joints has {self.joints.sizes['joint']}; it must be the model's {model.joint_count}")
-        self.check_state()
-
-    def check_state(self) -> None:
-        """Raise ValueError, naming field and index, if the state holds NaN or inf.
-
-        Steps do not call it: there a non-finite value flags and freezes its world.
-        """
-        for name in ("position", "angle", "velocity", "angular_velocity", "force", "torque"):
-            values = self.state.numpy(name)
-            bad = np.argwhere(~np.isfinite(values))
-            if len(bad):
-                index = ", ".join(str(int(i)) for i in bad[0])
-                raise ValueError(f"state.{name}[{index}] is {values[tuple(bad[0])]}; it must be finite")
+        model.check("model")
+        self.state.check("state")
+        self.joints.check("joints")
 
     def _row_variant(self) -> str:
         """Row variant: what the scene needs and no more."""
@@ -188,8 +162,8 @@ class Simulation:
             "speculative_factor": config.speculative,
             "speculative_limit": config.speculative_max,
             "slack_factor": _SLACK * config.slop,
-            "uniform_friction": _uniform(self.model.numpy("shape_friction")),
-            "uniform_restitution": _uniform(self.model.numpy("shape_restitution")),
+            "uniform_friction": uniform(self.model.numpy("shape_friction")),
+            "uniform_restitution": uniform(self.model.numpy("shape_restitution")),
             "slop_factor": config.slop,
             "baumgarte": baumgarte,
             "max_correction": config.max_correction,
@@ -300,7 +274,7 @@ class Simulation:
             else:
                 self.collide(dt)
                 start(self)
-                self.check_start()
+                self.storage.check_start()
                 self.solve()
                 self.advance()
             if callback is not None:
@@ -328,20 +302,6 @@ class Simulation:
             raise ValueError("advance() needs solve() first: there are no solved velocities")
         self._launch("advance")
         self._phase = "advance"
-
-    def check_start(self) -> None:
-        """Raise ValueError, naming the contact, if a start impulse is NaN or inf."""
-        impulse = self.contacts.numpy("impulse")
-        first = self.contacts.numpy("contact_start")
-        for w, count in enumerate(self.contacts.numpy("contact_count")):
-            used = impulse[first[w] : first[w] + count]
-            bad = np.argwhere(~np.isfinite(used))
-            if len(bad):
-                c, k = (int(i) for i in bad[0])
-                raise ValueError(
-                    f"contacts.impulse[{first[w] + c}, {k}] (contact {c} of world {w}) is {used[c, k]}; "
-                    "a start impulse must be finite"
-                )
 
     def _set_dt(self, dt: float) -> None:
         value = float(dt)

@@ -413,3 +413,27 @@ def test_forces_and_torques_act_until_changed():
     before = sim.state.numpy("velocity")[0].copy()
     sim.step(DT)
     assert (sim.state.numpy("velocity")[0] == before).all()
+
+
+@pytest.mark.parametrize(
+    ("backend", "change", "message"),
+    [
+        ("warp", lambda wp, a: wp.array(a.numpy(), dtype=wp.vec2d, device="cpu"), r"state\.position is .*vec2d"),
+        ("warp", lambda wp, a: wp.zeros(len(a) + 1, dtype=wp.vec2f, device="cpu"), r"state\.position is .*must be"),
+        ("warp", lambda wp, a: wp.zeros(2 * len(a), dtype=wp.vec2f, device="cpu")[::2], r"state\.position has strides"),
+        ("warp", lambda wp, a: a.numpy(), r"state\.position is \('ndarray'"),
+        ("numpy", lambda wp, a: a.astype(np.float64), r"state\.position is .*float64"),
+        ("numpy", lambda wp, a: np.zeros((2 * len(a), 2), np.float32)[::2], r"state\.position has strides"),
+        ("numpy", lambda wp, a: a[:, :1], r"state\.position is .*must be"),
+    ],
+)
+def test_a_foreign_array_is_refused(backend, change, message):
+    """Never copied in silence: dtype, shape, stride and kind of array are checked before any kernel runs."""
+    wp = pytest.importorskip("warp")
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_discs([(0.0, 0.0), (3.0, 0.0)], 0.5)
+    model, state, joints = builder.finalize("float32", backend=backend)
+    state.position = change(wp, state.position)
+    with pytest.raises(ValueError, match=message):
+        dc.Simulation(model, state, joints)
