@@ -259,7 +259,7 @@ class ModelBuilder:
             raise ValueError(f"body of {where} is {body}, of type {kind.name}; chains need a STATIC body")
         corners = points(vertices, f"vertices of {where}", 3 if closed else 2)
         start = corners if closed else corners[:-1]
-        end = np.roll(corners, -1, axis=0)[: len(start)]
+        end = np.concatenate((corners[1:], corners[:1]))[: len(start)]
         edges = end - start
         length = np.hypot(edges[:, 0], edges[:, 1])
         size = math.hypot(*np.ptp(corners, axis=0))
@@ -269,7 +269,7 @@ class ModelBuilder:
                 f"vertices of {where}: {i} and {(i + 1) % len(corners)} are {length[i]:g} m apart; "
                 f"it must exceed {TOLERANCE:g} of the chain's size {size:g}"
             )
-        before, after = np.roll(start, 1, axis=0), np.roll(end, -1, axis=0)
+        before, after = np.concatenate((start[-1:], start[:-1])), np.concatenate((end[1:], end[:1]))
         if not closed:
             before[0], after[-1] = start[0], end[-1]
         first, n = self._shapes.count, len(start)
