@@ -148,18 +148,23 @@ def describe(summary: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def parse(arguments: Sequence[str] | None = None) -> Any:
+    """The command that a command line describes; calling it runs it. Exits with 2 where it is not understood."""
+    tyro = require("tyro", "pipeline")
+    conf = tyro.conf
+    config = (
+        conf.OmitArgPrefixes,
+        conf.OmitSubcommandPrefixes,
+        conf.CascadeSubcommandArgs,
+        conf.FlagCreatePairsOff,
+    )
+    return tyro.cli(Command, prog="deep-contact", args=arguments, config=config)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return 0, or exit with 2 (130 if interrupted) after one line on stderr."""
     try:
-        tyro = require("tyro", "pipeline")
-        conf = tyro.conf
-        config = (
-            conf.OmitArgPrefixes,
-            conf.OmitSubcommandPrefixes,
-            conf.CascadeSubcommandArgs,
-            conf.FlagCreatePairsOff,
-        )
-        command = tyro.cli(Command, prog="deep-contact", args=arguments, config=config)
+        command = parse(arguments)
         result = command()
     except (ValueError, ImportError, OSError) as error:
         print(f"deep-contact: {' '.join(str(error).split())}", file=sys.stderr)

@@ -1,0 +1,51 @@
+"""The README stays true: its code runs, its links and commands exist."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from pipeline import cli
+
+ROOT = Path(__file__).resolve().parent.parent
+TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```(\w+)\n(.*?)```", TEXT, re.DOTALL)
+
+
+def test_the_python_example_runs(capsys):
+    examples = [code for language, code in BLOCKS if language == "python"]
+    assert examples
+    for code in examples:
+        scope: dict = {}
+        exec(compile(code, "README.md", "exec"), scope)
+        sim = scope["sim"]
+        assert not sim.state.numpy("flags").any()
+        # 250 steps and the one in phases
+        assert sim.state.numpy("time") == pytest.approx(2.51)
+    assert "broadphase" in capsys.readouterr().out
+
+
+def test_every_path_it_names_exists():
+    for path in re.findall(r"\]\(([^)#:]+)\)", TEXT):
+        assert (ROOT / path).exists(), path
+    for module in re.findall(r"`(\w+)`", TEXT.split("| module | what it does |")[1].split("###")[0]):
+        assert (ROOT / "dc_kernels" / f"{module}.py").exists() or module in ("Model", "State", "Joints"), module
+
+
+def test_every_make_target_it_names_exists():
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = set(re.findall(r"`?make (\w+)", TEXT))
+    assert {"demo", "test"} <= targets
+    for target in targets:
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+
+
+def test_every_command_it_names_is_understood(capsys):
+    lines = [line for language, code in BLOCKS if language == "sh" for line in code.splitlines()]
+    commands = [line.split("#")[0].split() for line in lines if line.startswith("deep-contact")]
+    assert len(commands) >= 4
+    for words in commands:
+        cli.parse(words[1:])  # parses, and exits where it does not understand
+    with pytest.raises(SystemExit):
+        cli.parse([*commands[0][1:], "--nonsense"])
+    capsys.readouterr()
