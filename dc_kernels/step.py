@@ -235,6 +235,11 @@ class Simulation:
 
     # ------------------------------------------------------------------ stepping
 
+    def warmup(self) -> None:
+        """Compile and record everything now, which the first step would do otherwise (seconds, if not in the cache)."""
+        for phase in ("collide", "solve", "advance", "step"):
+            self._launches(phase)
+
     def step(self, dt: float, start: Start | None = None) -> None:
         """One time step of dt [s] in every world.
 

@@ -206,6 +206,7 @@ def run_strategy(options: ProtocolOptions, start: str, acceleration: Acceleratio
         speculative_max=options.speculative,
     )
     sim = run.simulation(Thesis(bodies=options.bodies), config)
+    sim.warmup()  # compiling is not in the wall time
     started = np.zeros((0, 2))
     strategy_s = 0.0
 

@@ -334,6 +334,7 @@ def simulate(
     config = {"scene": {"name": scene.name, **asdict(scene)}, "options": options}
     strategy = warmstart.parse(output.start, run.seed)
     sim = run.simulation(scene, solver.config(output.history))
+    sim.warmup()
     began = time.perf_counter()
     spent = 0.0  # in the simulation itself [s]
     done = 0
