@@ -51,7 +51,12 @@ def predict(
                 v = velocity[b] + (gravity[w] + force[b] * inv_mass[b]) * dt
                 spin = angular_velocity[b] + torque[b] * inv_inertia[b] * dt
                 predicted[b] = [*v, spin, inv_mass[b]]
-        fastest = np.sqrt((predicted[bodies, :2] ** 2).sum(axis=1).max(initial=0.0))
+        squares = (predicted[bodies, :2] ** 2).sum(axis=1)
+        dynamic = body_type[bodies] == BodyType.DYNAMIC
+        most = (
+            min(squares.max(initial=0.0), 16.0 * squares[dynamic].mean()) if dynamic.any() else squares.max(initial=0.0)
+        )
+        fastest = np.sqrt(most)  # of any body, but no more than four times the root mean square
     if not np.isfinite(predicted[bodies, :3]).all():
         flags[w] = Flag.NONFINITE
         return

@@ -63,7 +63,8 @@ def kernels(dtype: str) -> dict[str, Any]:
         """Velocities with forces and gravity applied; the fourth component is the inverse mass.
 
         ``reach`` is the speculative distance of the step: what the fastest body covers, for whatever it hits may leave
-        as fast, within limits. With a fixed 0.02 instead of up to 0.1 diameters, overlaps at impact reach 65 mm, not 1.
+        as fast, within limits; in a world where most bodies rest, four times what they cover in the mean square. With a
+        fixed 0.02 instead of up to 0.1 diameters, overlaps at impact reach 65 mm, not 1.
         """
         w = wp.tid() + world_offset
         if flags[w] != 0:
@@ -73,6 +74,8 @@ def kernels(dtype: str) -> dict[str, Any]:
         # x - x is 0 for a finite x, NaN for inf and NaN
         check = real(0.0)
         fastest = real(0.0)
+        squares = real(0.0)
+        moving = int(0)
         for b in range(body_start[w], body_start[w + 1]):
             kind = body_type[b]
             if kind == DYNAMIC:
@@ -86,10 +89,16 @@ def kernels(dtype: str) -> dict[str, Any]:
                 predicted[b] = vec4(velocity[b][0], velocity[b][1], angular_velocity[b], real(0.0))
             p = predicted[b]
             check += (p[0] - p[0]) + (p[1] - p[1]) + (p[2] - p[2])
-            fastest = wp.max(fastest, p[0] * p[0] + p[1] * p[1])
+            square = p[0] * p[0] + p[1] * p[1]
+            fastest = wp.max(fastest, square)
+            if kind == DYNAMIC:
+                squares += square
+                moving += 1
         if check != real(0.0):
             flags[w] = NONFINITE
             return
+        if moving > 0:
+            fastest = wp.min(fastest, real(16.0) * squares / real(moving))
         scale = length_scale[w]
         reach[w] = wp.max(wp.min(wp.sqrt(fastest) * dt, speculative_limit * scale), speculative_factor * scale)
 
