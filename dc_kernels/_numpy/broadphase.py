@@ -7,7 +7,8 @@ import numpy as np
 from ..types import BodyType, Flag, ShapeType
 from .common import Array, Kernels, rotate, rotation
 
-PREDICT_STEPS = 4.0  # steps of motion a moving shape's box is stretched by
+PREDICT_STEPS = 8.0  # steps of motion a moving shape's box is stretched by
+FAST_STEPS = 24.0  # the same for those that outrun the speculative distance
 REACH_GROWTH = 1.5  # a box made for a speculative distance this much larger outlives bodies speeding up
 
 
@@ -90,7 +91,9 @@ def update_pairs(
 
     rebuilds[w] += 1
     for shape in shapes:
-        box[shape] = swept_box(shape, PREDICT_STEPS, REACH_GROWTH * pad + margin_factor * length_scale[w])
+        v = predicted[shape_body[shape]]
+        steps = FAST_STEPS if (v[0] ** 2 + v[1] ** 2) * dt**2 > 1.1 * reach[w] ** 2 else PREDICT_STEPS
+        box[shape] = swept_box(shape, steps, REACH_GROWTH * pad + margin_factor * length_scale[w])
     pairs = []
     for a in shapes:
         for b in np.arange(a + 1, shapes[-1] + 1):

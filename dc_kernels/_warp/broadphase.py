@@ -18,9 +18,14 @@ DYNAMIC = wp.constant(int(BodyType.DYNAMIC))
 SEGMENT = wp.constant(int(ShapeType.SEGMENT))
 DISC = wp.constant(int(ShapeType.DISC))
 PAIR_OVERFLOW = wp.constant(int(Flag.PAIR_OVERFLOW))
-PREDICT_STEPS = wp.constant(4.0)  # steps of motion a moving shape's box is stretched by; 2 to 16 cost the same
+PREDICT_STEPS = wp.constant(8.0)  # steps of motion a moving shape's box is stretched by; 2 to 16 cost the same
+FAST_STEPS = wp.constant(24.0)  # the same for the few that outrun the world's speculative distance
 REACH_GROWTH = wp.constant(1.5)  # a box made for a speculative distance this much larger outlives bodies speeding up
 MAX_LEVEL = wp.constant(62)
+LARGE_LEVEL = wp.constant(3)  # shapes on this level and above, if they are few, are tested one by one:
+MAX_LARGE = wp.constant(16)  # a pile's three walls cost a rebuild a quarter of its time as cells
+FINE_LEVELS = wp.constant(wp.int64((1 << 3) - 1))  # bits of the levels below LARGE_LEVEL
+Large = wp.types.vector(16, wp.int32)
 
 
 @wp.func
@@ -245,6 +250,8 @@ def kernels(dtype: str) -> dict[str, Any]:
         for i in range(table, table + mask + 2):
             bucket[i] = 0
         levels = wp.int64(0)
+        large = Large()
+        large_count = int(0)
         for shape in range(first, last):
             body = shape_body[shape]
             v = predicted[body]
@@ -257,9 +264,12 @@ def kernels(dtype: str) -> dict[str, Any]:
                 s = wp.sin(angle[body])
             tight = shape_box(shape, kind, center, c, s, position[body], vertex_start, vertices, shape_radius[shape])
             arm = spin_arm(kind, center, shape_extent[shape])
-            grow = margin + wp.min(wp.abs(v[2] * dt) * real(PREDICT_STEPS), real(2.0)) * arm
-            dx = v[0] * dt * real(PREDICT_STEPS)
-            dy = v[1] * dt * real(PREDICT_STEPS)
+            ahead = dt * real(PREDICT_STEPS)
+            if (v[0] * v[0] + v[1] * v[1]) * dt * dt > real(1.1) * reach[w] * reach[w]:
+                ahead = dt * real(FAST_STEPS)
+            grow = margin + wp.min(wp.abs(v[2]) * ahead, real(2.0)) * arm
+            dx = v[0] * ahead
+            dy = v[1] * ahead
             outer = vec4(
                 tight[0] + wp.min(dx, real(0.0)) - grow,
                 tight[1] + wp.min(dy, real(0.0)) - grow,
@@ -274,6 +284,10 @@ def kernels(dtype: str) -> dict[str, Any]:
                 side = side * real(2.0)
                 level += 1
             levels = levels | (wp.int64(1) << wp.int64(level))
+            if level >= LARGE_LEVEL:
+                if large_count < MAX_LARGE:
+                    large[large_count] = shape
+                large_count += 1
             cx = int(wp.floor(real(0.5) * (outer[0] + outer[2]) / side))
             cy = int(wp.floor(real(0.5) * (outer[1] + outer[3]) / side))
             cell[shape] = wp.vec3i(cx, cy, level)
@@ -289,6 +303,12 @@ def kernels(dtype: str) -> dict[str, Any]:
             sorted_shape[first + bucket[slot]] = shape
             shape -= 1
 
+        # the highest level that is looked up by cells
+        top = MAX_LEVEL
+        if large_count <= MAX_LARGE:
+            top = LARGE_LEVEL - 1
+            levels = levels & FINE_LEVELS
+
         pairs = pair_start[w]
         capacity = pair_start[w + 1] - pairs
         n = int(0)
@@ -296,8 +316,18 @@ def kernels(dtype: str) -> dict[str, Any]:
         for shape in range(first, last):
             own = cell[shape]
             level = own[2]
+            if top < MAX_LEVEL:
+                for i in range(large_count):
+                    other = large[i]
+                    if (level <= top or other > shape) and accepts(
+                        shape, other, box, shape_body, body_type, shape_category, shape_mask
+                    ):
+                        n = emit(n, capacity, pairs, shape, other, shape_body, body_type, pair_a, pair_b)
             # own level: the forward half of the 3 x 3 cells, so that each pair is met once
-            for step in range(5):
+            cells = int(5)
+            if level > top:
+                cells = 0
+            for step in range(cells):
                 cx = own[0]
                 cy = own[1]
                 if step == 1:
@@ -311,12 +341,16 @@ def kernels(dtype: str) -> dict[str, Any]:
                     end = bucket[table + at + 2]
                 for k in range(bucket[table + at + 1], end):
                     other = sorted_shape[first + k]
-                    q = cell[other]
-                    if q[0] == cx and q[1] == cy and q[2] == level and (step > 0 or other > shape):
+                    # the bucket may hold other cells too: most of those fail by their boxes already
+                    if step > 0 or other > shape:
                         if accepts(shape, other, box, shape_body, body_type, shape_category, shape_mask):
-                            n = emit(n, capacity, pairs, shape, other, shape_body, body_type, pair_a, pair_b)
+                            q = cell[other]
+                            if q[0] == cx and q[1] == cy and q[2] == level:
+                                n = emit(n, capacity, pairs, shape, other, shape_body, body_type, pair_a, pair_b)
             # coarser levels: every cell whose shapes' boxes can reach this one
-            above = levels >> wp.int64(level + 1)
+            above = wp.int64(0)
+            if level <= top:
+                above = levels >> wp.int64(level + 1)
             side = size
             for _ in range(level):
                 side = side * real(2.0)
