@@ -25,11 +25,6 @@ $(VENV)/.dev: pyproject.toml constraints.txt
 	$(INSTALL) -e '.[dev]'
 	@touch $@
 
-$(VENV)/.bench: $(VENV)/.dev
-	@echo "== installing the engines that the benches compare with"
-	$(INSTALL) -e '.[dev,bench]'
-	@touch $@
-
 venv: $(VENV)/.dev ## make the virtual environment only
 
 demo: $(VENV)/.dev ## run the thesis protocol, print its table and draw its plots into out/demo
@@ -50,7 +45,7 @@ format: $(VENV)/.dev ## format the code and fix what can be fixed
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(VENV)/.bench ## run the benches: BENCHES="sweep worlds", ARGS=--quick
+bench: $(VENV)/.dev ## run the benches: BENCHES="sweep worlds", ARGS=--quick
 	@for name in $(BENCHES); do echo "== bench $$name"; $(BIN)/python -m bench $$name $(ARGS) || exit 1; done
 
 clean: ## remove .venv, out and every cache
