@@ -1,13 +1,15 @@
 """SIMD lanes: LANES rows of one colour solved side by side, as native snippets for the CPU.
 
 A block holds LANES rows column by column (``rows.COLUMNS``), so a column is one vector load. The bodies'
-velocities are 16-byte vec4 (32 in float64), loaded whole and transposed in registers: gather instructions
-are slower. Rows of a colour share no dynamic body, and a fixed body is written back unchanged, so lanes
-never disturb each other; empty lanes have zero columns and point at the padding body.
+velocities are 16-byte vec4 (32 in float64), loaded whole and transposed in registers. Rows of a colour share
+no dynamic body, and a fixed body is written back unchanged, so lanes never disturb each other; empty lanes
+have zero columns and point at the padding body.
 
-The arithmetic is that of ``rows.row_functions``, operation by operation and without contraction, so both give
-the same bits; a test compares them. Measured on one core with AVX-512, 2 000 to 200 000 contacts: 3.4-3.8 ns
-a contact and sweep for general rows, 2.4-3.3 ns for discs; 16 lanes gain under 5 %.
+The arithmetic is that of ``row.row_functions``, operation by operation and without contraction, so both give
+the same bits; a test compares them. On one core with AVX-512 a contact and sweep take 3.3-5 ns for general rows
+and 2.7-4.2 ns for discs (``bench sweep``). Tried and left: 16 lanes gain under 5 % and pad small worlds more;
+sweeping two worlds at once gains 3-7 %, for throughput and not latency is the limit; rows sorted by place gain
+nothing in worlds that fit the cache.
 """
 
 from functools import cache
