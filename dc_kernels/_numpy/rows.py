@@ -1,4 +1,4 @@
-"""Rows by Jacobian (seed, 2.2.1): packing into blocks, and one row as small dense vectors.
+"""Rows by Jacobian (seed, 2.2.1), packed into blocks colour by colour.
 
 J = [-n, -r_A x n, n, r_B x n] (2.21), the tangent alike (2.22), a distance joint along its line (2.20);
 effective mass 1 / (J M^-1 J^T) (2.24-2.25). Velocities are V = (v_A, w_A, v_B, w_B), (6,).
@@ -6,7 +6,6 @@ effective mass 1 / (J M^-1 J^T) (2.24-2.25). Velocities are V = (v_A, w_A, v_B, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,92 +13,9 @@ import numpy as np
 from ..rows import COLUMNS
 from ..types import COLORS, LANES, METHODS, Flag
 from .common import Array, Kernels, cross, dot, rotate, rotation, tangent
-
-
-@dataclass
-class Row:
-    """A contact (normal and tangent) or a joint as the solver sees it."""
-
-    at: tuple[int, slice, int]  # where its two impulses lie in an array of shape (blocks, 2, LANES)
-    a: int
-    b: int
-    jacobian: Array  # (2, 6): normal, tangent
-    response: Array  # (2, 6): M^-1 J^T of each, what a unit impulse changes the velocities by
-    effective_mass: Array  # (2,) [kg]
-    bias: Any  # [m/s]
-    friction: Any
-    gap: Any  # [m]
-    low: Any  # least normal impulse [N s]
-    is_joint: bool
-
-    def velocity(self, bodies: Array) -> Array:
-        """V of both bodies, (6,)."""
-        return np.concatenate([bodies[self.a, :3], bodies[self.b, :3]])
-
-    def change(self, bodies: Array, impulses: Array) -> None:
-        """V += M^-1 J^T impulses (2.26)."""
-        v = impulses @ self.response
-        bodies[self.a, :3] += v[:3]
-        bodies[self.b, :3] += v[3:]
-
+from .row import by_lane
 
 OPEN = 1e6  # a row that lets this many times the gap close within the step never acts
-
-
-def by_lane(array: Array, columns: int = 2) -> Array:
-    """A view of shape (blocks, columns, LANES)."""
-    return array.reshape(-1, columns, LANES)
-
-
-def read_row(variant: str, block: int, lane: int, rows: Array, row_body: Array, bodies: Array) -> Row | None:
-    """One row of the packed arrays; None for an empty lane.
-
-    Args:
-        variant: a key of ``rows.COLUMNS``.
-        block: block of rows.
-        lane: lane in the block.
-        rows: packed columns.
-        row_body: packed bodies.
-        bodies: anything whose fourth component is the inverse mass.
-    """
-    a, b = (int(i) for i in by_lane(row_body)[block, :, lane])
-    if a == b:
-        return None
-    columns = COLUMNS[variant]
-    value = dict(zip(columns, by_lane(rows, len(columns))[block, :, lane]))
-    n = np.array([value["nx"], value["ny"]])
-    t = tangent(n)
-    if variant == "discs":
-        j_normal = [*-n, 0.0, *n, 0.0]
-        j_tangent = [*-t, value["dA"], *t, value["dB"]]
-        turn_normal = (0.0, 0.0)
-        turn_tangent = (value["kA"], value["kB"])
-    else:
-        j_normal = [*-n, -value["rAn"], *n, value["rBn"]]
-        j_tangent = [*-t, -value["rAt"], *t, value["rBt"]]
-        turn_normal = (-value["iA"] * value["rAn"], value["iB"] * value["rBn"])
-        turn_tangent = (-value["iA"] * value["rAt"], value["iB"] * value["rBt"])
-    ma, mb = bodies[a, 3], bodies[b, 3]
-    low = value.get("lo", rows.dtype.type(0))
-    return Row(
-        at=(block, slice(None), lane),
-        a=a,
-        b=b,
-        jacobian=np.array([j_normal, j_tangent], rows.dtype),
-        response=np.array(
-            [
-                [*-ma * n, turn_normal[0], *mb * n, turn_normal[1]],
-                [*-ma * t, turn_tangent[0], *mb * t, turn_tangent[1]],
-            ],
-            rows.dtype,
-        ),
-        effective_mass=np.array([value["en"], value["et"]]),
-        bias=value["bias"],
-        friction=value["mu"],
-        gap=value["gap"],
-        low=low,
-        is_joint=bool(low < 0),
-    )
 
 
 def kernels(dtype: str, variant: str) -> Kernels:

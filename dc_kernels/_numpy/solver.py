@@ -8,7 +8,7 @@ import numpy as np
 
 from ..types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, NORMS, SERIAL_COLOR, STOPS
 from .common import Array, Kernels
-from .rows import Row, by_lane, read_row
+from .row import Row, by_lane, jacobi_row, natural_map_row, push_row, read_row, sweep_row
 
 JACOBI = METHODS["jacobi"]
 AITKEN = ACCELERATIONS["aitken"]
@@ -16,79 +16,6 @@ NNCG = ACCELERATIONS["nncg"]
 BY_RESIDUAL = STOPS["residual"]
 HUGE = 3e38
 TINY = 1e-30
-
-
-def sweep_row(row: Row, bodies: Array, row_impulse: Array, row_change: Array, omega: float) -> Any:
-    """Projected Gauss-Seidel on one row, normal before friction; the larger impulse change [N s]."""
-    impulse = by_lane(row_impulse)[row.at]
-    before = impulse.copy()
-    change = np.zeros_like(before)
-    speed = row.jacobian[0] @ row.velocity(bodies)
-    impulse[0] = max(before[0] - omega * row.effective_mass[0] * (speed + row.bias), row.low)
-    change[0] = impulse[0] - before[0]
-    speed = row.jacobian[1] @ (row.velocity(bodies) + row.response[0] * change[0])
-    limit = row.friction * impulse[0]
-    impulse[1] = min(max(before[1] - omega * row.effective_mass[1] * speed, -limit), limit)
-    change[1] = impulse[1] - before[1]
-    row.change(bodies, change)
-    by_lane(row_change)[row.at] = change
-    return abs(change).max()
-
-
-def jacobi_row(
-    row: Row, bodies: Array, body_rows: Array, row_impulse: Array, row_change: Array, summed: Array, omega: float
-) -> Any:
-    """Jacobi with mass splitting (Tonge et al. 2012): a row meets 1/n of a body that n rows act on.
-
-    Velocities are read from ``bodies`` and the changes added to ``summed``: the average over a body's shares.
-    """
-    impulse = by_lane(row_impulse)[row.at]
-    before = impulse.copy()
-    shares = np.repeat(body_rows[[row.a, row.b]], 3).astype(bodies.dtype)
-    k = row.jacobian @ (shares * row.response).T  # J M_split^-1 J^T, (2, 2)
-    speed = row.jacobian @ row.velocity(bodies)
-    if k[0, 0] > 0:
-        impulse[0] = max(before[0] - omega * (speed[0] + row.bias) / k[0, 0], row.low)
-    limit = row.friction * impulse[0]
-    if k[1, 1] > 0:
-        mixed = k[1, 0] * (impulse[0] - before[0])
-        impulse[1] = min(max(before[1] - omega * (speed[1] + mixed) / k[1, 1], -limit), limit)
-    change = impulse - before
-    row.change(summed, change)
-    by_lane(row_change)[row.at] = change
-    return abs(change).max()
-
-
-def push_row(row: Row, bodies: Array, factor: float, limit: Any) -> Any:
-    """Position correction of one row: displacements that remove a share of what overlaps after the step."""
-    step = max(factor * (row.jacobian[0] @ row.velocity(bodies) + row.gap), -limit)
-    if row.is_joint:
-        step = min(step, limit)
-    push = max(-row.effective_mass[0] * step, row.low)
-    row.change(bodies, np.array([push, 0.0], bodies.dtype))
-    return abs(push)
-
-
-def project_cone(normal: Any, along: Any, friction: Any) -> tuple[Any, Any]:
-    """The nearest point with |along| <= friction * normal."""
-    if normal >= 0 and abs(along) <= friction * normal:
-        return normal, along
-    if friction * abs(along) <= -normal:
-        return 0.0, 0.0
-    nearest = (normal + friction * abs(along)) / (1.0 + friction * friction)
-    return nearest, np.sign(along) * friction * nearest
-
-
-def natural_map_row(row: Row, bodies: Array, row_impulse: Array) -> Any:
-    """Squared natural map of one row [(N s)^2]: impulse minus its projected step on the friction cone."""
-    impulse = by_lane(row_impulse)[row.at]
-    un, ut = row.jacobian @ row.velocity(bodies)
-    un += row.bias
-    e = row.effective_mass[0]
-    if row.is_joint:
-        return (e * un) ** 2
-    zn, zt = project_cone(impulse[0] - e * (un + row.friction * abs(ut)), impulse[1] - e * ut, row.friction)
-    return (impulse[0] - zn) ** 2 + (impulse[1] - zt) ** 2
 
 
 def kernels(dtype: str, variant: str) -> Kernels:
