@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .arrays import ArrayGroup
-from .backend import bind
+from .backend import Launch, bind
 from .types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, SERIAL_COLOR, STATS, STOPS, SolverConfig
 
 if TYPE_CHECKING:
@@ -51,12 +51,12 @@ def solver_scalars(config: SolverConfig) -> dict[str, Any]:
     }
 
 
-def world_schedule(sim: Simulation, first: int, count: int) -> list[Callable[[], None]]:
+def world_schedule(sim: Simulation, first: int, count: int) -> list[Launch]:
     """One launch a solve: a thread runs a world's sweeps to the end. For many worlds, and on a CPU."""
     return [sim.bind("solve_world", first, count), sim.bind("unpack_impulses", first, count)]
 
 
-def color_schedule(sim: Simulation, first: int, count: int) -> list[Callable[[], None]]:
+def color_schedule(sim: Simulation, first: int, count: int) -> list[Launch]:
     """A launch a colour, a thread a row, driven from the host. For large worlds on a GPU."""
     begin = sim.bind("begin", first, count)
     before = sim.bind("before_sweep", first, count)
@@ -100,4 +100,4 @@ def _all_done(sim: Simulation, first: int, count: int) -> bool:
     return bool((done | (sim.state.numpy("flags")[first : first + count] != 0)).all())
 
 
-SCHEDULES: dict[str, Callable[..., list[Callable[[], None]]]] = {"world": world_schedule, "color": color_schedule}
+SCHEDULES: dict[str, Callable[..., list[Launch]]] = {"world": world_schedule, "color": color_schedule}

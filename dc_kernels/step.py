@@ -7,7 +7,7 @@ import itertools
 import os
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, Literal
 
 import numpy as np
@@ -351,10 +351,15 @@ class Simulation:
                 for shard, left in enumerate(self._left):
                     self._left[shard] -= self._run_shard(shard, left)
             else:
+                workers = [self._pool.submit(self._work) for _ in range(self.threads)]
                 try:
-                    list(self._pool.map(self._work, range(self.threads)))
+                    for worker in workers:
+                        worker.result()
                 except BaseException:
-                    self._halt = True  # an interrupt: threads end their step; worlds may have come to different times
+                    # an interrupt: threads end their step, and none is left at work when the caller goes on; worlds may
+                    # have come to different times
+                    self._halt = True
+                    wait(workers)
                     raise
             behind = np.flatnonzero(self.state.numpy("flags") & int(CAPACITY_FLAGS))
             if len(behind):
@@ -372,7 +377,7 @@ class Simulation:
             in_turn(self._phase_launches("collide", w, 1))()
         in_turn([*self._phase_launches("solve", w, 1), *self._phase_launches("advance", w, 1)])()
 
-    def _work(self, _: int) -> None:
+    def _work(self) -> None:
         """Run chunks of the shard that is farthest behind and free, until none is left or room is needed."""
         while not self._halt:
             with self._lock:

@@ -1,5 +1,7 @@
 """Stepping: phases, growing capacity, worlds that blow up, snapshots, far-away worlds, kinds of bodies."""
 
+import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -437,3 +439,30 @@ def test_a_foreign_array_is_refused(backend, change, message):
     state.position = change(wp, state.position)
     with pytest.raises(ValueError, match=message):
         dc.Simulation(model, state, joints)
+
+
+def test_no_thread_is_left_at_work_after_an_interrupt(monkeypatch):
+    """A shard fails while another is in the middle of its chunk: the error arrives only when that one has ended."""
+    sim = simulation(threads=2)
+    take = sim._run_shard
+    begun, ended = threading.Event(), threading.Event()
+
+    def run_shard(shard, steps):
+        if shard == 0:
+            assert begun.wait(10.0)
+            raise KeyboardInterrupt
+        begun.set()
+        time.sleep(0.05)
+        done = take(shard, 1)
+        ended.set()
+        return done
+
+    monkeypatch.setattr(sim, "_run_shard", run_shard)
+    with pytest.raises(KeyboardInterrupt):
+        sim.run(100, DT)
+    assert ended.is_set()
+    assert not sim._busy
+    monkeypatch.undo()
+    before = sim.state.numpy("time").copy()
+    sim.run(3, DT)
+    np.testing.assert_allclose(sim.state.numpy("time") - before, 3 * DT, rtol=1e-6)
