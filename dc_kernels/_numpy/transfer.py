@@ -263,7 +263,7 @@ def gather_gradient(
 
 
 def divide_image(tid: int, world_offset: int, weight: Array, image: Array) -> None:
-    """image / weight where the weight is > 0, 0 elsewhere: channel b C + c by the weight of bin b."""
+    """Divide by the weight where it is > 0, else set 0: channel b C + c by the weight of bin b."""
     w = tid + world_offset
     bins = weight.shape[1]
     by = np.repeat(weight[w], image.shape[1] // bins, axis=0)
