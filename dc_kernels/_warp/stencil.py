@@ -1,0 +1,241 @@
+"""What a point reaches on a grid and with which weights: C++ text that the native snippets of ``transfer`` are made of.
+
+A radial stencil (poly6, spiky, Gaussian, cubic spline, Wendland C2) weighs the nodes within h. Weights are computed in
+vectors of LANES columns, row by row, in a window of whole vectors that is slid into the row where it would leave it:
+its nodes beyond h get weight 0, so no column is tested. A separable stencil (bilinear, cubic B-spline) has up to 4 x 4
+nodes and fills the same window. Lengths are in spacings; q2 = r^2 / h^2; shape(q2) is W without its constant.
+"""
+
+from ..smoothing import GAUSSIAN_CUT, STENCILS
+
+LANES = 8  # a support of 2 spacings needs 4 or 5 columns;
+
+# exp(x), x in [-GAUSSIAN_CUT^2 / 2, 0], as (Taylor polynomial of exp(x / 16))^16 of a degree that errs below round-off
+_TAYLOR = {"float32": 9, "float64": 17}
+
+
+def _shapes(dtype: str) -> dict[str, tuple[str, str, str]]:
+    """By kernel: shape(q2), its derivative by q2, and the constant of W h^2 in 2D."""
+    root = "auto q = __builtin_elementwise_sqrt(q2); auto t = __builtin_elementwise_max(1 - q, q2 * 0);"
+    # at r = 0 the gradient is 0, whatever finite number the derivative is
+    safe = "auto p = __builtin_elementwise_max(q, q2 * 0 + (S)1e-18);"
+    half = "auto s = __builtin_elementwise_max((S)0.5 - q, q2 * 0);"
+    flat = "auto t = __builtin_elementwise_max(1 - q2, q2 * 0);"
+    rate = 0.5 * GAUSSIAN_CUT**2
+    degree = _TAYLOR[dtype]
+    terms = " ".join(f"e = 1 + e * (x * (S)(1.0 / {n}));" for n in range(degree - 1, 0, -1))
+    exp = (
+        f"auto x = q2 * (S){-rate / 16}; auto e = 1 + x * (S)(1.0 / {degree}); {terms} e *= e; e *= e; e *= e; e *= e;"
+    )
+    return {
+        "poly6": (f"{flat} return t * t * t;", f"{flat} return -3 * t * t;", "4 / pi"),
+        "spiky": (f"{root} return t * t * t;", f"{root} {safe} return (S)-1.5 * t * t / p;", "10 / pi"),
+        "gaussian": (
+            f"{exp} return q2 <= 1 ? e : q2 * 0;",
+            f"{exp} return q2 <= 1 ? e * (S){-rate} : q2 * 0;",
+            f"{rate} / pi",
+        ),
+        "cubic": (
+            f"{root} {half} return 2 * t * t * t - 8 * s * s * s;",
+            f"{root} {half} {safe} return (12 * s * s - 3 * t * t) / p;",
+            "40 / (7 * pi)",
+        ),
+        "wendland": (
+            f"{root} t *= t; return t * t * (1 + 4 * q);",
+            f"{root} return -10 * t * t * t;",
+            "7 / pi",
+        ),
+    }
+
+
+# Names that the snippets have before: image (4-D), spacing, h, world, grid_origin, point.
+_SETUP = f"""
+#pragma clang fp contract(off)
+typedef S_TYPE S;
+typedef S V __attribute__((ext_vector_type({LANES}), aligned(sizeof(S))));
+const int L = {LANES};
+const S pi = (S)3.14159265358979323846;
+const int R = image.shape[2], K = image.shape[3];
+const S inv = 1 / spacing, hs = h * inv, inv_h2 = 1 / (hs * hs);
+const S ox = ((const S*)grid_origin.data)[2 * world], oy = ((const S*)grid_origin.data)[2 * world + 1];
+const S* P = (const S*)point.data;
+V iota;
+for (int j = 0; j < L; ++j) iota[j] = (S)j;
+const V zero = (S)0;
+auto total = [&](V v) {{ S t = 0; for (int j = 0; j < L; ++j) t += v[j]; return t; }};
+auto clip = [](S v, S lo, S hi) {{ return v < lo ? lo : (v > hi ? hi : v); }};
+
+// the window of a point: rows r0..r1, nv vectors of columns from column a
+S x, y;
+int r0, r1, a, nv;
+auto slide = [&](int c0, int c1) {{
+    a = c0;
+    nv = (c1 - c0) / L + 1;
+    if (a + nv * L > K) a = K > nv * L ? K - nv * L : 0;
+}};
+// a grid narrower than the window: what lies beyond it has no weight and is not touched
+auto within = [&](V w, int v) {{
+    const int n = K - (a + v * L);
+    if (n < L) for (int j = 0; j < L; ++j) if (j >= n) w[j] = 0;
+    return w;
+}};
+auto load = [&](const S* p, int v) -> V {{
+    const int n = K - (a + v * L);
+    if (n >= L) return *(const V*)p;
+    V w = zero;
+    for (int j = 0; j < L; ++j) if (j < n) w[j] = p[j];
+    return w;
+}};
+auto store = [&](S* p, int v, V w) {{
+    const int n = K - (a + v * L);
+    if (n >= L) {{ *(V*)p = w; return; }}
+    for (int j = 0; j < L; ++j) if (j < n) p[j] = w[j];
+}};
+auto finite = [&](int i) {{
+    x = (P[2 * (size_t)i] - ox) * inv;
+    y = (P[2 * (size_t)i + 1] - oy) * inv;
+    return x - x == 0 && y - y == 0;
+}};
+auto nearest_node = [&](S u, int nodes) {{ return (int)(clip(u, 0, nodes - 1) + (S)0.5); }};
+auto outside = [&]() {{ return x < 0 || y < 0 || x > (S)(K - 1) || y > (S)(R - 1); }};
+// a sum of weights below it is no weight at all
+const S tiny = sizeof(S) == 4 ? (S)1e-37 : (S)1e-300;
+"""
+
+_RADIAL = """
+auto radial = [&](auto shape, auto slope, S constant) {
+    auto place = [&]() {
+        x = clip(x, -hs - 2, K + hs + 1);
+        y = clip(y, -hs - 2, R + hs + 1);
+        int c0 = (int)__builtin_elementwise_ceil(x - hs), c1 = (int)__builtin_elementwise_floor(x + hs);
+        r0 = (int)__builtin_elementwise_ceil(y - hs), r1 = (int)__builtin_elementwise_floor(y + hs);
+        if (c0 < 0) c0 = 0;
+        if (r0 < 0) r0 = 0;
+        if (c1 > K - 1) c1 = K - 1;
+        if (r1 > R - 1) r1 = R - 1;
+        if (c1 < c0 || r1 < r0) return false;
+        slide(c0, c1);
+        return true;
+    };
+    auto offset = [&](int v) { return (iota + (S)(a + v * L)) - x; };
+    auto weight = [&](int r, int v) {
+        const V dx = offset(v);
+        const S dy = r - y;
+        return within(shape((dx * dx + dy * dy) * inv_h2), v);
+    };
+    auto gradient = [&](int r, int v, V& gx, V& gy) {
+        const V dx = offset(v);
+        const S dy = r - y;
+        const V s = within(slope((dx * dx + dy * dy) * inv_h2), v) * (-2 * inv_h2);
+        gx = s * dx;
+        gy = s * dy;
+    };
+    run(place, weight, gradient, normalize == 0 ? constant / (h * h) : (S)0, false);
+};
+"""
+
+_SEPARABLE = """
+auto separable = [&](auto axis) {
+    S wy[4], sy[4];
+    V wx, sx;
+    auto place = [&]() {
+        S w[4] = {0, 0, 0, 0}, s[4] = {0, 0, 0, 0};
+        int c0, n;
+        axis(y, R, r0, n, wy, sy);
+        r1 = r0 + n - 1;
+        axis(x, K, c0, n, w, s);
+        slide(c0, c0 + n - 1);
+        wx = zero;
+        sx = zero;
+        for (int k = 0; k < n; ++k) { wx[c0 - a + k] = w[k]; sx[c0 - a + k] = s[k]; }
+        return true;
+    };
+    auto weight = [&](int r, int v) { return wx * wy[r - r0]; };
+    auto gradient = [&](int r, int v, V& gx, V& gy) {
+        gx = sx * wy[r - r0];
+        gy = wx * sy[r - r0];
+    };
+    run(place, weight, gradient, (S)1, true);
+};
+// an axis of n nodes at coordinate u: first node, number of nodes, weights and their derivatives
+auto linear = [&](S u, int nodes, int& first, int& n, S* w, S* s) {
+    const bool out = u < 0 || u > nodes - 1;
+    u = clip(u, 0, nodes - 1);
+    first = (int)u;
+    if (first > nodes - 2) first = nodes - 2;
+    const S t = u - first;
+    n = 2;
+    w[0] = 1 - t; w[1] = t;
+    s[0] = out ? 0 : -1; s[1] = out ? 0 : 1;
+};
+auto spline = [&](S u, int nodes, int& first, int& n, S* w, S* s) {
+    const bool out = u < 0 || u > nodes - 1;
+    u = clip(u, 0, nodes - 1);
+    int i = (int)u;
+    if (i > nodes - 2) i = nodes - 2;
+    const S t = u - i, c = 1 - t, sixth = (S)(1.0 / 6);
+    const S ww[4] = {c * c * c * sixth, (3 * t * t * t - 6 * t * t + 4) * sixth,
+                     (3 * c * c * c - 6 * c * c + 4) * sixth, t * t * t * sixth};
+    const S ss[4] = {c * c * (S)-0.5, (S)1.5 * t * t - 2 * t, 2 * c - (S)1.5 * c * c, t * t * (S)0.5};
+    n = nodes < 4 ? nodes : 4;
+    first = i - 1;
+    if (first > nodes - n) first = nodes - n;
+    if (first < 0) first = 0;
+    for (int k = 0; k < 4; ++k) { w[k] = 0; s[k] = 0; }
+    for (int k = 0; k < 4; ++k) {
+        // a ghost node is the linear extrapolation of the two nodes beside it
+        const int node = i - 1 + k, ghost = node < 0 ? 1 : (node > nodes - 1 ? -1 : 0);
+        const int at = node + ghost - first;
+        const S d = out ? 0 : ss[k];
+        if (ghost == 0) { w[at] += ww[k]; s[at] += d; }
+        else { w[at] += 2 * ww[k]; s[at] += 2 * d; w[at + ghost] -= ww[k]; s[at + ghost] -= d; }
+    }
+};
+"""
+
+
+def _choice(dtype: str, names: tuple[str, ...]) -> str:
+    """The switch that makes a loop of its own for each stencil."""
+    shapes = _shapes(dtype)
+    cases = [
+        f"case {STENCILS[name]}: radial([](auto q2) {{ {shapes[name][0]} }}, [](auto q2) {{ {shapes[name][1]} }}, "
+        f"{shapes[name][2]}); break;"
+        for name in names
+        if name in shapes
+    ]
+    cases += [
+        f"case {STENCILS[name]}: separable({axis}); break;"
+        for name, axis in (("bilinear", "linear"), ("bspline", "spline"))
+        if name in names
+    ]
+    return "switch (stencil) {" + "\n".join(cases) + "}"
+
+
+def snippet(dtype: str, before: str, run: str, after: str = "", names: tuple[str, ...] = tuple(STENCILS)) -> str:
+    """A native snippet that runs ``run`` with the weights of the stencil whose code is in ``stencil``.
+
+    Args:
+        dtype: "float32" or "float64".
+        before: statements ahead of the loop.
+        run: the body of ``run(place, weight, gradient, constant, separable)``: place() finds the window of the point
+            (x, y) and says whether it has nodes; weight(r, v) gives LANES weights; gradient(r, v, gx, gy) their
+            derivatives by the point's place in spacings; constant is what weights are multiplied with, 0 where they
+            are to be divided by their sum.
+        after: statements behind it.
+        names: stencils to compile.
+    """
+    scalar = {"float32": "float", "float64": "double"}[dtype]
+    text = f"""
+#if !defined(__CUDA_ARCH__)
+{_SETUP}
+{before}
+auto run = [&](auto place, auto weight, auto gradient, S constant, bool separable) {{
+{run}
+}};
+{_RADIAL}
+{_SEPARABLE}
+{_choice(dtype, names)}
+{after}
+#endif
+"""
+    return text.replace("S_TYPE", scalar)

@@ -1,0 +1,407 @@
+"""Splat and gather: points -> grid and back, and the gradients of both.
+
+A world, or a tile of a large image, belongs to one thread, which adds its points in the order of their index: nothing
+is added concurrently, and the bits are the same for any number of threads and with or without tiles.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from .common import kernel_module, scalar_types
+from .stencil import snippet
+
+_MODULES = ("splat", "gather", "gradient")  # apart: a stencil for each takes seconds to compile
+BAND = 8  # rows that are cleared and marked together
+CHUNK = 4096  # points that a thread gathers
+
+# Points item(k), k = begin .. end - 1, are added to rows row_lo .. row_hi - 1 of `base`, whose first column is `left`.
+# `lost`: how many reach no node, of those whose nearest node lies in these rows and columns col_lo .. col_hi - 1.
+_ADD_RUN = """
+for (int k = begin; k < end; ++k) {
+    const int i = item(k);
+    const bool valid = finite(i);
+    const bool out = !valid || outside();
+    const int near_c = valid ? nearest_node(x, K) : 0, near_r = valid ? nearest_node(y, R) : 0;
+    const bool home = near_r >= row_lo && near_r < row_hi && near_c >= col_lo && near_c < col_hi;
+    V kept[32];
+    S factor = constant;
+    bool hit = valid && place();
+    const bool keep = hit && (r1 - r0 + 1) * nv <= 32;
+    if (hit && !separable) {
+        V sum = zero;
+        int m = 0;
+        for (int r = r0; r <= r1; ++r)
+            for (int v = 0; v < nv; ++v) {
+                const V w = weight(r, v);
+                if (keep) kept[m++] = w;
+                sum += w;
+            }
+        const S t = total(sum);
+        hit = t > tiny;
+        if (constant == 0) factor = 1 / t;
+    }
+    lost += home && (separable ? out : !hit);
+    const S* A = value.data + (size_t)i * C;
+    S* to = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * C : 0)) * channel_stride;
+    if (!hit) {
+        if (valid && nearest && normalize && home) {
+            for (int c = 0; c < C; ++c)
+                to[c * channel_stride + (size_t)(near_r - row_lo) * row_stride + (near_c - left)] += A[c];
+            mark(near_r, near_r);
+        }
+        continue;
+    }
+    int m = 0;
+    for (int r = r0; r <= r1; ++r) {
+        if (r < row_lo || r >= row_hi) { m += nv; continue; }
+        S* row = to + (size_t)(r - row_lo) * row_stride + (a - left);
+        for (int v = 0; v < nv; ++v, ++m) {
+            const V w = (keep && !separable ? kept[m] : weight(r, v)) * factor;
+            for (int c = 0; c < C; ++c) {
+                S* p = row + c * channel_stride + v * L;
+                store(p, v, load(p, v) + w * A[c]);
+            }
+        }
+    }
+    mark(r0, r1);
+}
+"""
+
+_LOST = """
+const int C = value.shape[1];
+int lost = 0;
+"""
+_WORLD = f"""
+const int bands = touched.shape[1];
+int* const marks = touched.data + (size_t)world * bands;
+const size_t row_stride = K, channel_stride = (size_t)R * K;
+S* const base = image.data + (size_t)world * image.shape[1] * channel_stride;
+const int row_lo = 0, row_hi = R, col_lo = 0, col_hi = K, left = 0;
+const int begin = point_start.data[world], end = begin + point_count.data[world];
+for (int b = 0; b < bands; ++b) {{
+    if (!marks[b]) continue;
+    marks[b] = 0;
+    const size_t first = (size_t)b * {BAND} * K;
+    const size_t last = (b + 1) * {BAND} < R ? first + (size_t){BAND} * K : channel_stride;
+    for (int c = channel_offset; c < channel_offset + bins * value.shape[1]; ++c)
+        for (size_t n = first; n < last; ++n) base[c * channel_stride + n] = 0;
+}}
+auto mark = [&](int first, int last) {{ for (int b = first / {BAND}; b <= last / {BAND}; ++b) marks[b] = 1; }};
+auto item = [](int k) {{ return k; }};
+"""
+
+_GATHER = f"""
+const int C = value.shape[1];
+const size_t row_stride = K, channel_stride = (size_t)R * K;
+const S* const base = image.data + (size_t)world * image.shape[1] * channel_stride;
+const int first = point_start.data[world] + chunk * {CHUNK};
+const int last = point_start.data[world] + point_count.data[world];
+const int begin = first, end = first + {CHUNK} < last ? first + {CHUNK} : last;
+"""
+_GATHER_RUN = """
+for (int i = begin; i < end; ++i) {
+    const bool valid = finite(i);
+    S* A = value.data + (size_t)i * C;
+    const int near_c = valid ? nearest_node(x, K) : 0, near_r = valid ? nearest_node(y, R) : 0;
+    const S* from = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * C : 0)) * channel_stride;
+    const bool reached = valid && place();
+    bool hit = reached;
+    for (int c0 = 0; c0 < C && reached; c0 += 4) {
+        const int n = C - c0 < 4 ? C - c0 : 4;
+        V sum = zero, f[4] = {zero, zero, zero, zero};
+        for (int r = r0; r <= r1; ++r) {
+            const S* row = from + c0 * channel_stride + (size_t)r * K + a;
+            for (int v = 0; v < nv; ++v) {
+                const V w = weight(r, v);
+                sum += w;
+                for (int c = 0; c < n; ++c) f[c] += w * load(row + c * channel_stride + v * L, v);
+            }
+        }
+        const S t = separable ? 1 : total(sum);
+        hit = t > tiny;
+        const S factor = constant == 0 ? 1 / t : constant;
+        for (int c = 0; c < n; ++c) A[c0 + c] = hit ? total(f[c]) * factor : 0;
+    }
+    if (!hit)
+        for (int c = 0; c < C; ++c)
+            A[c] = valid && nearest && normalize ? from[c * channel_stride + (size_t)near_r * K + near_c] : 0;
+}
+"""
+
+# S = w / sum w:  sum_i dS_i a_i = (sum dw a - (sum w a) (sum dw) / sum w) / sum w, with a_i = sum_c value_c image_ci
+_GRADIENT_RUN = """
+S* G = (S*)gradient_out.data;
+for (int i = begin; i < end; ++i) {
+    const bool valid = finite(i);
+    const S* A = value.data + (size_t)i * C;
+    S gx = 0, gy = 0;
+    if (valid && place()) {
+        const S* from = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * C : 0)) * channel_stride;
+        V sum = zero, wa = zero, dx = zero, dy = zero, dxa = zero, dya = zero;
+        for (int r = r0; r <= r1; ++r) {
+            for (int v = 0; v < nv; ++v) {
+                V field = zero, wx, wy;
+                const S* row = from + (size_t)r * K + a + v * L;
+                for (int c = 0; c < C; ++c) field += load(row + c * channel_stride, v) * A[c];
+                const V w = weight(r, v);
+                gradient(r, v, wx, wy);
+                sum += w; wa += w * field;
+                dx += wx; dy += wy;
+                dxa += wx * field; dya += wy * field;
+            }
+        }
+        const S t = separable ? 1 : total(sum);
+        if (t > tiny) {
+            if (constant == 0) {
+                const S mean = total(wa) / t;
+                gx = (total(dxa) - mean * total(dx)) / t;
+                gy = (total(dya) - mean * total(dy)) / t;
+            } else {
+                gx = total(dxa) * constant;
+                gy = total(dya) * constant;
+            }
+        }
+    }
+    G[2 * (size_t)i] = gx * inv;
+    G[2 * (size_t)i + 1] = gy * inv;
+}
+"""
+
+_DIVIDE = """
+#if !defined(__CUDA_ARCH__)
+const size_t nodes = (size_t)image.shape[2] * image.shape[3];
+const int bins = weight.shape[1], C = image.shape[1] / bins;
+for (int b = 0; b < bins; ++b) {
+    auto* w = weight.data + ((size_t)world * bins + b) * nodes;
+    for (int c = 0; c < C; ++c) {
+        auto* p = image.data + ((size_t)world * image.shape[1] + b * C + c) * nodes;
+        for (size_t n = 0; n < nodes; ++n) p[n] = w[n] > 0 ? p[n] / w[n] : 0;
+    }
+}
+#endif
+"""
+
+
+@cache
+def kernels(dtype: str) -> dict[str, Any]:
+    """``splat_worlds``, ``gather_points``, ``gather_gradient``, ``divide_image``."""
+    t = scalar_types(dtype)
+    real, vec2 = t.real, t.vec2
+    image_type = wp.array(dtype=real, ndim=4)
+    value_type = wp.array(dtype=real, ndim=2)
+    integers = wp.array(dtype=wp.int32)
+    vectors = wp.array(dtype=vec2)
+    splat_module, gather_module, gradient_module = (kernel_module(f"transfer_{n}", dtype) for n in _MODULES)
+
+    @wp.func_native(snippet(dtype, _LOST + _WORLD, _ADD_RUN, "missed.data[world] = lost;"))
+    def splat_world(
+        world: wp.int32,
+        stencil: wp.int32,
+        normalize: wp.int32,
+        nearest: wp.int32,
+        spacing: real,
+        h: real,
+        bins: wp.int32,
+        channel_offset: wp.int32,
+        grid_origin: vectors,
+        point_start: integers,
+        point_count: integers,
+        point: vectors,
+        value: value_type,
+        point_bin: integers,
+        touched: wp.array(dtype=wp.int32, ndim=2),
+        missed: integers,
+        image: image_type,
+    ): ...
+
+    @wp.kernel(module=splat_module, enable_backward=False)
+    def splat_worlds(
+        world_offset: int,
+        stencil: int,
+        normalize: int,
+        nearest: int,
+        spacing: real,
+        h: real,
+        bins: int,
+        channel_offset: int,
+        # Points in:
+        grid_origin: vectors,
+        point_start: integers,
+        point_count: integers,
+        point: vectors,
+        value: value_type,
+        point_bin: integers,
+        # Image in, out:
+        touched: wp.array(dtype=wp.int32, ndim=2),
+        missed: integers,
+        image: image_type,
+    ):
+        """Clear what the call before touched in these channels, then add the points of a world."""
+        splat_world(
+            wp.tid() + world_offset,
+            stencil,
+            normalize,
+            nearest,
+            spacing,
+            h,
+            bins,
+            channel_offset,
+            grid_origin,
+            point_start,
+            point_count,
+            point,
+            value,
+            point_bin,
+            touched,
+            missed,
+            image,
+        )
+
+    @wp.func_native(snippet(dtype, _GATHER, _GATHER_RUN))
+    def gather_chunk(
+        world: wp.int32,
+        chunk: wp.int32,
+        stencil: wp.int32,
+        normalize: wp.int32,
+        nearest: wp.int32,
+        spacing: real,
+        h: real,
+        bins: wp.int32,
+        channel_offset: wp.int32,
+        grid_origin: vectors,
+        point_start: integers,
+        point_count: integers,
+        point: vectors,
+        point_bin: integers,
+        image: image_type,
+        value: value_type,
+    ): ...
+
+    @wp.kernel(module=gather_module, enable_backward=False)
+    def gather_points(
+        world_offset: int,
+        chunks: int,
+        stencil: int,
+        normalize: int,
+        nearest: int,
+        spacing: real,
+        h: real,
+        bins: int,
+        channel_offset: int,
+        # Points in:
+        grid_origin: vectors,
+        point_start: integers,
+        point_count: integers,
+        point: vectors,
+        point_bin: integers,
+        image: image_type,
+        # Out:
+        value: value_type,
+    ):
+        """The image at points: the transpose of the splat with the same stencil."""
+        i = wp.tid()
+        gather_chunk(
+            world_offset + i // chunks,
+            i % chunks,
+            stencil,
+            normalize,
+            nearest,
+            spacing,
+            h,
+            bins,
+            channel_offset,
+            grid_origin,
+            point_start,
+            point_count,
+            point,
+            point_bin,
+            image,
+            value,
+        )
+
+    @wp.func_native(snippet(dtype, _GATHER, _GRADIENT_RUN))
+    def gradient_chunk(
+        world: wp.int32,
+        chunk: wp.int32,
+        stencil: wp.int32,
+        normalize: wp.int32,
+        nearest: wp.int32,
+        spacing: real,
+        h: real,
+        bins: wp.int32,
+        channel_offset: wp.int32,
+        grid_origin: vectors,
+        point_start: integers,
+        point_count: integers,
+        point: vectors,
+        point_bin: integers,
+        image: image_type,
+        value: value_type,
+        gradient_out: vectors,
+    ): ...
+
+    @wp.kernel(module=gradient_module, enable_backward=False)
+    def gather_gradient(
+        world_offset: int,
+        chunks: int,
+        stencil: int,
+        normalize: int,
+        nearest: int,
+        spacing: real,
+        h: real,
+        bins: int,
+        channel_offset: int,
+        # Points in:
+        grid_origin: vectors,
+        point_start: integers,
+        point_count: integers,
+        point: vectors,
+        point_bin: integers,
+        image: image_type,
+        value: value_type,
+        # Out:
+        gradient: vectors,
+    ):
+        """Gradient of value . gathered image by the place of each point: the adjoint of splat and gather by places."""
+        i = wp.tid()
+        gradient_chunk(
+            world_offset + i // chunks,
+            i % chunks,
+            stencil,
+            normalize,
+            nearest,
+            spacing,
+            h,
+            bins,
+            channel_offset,
+            grid_origin,
+            point_start,
+            point_count,
+            point,
+            point_bin,
+            image,
+            value,
+            gradient,
+        )
+
+    @wp.func_native(_DIVIDE)
+    def divide_world(world: wp.int32, weight: image_type, image: image_type): ...
+
+    @wp.kernel(module=splat_module, enable_backward=False)
+    def divide_image(
+        world_offset: int,
+        weight: image_type,
+        # In, out:
+        image: image_type,
+    ):
+        """Shepard: an image by the weights that it was added with, 0 where there are none."""
+        divide_world(wp.tid() + world_offset, weight, image)
+
+    return {
+        "splat_worlds": splat_worlds,
+        "gather_points": gather_points,
+        "gather_gradient": gather_gradient,
+        "divide_image": divide_image,
+    }
