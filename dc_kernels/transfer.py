@@ -23,31 +23,30 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .arrays import aligned_zeros, check_values, float_dtype
+from .arrays import aligned_zeros, check_values, float_dtype, to_numpy
 from .backend import Launch, bind, check_backend, in_turn
 from .grid import Grid
 from .smoothing import KERNELS, STENCILS
+from .types import LANES, TILE_COLUMNS, TILE_ROWS
 
 NORMALIZE = {"sum": 0, "particle": 1}
 BAND = 8  # rows of an image that are cleared and marked together
 CHUNK = 4096  # points that one thread index gathers
 SUPPORT = 2.0  # default h [spacing]
+TILED_BYTES = 2**23  # of a world's channels, beyond which tiles are faster: 6 MB took 49 and 71 ns, 64 MB 250 and 70
 
 Stencil = Literal["poly6", "spiky", "gaussian", "cubic", "wendland", "bilinear", "bspline"]
 
 
 def transfer_kernels(backend: str, dtype: str) -> Mapping[str, Any]:
-    """The kernels of a backend by name: splat_worlds, gather_points, gather_gradient, divide_image."""
+    """Kernels by name: splat_worlds, gather_points, gather_gradient, divide_image; for Warp tiles too."""
     if check_backend(backend) == "warp":
-        from ._warp.transfer import kernels
-    else:
-        from ._numpy.transfer import kernels  # type: ignore[assignment]
+        from ._warp import tiles, transfer
+
+        return {**transfer.kernels(dtype), **tiles.kernels(dtype)}
+    from ._numpy.transfer import kernels
+
     return kernels(dtype)
-
-
-def bands(grid: Grid) -> int:
-    """Bands of rows of an image: the second axis of ``touched``."""
-    return -(-grid.rows // BAND)
 
 
 def allocate_image(worlds: int, channels: int, grid: Grid, dtype: Any = "float32") -> np.ndarray:
@@ -83,11 +82,6 @@ def shard_worlds(worlds: int, threads: int) -> list[tuple[int, int]]:
     """First world and number of worlds of each thread's share."""
     edges = np.linspace(0, worlds, min(max(threads, 1), max(worlds, 1)) + 1).astype(int)
     return [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
-
-
-def shard_chunks(worlds: int, most: int, threads: int) -> tuple[int, list[tuple[int, int]]]:
-    """Chunks of a world with ``most`` points, and (first world, worlds) of each thread's share."""
-    return max(-(-most // CHUNK), 1), shard_worlds(worlds, threads)
 
 
 def run_shards(launches: Sequence[Launch], pool: ThreadPoolExecutor | None) -> None:
@@ -191,19 +185,134 @@ def check_bins(bins: int, point_bin: Any, count: int) -> np.ndarray:
     return array if bins > 1 else np.zeros(1, np.int32)
 
 
+class Splat:
+    """A splat bound to its arrays: what they hold may change from call to call, their memory may not.
+
+    Small images are one thread a world, each adding its points to the image; images that a core's cache cannot hold are
+    splatted tile by tile. Only what the call before touched is cleared, and only what points reach is written: bands of
+    8 rows, or tiles. The bits are the same either way, and for any number of threads.
+    """
+
+    def __init__(
+        self,
+        table: Mapping[str, Any],
+        values: Mapping[str, Any],
+        *,
+        backend: str = "warp",
+        threads: int = 1,
+        tiled: bool | None = None,
+    ) -> None:
+        """Allocate what a splat needs beside its arrays.
+
+        Args:
+            table: the kernels, of ``transfer_kernels``.
+            values: arguments of ``splat_worlds`` by name but ``touched`` and ``missed``; the image starts zeroed.
+            backend: of the arrays.
+            threads: that worlds or tiles are shared by.
+            tiled: None: as the size of the image tells; the oracle has no tiles.
+        """
+        self.table, self.backend = table, backend
+        worlds, _, rows, columns = values["image"].shape
+        count, channels = values["value"].shape
+        channels *= values["bins"]
+        item = 8 if "64" in str(to_numpy(values["value"]).dtype) else 4
+        window = lanes_window(values["stencil"], values["h"] / values["spacing"])
+        if tiled is None:
+            tiled = backend == "warp" and rows * columns * channels * item > TILED_BYTES
+        self.tiled = bool(tiled) and columns >= window
+        self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self.missed = np.zeros(worlds, np.int32)
+        self.values = {**values, "missed": kernel_array(self.missed, backend)}
+        if not self.tiled:
+            touched = np.zeros((worlds, -(-rows // BAND)), np.int32)
+            self.values["touched"] = kernel_array(touched, backend)
+            self._launches = [self._bind("splat_worlds", n, world_offset=w) for w, n in shard_worlds(worlds, threads)]
+            return
+        tiles = -(-rows // TILE_ROWS) * -(-columns // TILE_COLUMNS)
+        self.tile_slot = np.zeros((threads, worlds * tiles), np.int32)
+        self.tile_start = np.zeros(worlds * tiles + 1, np.int32)
+        self.tile_lost = np.zeros(worlds * tiles, np.int32)
+        scratch = aligned_zeros((threads, channels * TILE_ROWS * (TILE_COLUMNS + 2 * window)), np.dtype(f"f{item}"))
+        self.values.update(
+            tiles=tiles,
+            chunks=threads,
+            scratch=kernel_array(scratch, backend),
+            tile_slot=kernel_array(self.tile_slot, backend),
+            tile_start=kernel_array(self.tile_start, backend),
+            tile_lost=kernel_array(self.tile_lost, backend),
+            tile_touched=kernel_array(np.zeros(worlds * tiles, np.int32), backend),
+        )
+        self._count = [self._bind("count_tiles", worlds, chunk=chunk) for chunk in range(threads)]
+        self._reserve(count + count // 2)
+
+    def _bind(self, name: str, dim: int, **values: Any) -> Launch:
+        return bind(self.table[name], dim, {**self.values, **values}, "cpu")
+
+    def _reserve(self, entries: int) -> None:
+        """Room for the entries of all tiles, and what is fetched ahead of the last."""
+        self.room = entries
+        order = np.zeros(entries + TILE_ROWS, np.int32)
+        self.values["order"] = kernel_array(order, self.backend)
+        threads = len(self._count)
+        self._list = [self._bind("list_tiles", self.values["image"].shape[0], chunk=chunk) for chunk in range(threads)]
+        # more shards than threads would need more buffers; tiles are many, and those of a shard lie side by side
+        self._launches = [
+            self._bind("splat_tiles", count, tile_offset=first, slot=slot)
+            for slot, (first, count) in enumerate(shard_worlds(len(self.tile_lost), threads))
+        ]
+
+    def __call__(self) -> None:
+        """Splat what the arrays hold now; ``missed`` then says how many points of each world reach no node."""
+        if not self.tiled:
+            run_shards(self._launches, self.pool)
+            return
+        self.tile_slot.fill(0)
+        run_shards(self._count, self.pool)
+        # the entries of a tile: those of the first chunk, of the second, ...: ordered by index whatever the chunks
+        ends = np.cumsum(self.tile_slot.T.ravel(), dtype=np.int64)
+        total = int(ends[-1])
+        if total > 2**31 - 1 - TILE_ROWS:
+            raise ValueError(f"the points reach {total} tiles in all; there may be 2^31: splat fewer worlds at once")
+        chunks = len(self.tile_slot)
+        starts = np.concatenate([[0], ends[:-1]]).reshape(-1, chunks)
+        self.tile_slot[...] = starts.T
+        self.tile_start[:-1] = starts[:, 0]
+        self.tile_start[-1] = total
+        if total > self.room:
+            self._reserve(total + total // 8)
+        run_shards(self._list, self.pool)
+        run_shards(self._launches, self.pool)
+        self.missed[...] = self.tile_lost.reshape(len(self.missed), -1).sum(axis=1)
+
+
+def lanes_window(stencil: int, support: float) -> int:
+    """Columns of the widest window of a point: whole vectors, as ``_warp/stencil.py`` places them."""
+    return LANES if stencil >= len(KERNELS) else (int(2 * support) // LANES + 1) * LANES
+
+
 class _Call:
     """Checked arguments of one splat or gather as the kernels take them."""
 
     def __init__(
-        self, points: Any, grid: Grid, scalars: dict[str, Any], start: Any, bins: int, point_bin: Any, backend: str
+        self,
+        points: Any,
+        grid: Grid,
+        scalars: dict[str, Any],
+        start: Any,
+        bins: int,
+        point_bin: Any,
+        threads: int,
+        backend: str,
     ) -> None:
         self.points = check_points(points)
         self.backend = check_backend(backend)
         self.dtype = self.points.dtype
+        if not isinstance(threads, int | np.integer) or threads < 1:
+            raise ValueError(f"threads is {threads!r}; it must be an integer of at least 1")
+        self.threads = int(threads)
         self.first, self.count = check_start(start, len(points))
         self.worlds = len(self.first)
         self.grid = grid
-        self.bins = bins
         origin = np.tile(np.asarray(grid.origin, self.dtype), (self.worlds, 1))
         self.table = transfer_kernels(backend, self.dtype.name)
         self.values: dict[str, Any] = {
@@ -217,27 +326,22 @@ class _Call:
             "point_bin": kernel_array(check_bins(bins, point_bin, len(points)), backend),
         }
 
-    def launch(self, name: str, threads: int, **arrays: np.ndarray) -> None:
-        """Run a kernel over all worlds."""
-        values = {**self.values, **{key: kernel_array(array, self.backend) for key, array in arrays.items()}}
-        most = int(self.count.max(initial=0))
-        chunks = max(-(-most // CHUNK), 1) if name == "gather_points" else 1
-        launches = [
-            bind(self.table[name], count * chunks, {**values, "world_offset": first, "chunks": chunks}, "cpu")
-            for first, count in shard_worlds(self.worlds, threads)
-        ]
-        if threads > 1 and len(launches) > 1:
-            with ThreadPoolExecutor(threads) as pool:
-                run_shards(launches, pool)
-        else:
-            run_shards(launches, None)
+    def with_arrays(self, **arrays: np.ndarray) -> dict[str, Any]:
+        """The kernels' arguments with some more arrays."""
+        return {**self.values, **{name: kernel_array(array, self.backend) for name, array in arrays.items()}}
 
-    def splat(self, values: np.ndarray, image: np.ndarray, threads: int) -> np.ndarray:
-        """Add to a zeroed image; returns how many points of each world reach no node."""
-        missed = np.zeros(self.worlds, np.int32)
-        touched = np.zeros((self.worlds, bands(self.grid)), np.int32)
-        self.launch("splat_worlds", threads, value=values, image=image, touched=touched, missed=missed)
-        return missed
+    def splat(self, values: np.ndarray, image: np.ndarray) -> None:
+        """Add to a zeroed image."""
+        arguments = self.with_arrays(value=values, image=image)
+        Splat(self.table, arguments, backend=self.backend, threads=self.threads)()
+
+    def launch(self, name: str, chunks: int = 1, **arrays: np.ndarray) -> None:
+        """Run a kernel over all worlds, ``chunks`` threads each."""
+        values = {**self.with_arrays(**arrays), "chunks": chunks}
+        shards = shard_worlds(self.worlds, self.threads)
+        launches = [bind(self.table[name], n * chunks, {**values, "world_offset": w}, "cpu") for w, n in shards]
+        with ThreadPoolExecutor(self.threads) as pool:
+            run_shards(launches, pool)
 
 
 def splat(
@@ -281,18 +385,18 @@ def splat(
     """
     shepard = normalize == "shepard"
     scalars = stencil_scalars(grid, kernel, h, "sum" if shepard else normalize, nearest)
-    call = _Call(points, grid, scalars, start, bins, point_bin, backend)
+    call = _Call(points, grid, scalars, start, bins, point_bin, threads, backend)
     values = _check_channels(values, len(points), call.dtype)
     shape = (call.worlds, bins * values.shape[1], *grid.shape)
     if out is None:
         out = aligned_zeros(shape, call.dtype)
     else:
         check_floats(out, "out", shape, call.dtype).fill(0)
-    call.splat(values, out, threads)
+    call.splat(values, out)
     if shepard:
         weight = aligned_zeros((call.worlds, bins, *grid.shape), call.dtype)
-        call.splat(np.ones((len(points), 1), call.dtype), weight, threads)
-        call.launch("divide_image", threads, weight=weight, image=out)
+        call.splat(np.ones((len(points), 1), call.dtype), weight)
+        call.launch("divide_image", weight=weight, image=out)
     return out
 
 
@@ -330,7 +434,7 @@ def gather(
         ValueError: naming field, index and limit, for input that is not as described.
     """
     scalars = stencil_scalars(grid, kernel, h, normalize, nearest)
-    call = _Call(points, grid, scalars, start, bins, point_bin, backend)
+    call = _Call(points, grid, scalars, start, bins, point_bin, threads, backend)
     if not isinstance(image, np.ndarray) or image.ndim != 4:
         raise ValueError(f"image has shape {getattr(image, 'shape', None)}; it must be (W, bins C, rows, columns)")
     channels = image.shape[1] // bins
@@ -343,10 +447,10 @@ def gather(
         if normalize != "particle":
             raise ValueError(f"normalize is {normalize!r}; reverse needs 'particle'")
         weight = aligned_zeros((call.worlds, bins, *grid.shape), call.dtype)
-        call.splat(np.ones((len(points), 1), call.dtype), weight, threads)
+        call.splat(np.ones((len(points), 1), call.dtype), weight)
         image = image.copy()  # what the caller's image holds is not ours to change
-        call.launch("divide_image", threads, weight=weight, image=image)
-    call.launch("gather_points", threads, image=image, value=out)
+        call.launch("divide_image", weight=weight, image=image)
+    call.launch("gather_points", max(-(-int(call.count.max(initial=0)) // CHUNK), 1), image=image, value=out)
     return out
 
 

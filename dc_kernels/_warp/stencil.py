@@ -49,7 +49,7 @@ def _shapes(dtype: str) -> dict[str, tuple[str, str, str]]:
 
 
 # Names that the snippets have before: image (4-D), spacing, h, world, grid_origin, point.
-_SETUP = f"""
+SETUP = f"""
 #pragma clang fp contract(off)
 typedef S_TYPE S;
 typedef S V __attribute__((ext_vector_type({LANES}), aligned(sizeof(S))));
@@ -62,16 +62,22 @@ const S* P = (const S*)point.data;
 V iota;
 for (int j = 0; j < L; ++j) iota[j] = (S)j;
 const V zero = (S)0;
-auto total = [&](V v) {{ S t = 0; for (int j = 0; j < L; ++j) t += v[j]; return t; }};
+auto total = [](V v) {{
+    const auto four = v.lo + v.hi;
+    const auto two = four.lo + four.hi;
+    return two.x + two.y;
+}};
 auto clip = [](S v, S lo, S hi) {{ return v < lo ? lo : (v > hi ? hi : v); }};
 
 // the window of a point: rows r0..r1, nv vectors of columns from column a
 S x, y;
 int r0, r1, a, nv;
+bool one;  // a single vector, all of it in the row
 auto slide = [&](int c0, int c1) {{
     a = c0;
     nv = (c1 - c0) / L + 1;
     if (a + nv * L > K) a = K > nv * L ? K - nv * L : 0;
+    one = nv == 1 && a + L <= K;
 }};
 // a grid narrower than the window: what lies beyond it has no weight and is not touched
 auto within = [&](V w, int v) {{
@@ -104,6 +110,8 @@ const S tiny = sizeof(S) == 4 ? (S)1e-37 : (S)1e-300;
 
 _RADIAL = """
 auto radial = [&](auto shape, auto slope, S constant) {
+    V columns;
+    auto offset = [&](int v) { return (iota + (S)(a + v * L)) - x; };
     auto place = [&]() {
         x = clip(x, -hs - 2, K + hs + 1);
         y = clip(y, -hs - 2, R + hs + 1);
@@ -115,22 +123,27 @@ auto radial = [&](auto shape, auto slope, S constant) {
         if (r1 > R - 1) r1 = R - 1;
         if (c1 < c0 || r1 < r0) return false;
         slide(c0, c1);
+        const V dx = offset(0);
+        columns = dx * dx * inv_h2;
         return true;
     };
-    auto offset = [&](int v) { return (iota + (S)(a + v * L)) - x; };
+    auto first_weight = [&](int r) {
+        const S dy = r - y;
+        return shape(columns + dy * dy * inv_h2);
+    };
     auto weight = [&](int r, int v) {
         const V dx = offset(v);
         const S dy = r - y;
-        return within(shape((dx * dx + dy * dy) * inv_h2), v);
+        return within(shape(dx * dx * inv_h2 + dy * dy * inv_h2), v);
     };
     auto gradient = [&](int r, int v, V& gx, V& gy) {
         const V dx = offset(v);
         const S dy = r - y;
-        const V s = within(slope((dx * dx + dy * dy) * inv_h2), v) * (-2 * inv_h2);
+        const V s = within(slope(dx * dx * inv_h2 + dy * dy * inv_h2), v) * (-2 * inv_h2);
         gx = s * dx;
         gy = s * dy;
     };
-    run(place, weight, gradient, normalize == 0 ? constant / (h * h) : (S)0, false);
+    run(place, first_weight, weight, gradient, normalize == 0 ? constant / (h * h) : (S)0, false);
 };
 """
 
@@ -150,12 +163,13 @@ auto separable = [&](auto axis) {
         for (int k = 0; k < n; ++k) { wx[c0 - a + k] = w[k]; sx[c0 - a + k] = s[k]; }
         return true;
     };
+    auto first_weight = [&](int r) { return wx * wy[r - r0]; };
     auto weight = [&](int r, int v) { return wx * wy[r - r0]; };
     auto gradient = [&](int r, int v, V& gx, V& gy) {
         gx = sx * wy[r - r0];
         gy = wx * sy[r - r0];
     };
-    run(place, weight, gradient, (S)1, true);
+    run(place, first_weight, weight, gradient, (S)1, true);
 };
 // an axis of n nodes at coordinate u: first node, number of nodes, weights and their derivatives
 auto linear = [&](S u, int nodes, int& first, int& n, S* w, S* s) {
@@ -194,48 +208,39 @@ auto spline = [&](S u, int nodes, int& first, int& n, S* w, S* s) {
 """
 
 
-def _choice(dtype: str, names: tuple[str, ...]) -> str:
-    """The switch that makes a loop of its own for each stencil."""
-    shapes = _shapes(dtype)
-    cases = [
-        f"case {STENCILS[name]}: radial([](auto q2) {{ {shapes[name][0]} }}, [](auto q2) {{ {shapes[name][1]} }}, "
-        f"{shapes[name][2]}); break;"
-        for name in names
-        if name in shapes
-    ]
-    cases += [
-        f"case {STENCILS[name]}: separable({axis}); break;"
-        for name, axis in (("bilinear", "linear"), ("bspline", "spline"))
-        if name in names
-    ]
-    return "switch (stencil) {" + "\n".join(cases) + "}"
-
-
-def snippet(dtype: str, before: str, run: str, after: str = "", names: tuple[str, ...] = tuple(STENCILS)) -> str:
+def snippet(dtype: str, before: str, run: str, after: str = "", bilinear: str | None = None) -> str:
     """A native snippet that runs ``run`` with the weights of the stencil whose code is in ``stencil``.
 
     Args:
         dtype: "float32" or "float64".
         before: statements ahead of the loop.
-        run: the body of ``run(place, weight, gradient, constant, separable)``: place() finds the window of the point
-            (x, y) and says whether it has nodes; weight(r, v) gives LANES weights; gradient(r, v, gx, gy) their
-            derivatives by the point's place in spacings; constant is what weights are multiplied with, 0 where they
-            are to be divided by their sum.
+        run: the body of ``run(place, ..., separable)``: place() finds the window of the point (x, y), or says that it
+            has no nodes; weight(r, v) gives LANES weights, first_weight(r) the same where ``one`` vector holds the
+            window; gradient(r, v, gx, gy) their derivatives by the point's place in spacings; constant is what weights
+            are multiplied with, 0 where they are to be divided by their sum.
         after: statements behind it.
-        names: stencils to compile.
+        bilinear: statements instead of ``run`` for the bilinear stencil.
     """
-    scalar = {"float32": "float", "float64": "double"}[dtype]
+    cases = [
+        f"case {STENCILS[name]}: radial([](auto q2) {{ {shape} }}, [](auto q2) {{ {slope} }}, {constant}); break;"
+        for name, (shape, slope, constant) in _shapes(dtype).items()
+    ]
+    cases.append(f"case {STENCILS['bilinear']}: {{ {bilinear or 'separable(linear);'} }} break;")
+    cases.append(f"case {STENCILS['bspline']}: separable(spline); break;")
+    choice = "\n".join(cases)
     text = f"""
 #if !defined(__CUDA_ARCH__)
-{_SETUP}
+{SETUP}
 {before}
-auto run = [&](auto place, auto weight, auto gradient, S constant, bool separable) {{
+auto run = [&](auto place, auto first_weight, auto weight, auto gradient, S constant, bool separable) {{
 {run}
 }};
 {_RADIAL}
 {_SEPARABLE}
-{_choice(dtype, names)}
+switch (stencil) {{
+{choice}
+}}
 {after}
 #endif
 """
-    return text.replace("S_TYPE", scalar)
+    return text.replace("S_TYPE", {"float32": "float", "float64": "double"}[dtype])

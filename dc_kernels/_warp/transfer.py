@@ -18,60 +18,85 @@ CHUNK = 4096  # points that a thread gathers
 
 # Points item(k), k = begin .. end - 1, are added to rows row_lo .. row_hi - 1 of `base`, whose first column is `left`.
 # `lost`: how many reach no node, of those whose nearest node lies in these rows and columns col_lo .. col_hi - 1.
-_ADD_RUN = """
+ADD_RUN = """
 for (int k = begin; k < end; ++k) {
     const int i = item(k);
     const bool valid = finite(i);
-    const bool out = !valid || outside();
-    const int near_c = valid ? nearest_node(x, K) : 0, near_r = valid ? nearest_node(y, R) : 0;
-    const bool home = near_r >= row_lo && near_r < row_hi && near_c >= col_lo && near_c < col_hi;
-    V kept[32];
-    S factor = constant;
-    bool hit = valid && place();
-    const bool keep = hit && (r1 - r0 + 1) * nv <= 32;
-    if (hit && !separable) {
-        V sum = zero;
-        int m = 0;
-        for (int r = r0; r <= r1; ++r)
-            for (int v = 0; v < nv; ++v) {
-                const V w = weight(r, v);
-                if (keep) kept[m++] = w;
-                sum += w;
-            }
-        const S t = total(sum);
-        hit = t > tiny;
-        if (constant == 0) factor = 1 / t;
-    }
-    lost += home && (separable ? out : !hit);
+    const bool out = separable && outside();
     const S* A = value.data + (size_t)i * C;
     S* to = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * C : 0)) * channel_stride;
-    if (!hit) {
-        if (valid && nearest && normalize && home) {
-            for (int c = 0; c < C; ++c)
-                to[c * channel_stride + (size_t)(near_r - row_lo) * row_stride + (near_c - left)] += A[c];
-            mark(near_r, near_r);
-        }
-        continue;
-    }
-    int m = 0;
-    for (int r = r0; r <= r1; ++r) {
-        if (r < row_lo || r >= row_hi) { m += nv; continue; }
-        S* row = to + (size_t)(r - row_lo) * row_stride + (a - left);
-        for (int v = 0; v < nv; ++v, ++m) {
-            const V w = (keep && !separable ? kept[m] : weight(r, v)) * factor;
-            for (int c = 0; c < C; ++c) {
-                S* p = row + c * channel_stride + v * L;
-                store(p, v, load(p, v) + w * A[c]);
+    const S px = x, py = y;
+    if (valid && place()) {
+        const int from = r0 < row_lo ? row_lo : r0, until = r1 < row_hi ? r1 : row_hi - 1;
+        if (one && r1 - r0 < 16) {
+            V kept[16], sum = zero;
+            for (int r = r0; r <= r1; ++r) {
+                kept[r - r0] = first_weight(r);
+                sum += kept[r - r0];
+            }
+            const S t = separable ? 1 : total(sum);
+            if (t > tiny) {
+                const S factor = constant == 0 ? 1 / t : constant;
+                S* row = to + (size_t)(from - row_lo) * row_stride + (a - left);
+                if (C == 4) {
+                    const V a0 = A[0] * factor, a1 = A[1] * factor, a2 = A[2] * factor, a3 = A[3] * factor;
+                    for (int r = from; r <= until; ++r, row += row_stride) {
+                        const V w = kept[r - r0];
+                        S *p0 = row, *p1 = row + channel_stride, *p2 = p1 + channel_stride, *p3 = p2 + channel_stride;
+                        *(V*)p0 += w * a0; *(V*)p1 += w * a1; *(V*)p2 += w * a2; *(V*)p3 += w * a3;
+                    }
+                } else {
+                    for (int c = 0; c < C; ++c) {
+                        const V scaled = A[c] * factor;
+                        S* p = row + c * channel_stride;
+                        for (int r = from; r <= until; ++r, p += row_stride) *(V*)p += kept[r - r0] * scaled;
+                    }
+                }
+                mark(r0, r1);
+                if (out) lost += home(px, py);
+                continue;
+            }
+        } else {
+            V sum = zero;
+            if (!separable)
+                for (int r = r0; r <= r1; ++r)
+                    for (int v = 0; v < nv; ++v) sum += weight(r, v);
+            const S t = separable ? 1 : total(sum);
+            if (t > tiny) {
+                const S factor = constant == 0 ? 1 / t : constant;
+                for (int r = from; r <= until; ++r)
+                    for (int v = 0; v < nv; ++v) {
+                        const V w = weight(r, v);
+                        S* p = to + (size_t)(r - row_lo) * row_stride + (a - left) + v * L;
+                        for (int c = 0; c < C; ++c, p += channel_stride) store(p, v, load(p, v) + w * (A[c] * factor));
+                    }
+                mark(r0, r1);
+                if (out) lost += home(px, py);
+                continue;
             }
         }
     }
-    mark(r0, r1);
+    if (!home(px, py)) continue;
+    ++lost;
+    if (valid && nearest && normalize) {
+        const int r = nearest_node(py, R);
+        S* p = to + (size_t)(r - row_lo) * row_stride + (nearest_node(px, K) - left);
+        for (int c = 0; c < C; ++c, p += channel_stride) *p += A[c];
+        mark(r, r);
+    }
 }
 """
 
-_LOST = """
+LOST = """
 const int C = value.shape[1];
 int lost = 0;
+"""
+HOME = """
+auto home = [&](S px, S py) {
+    const bool valid = px - px == 0 && py - py == 0;
+    const int c = valid ? nearest_node(px, K) : 0, r = valid ? nearest_node(py, R) : 0;
+    return r >= row_lo && r < row_hi && c >= col_lo && c < col_hi;
+};
 """
 _WORLD = f"""
 const int bands = touched.shape[1];
@@ -104,29 +129,70 @@ _GATHER_RUN = """
 for (int i = begin; i < end; ++i) {
     const bool valid = finite(i);
     S* A = value.data + (size_t)i * C;
-    const int near_c = valid ? nearest_node(x, K) : 0, near_r = valid ? nearest_node(y, R) : 0;
     const S* from = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * C : 0)) * channel_stride;
-    const bool reached = valid && place();
-    bool hit = reached;
-    for (int c0 = 0; c0 < C && reached; c0 += 4) {
-        const int n = C - c0 < 4 ? C - c0 : 4;
-        V sum = zero, f[4] = {zero, zero, zero, zero};
-        for (int r = r0; r <= r1; ++r) {
-            const S* row = from + c0 * channel_stride + (size_t)r * K + a;
-            for (int v = 0; v < nv; ++v) {
-                const V w = weight(r, v);
-                sum += w;
-                for (int c = 0; c < n; ++c) f[c] += w * load(row + c * channel_stride + v * L, v);
-            }
+    const S px = x, py = y;
+    bool hit = valid && place();
+    if (hit && one) {
+        V sum = zero, f0 = zero, f1 = zero, f2 = zero, f3 = zero;
+        const S* row = from + (size_t)r0 * K + a;
+        const int d1 = C > 1, d2 = C > 2 ? 2 : 0, d3 = C > 3 ? 3 : 0;
+        for (int r = r0; r <= r1; ++r, row += K) {
+            const V w = first_weight(r);
+            sum += w;
+            f0 += w * *(const V*)row;
+            f1 += w * *(const V*)(row + d1 * channel_stride);
+            f2 += w * *(const V*)(row + d2 * channel_stride);
+            f3 += w * *(const V*)(row + d3 * channel_stride);
         }
         const S t = separable ? 1 : total(sum);
         hit = t > tiny;
-        const S factor = constant == 0 ? 1 / t : constant;
-        for (int c = 0; c < n; ++c) A[c0 + c] = hit ? total(f[c]) * factor : 0;
+        const S factor = hit ? (constant == 0 ? 1 / t : constant) : 0;
+        A[0] = total(f0) * factor;
+        if (C > 1) A[1] = total(f1) * factor;
+        if (C > 2) A[2] = total(f2) * factor;
+        if (C > 3) A[3] = total(f3) * factor;
+        for (int c = 4; c < C; ++c) {
+            V f = zero;
+            const S* p = from + c * channel_stride + (size_t)r0 * K + a;
+            for (int r = r0; r <= r1; ++r, p += K) f += first_weight(r) * *(const V*)p;
+            A[c] = total(f) * factor;
+        }
+    } else if (hit) {
+        for (int c = 0; c < C; ++c) {
+            V sum = zero, f = zero;
+            for (int r = r0; r <= r1; ++r)
+                for (int v = 0; v < nv; ++v) {
+                    const V w = weight(r, v);
+                    sum += w;
+                    f += w * load(from + c * channel_stride + (size_t)r * K + a + v * L, v);
+                }
+            const S t = separable ? 1 : total(sum);
+            hit = t > tiny;
+            A[c] = hit ? total(f) * (constant == 0 ? 1 / t : constant) : 0;
+        }
     }
-    if (!hit)
-        for (int c = 0; c < C; ++c)
-            A[c] = valid && nearest && normalize ? from[c * channel_stride + (size_t)near_r * K + near_c] : 0;
+    if (!hit) {
+        const S* p = from + (valid ? (size_t)nearest_node(py, R) * K + nearest_node(px, K) : 0);
+        for (int c = 0; c < C; ++c) A[c] = valid && nearest && normalize ? p[c * channel_stride] : 0;
+    }
+}
+"""
+# bilinear alone takes most of the calls: two rows of two nodes, no window
+_BILINEAR_RUN = """
+for (int i = begin; i < end; ++i) {
+    S* A = value.data + (size_t)i * C;
+    const S* p = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * C : 0)) * channel_stride;
+    if (!finite(i)) {
+        for (int c = 0; c < C; ++c) A[c] = 0;
+        continue;
+    }
+    x = clip(x, 0, K - 1);
+    y = clip(y, 0, R - 1);
+    const int ix = (int)x < K - 1 ? (int)x : K - 2, iy = (int)y < R - 1 ? (int)y : R - 2;
+    const S tx = x - ix, ty = y - iy;
+    const S w00 = (1 - tx) * (1 - ty), w01 = tx * (1 - ty), w10 = (1 - tx) * ty, w11 = tx * ty;
+    p += (size_t)iy * K + ix;
+    for (int c = 0; c < C; ++c, p += channel_stride) A[c] = (w00 * p[0] + w01 * p[1]) + (w10 * p[K] + w11 * p[K + 1]);
 }
 """
 
@@ -195,7 +261,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     vectors = wp.array(dtype=vec2)
     splat_module, gather_module, gradient_module = (kernel_module(f"transfer_{n}", dtype) for n in _MODULES)
 
-    @wp.func_native(snippet(dtype, _LOST + _WORLD, _ADD_RUN, "missed.data[world] = lost;"))
+    @wp.func_native(snippet(dtype, LOST + _WORLD + HOME, ADD_RUN, "missed.data[world] = lost;"))
     def splat_world(
         world: wp.int32,
         stencil: wp.int32,
@@ -259,7 +325,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             image,
         )
 
-    @wp.func_native(snippet(dtype, _GATHER, _GATHER_RUN))
+    @wp.func_native(snippet(dtype, _GATHER, _GATHER_RUN, bilinear=_BILINEAR_RUN))
     def gather_chunk(
         world: wp.int32,
         chunk: wp.int32,
