@@ -57,7 +57,7 @@ STOPS = {"change": 0, "residual": 1}
 COUNTERS = 6
 # change of this sweep, |step|^2 of the sweep before the period's last, of the period or sweep before, least so far
 NORMS = 4
-TILE_ROWS, TILE_COLUMNS = 32, 64  # nodes of a tile that a large image is splatted by: 40 KB for 4 channels
+TILE_ROWS, TILE_COLUMNS = 64, 64  # nodes of a tile that a large image is splatted by: 80 KB for 4 channels
 KEY_SHAPE_BITS = 23  # contact key = shape A | shape B | feature, 23 + 23 + 16 bits, indices within the world
 KEY_FEATURE_BITS = 16
 

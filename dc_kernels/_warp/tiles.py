@@ -3,6 +3,8 @@
 Points are listed by the tiles they reach (a counting sort), a tile's points are added to a buffer of its own in the
 order of their index, and the buffer is copied to the image: with 1e6 points in random order a fourth of the time that
 adding them to the image takes, whose every access misses the cache. A node gets the same sum in the same order.
+Of 62 ns a point, 20 make the lists; tiles of 32 x 32 to 64 x 128 nodes differ by a tenth; listing in vectors of points
+gained nothing.
 """
 
 from functools import cache
@@ -91,7 +93,13 @@ for (int c = 0; c < channels; ++c)
     for (int r = row_lo; r < row_hi; ++r) {
         const S* from = buffer + c * channel_stride + (size_t)(r - row_lo) * row_stride + pad;
         S* to = target + c * nodes + (size_t)r * K + col_lo;
-        for (int n = 0; n < col_hi - col_lo; ++n) to[n] = from[n];
+        // past the cache where the row is aligned: a sixteenth of the whole
+        typedef S A __attribute__((ext_vector_type(L)));
+        int n = 0;
+        if (((unsigned long long)to & (sizeof(A) - 1)) == 0)
+            for (; n + L <= col_hi - col_lo; n += L)
+                __builtin_nontemporal_store((A) * (const V*)(from + n), (A*)(to + n));
+        for (; n < col_hi - col_lo; ++n) to[n] = from[n];
     }
 """
 
