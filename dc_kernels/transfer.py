@@ -16,6 +16,7 @@ nearest node under "particle" (unless ``nearest`` is False) and contributes noth
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -23,9 +24,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .arrays import aligned_zeros, check_values, float_dtype, to_numpy
+from .arrays import aligned_zeros, float_dtype, to_numpy
 from .backend import Launch, bind, check_backend, in_turn
 from .grid import Grid
+from .inputs import check_bins, check_floats, check_layout, check_points, check_start
 from .smoothing import KERNELS, STENCILS
 from .types import LANES, TILE_COLUMNS, TILE_ROWS
 
@@ -109,80 +111,6 @@ def kernel_vectors(array: np.ndarray, backend: str) -> Any:
 
     dtype = wp.types.vector(2, wp.dtype_from_numpy(array.dtype))
     return wp.array(array, dtype=dtype, shape=(len(array),), device="cpu", copy=False)
-
-
-def check_points(points: Any, name: str = "points") -> np.ndarray:
-    """Points (n, 2) of float32 or float64, contiguous and finite.
-
-    Raises:
-        ValueError: naming the field and the first bad index.
-    """
-    if not isinstance(points, np.ndarray):
-        raise ValueError(f"{name} is a {type(points).__name__}; it must be a numpy array (n, 2)")
-    if points.ndim != 2 or points.shape[1] != 2:
-        raise ValueError(f"{name} has shape {points.shape}; it must be (n, 2)")
-    return check_floats(points, name)
-
-
-def check_floats(array: Any, name: str, shape: tuple[int, ...] | None = None, dtype: Any = None) -> np.ndarray:
-    """A contiguous numpy array of float32 or float64 without NaN or inf.
-
-    Raises:
-        ValueError: naming the field and what is wrong with it.
-    """
-    if not isinstance(array, np.ndarray):
-        raise ValueError(f"{name} is a {type(array).__name__}; it must be a numpy array")
-    wanted = (np.dtype(np.float32), np.dtype(np.float64)) if dtype is None else (np.dtype(dtype),)
-    if array.dtype not in wanted:
-        raise ValueError(f"{name} has dtype {array.dtype}; it must be {' or '.join(map(str, wanted))}")
-    if shape is not None and array.shape != shape:
-        raise ValueError(f"{name} has shape {array.shape}; it must be {shape}")
-    if not array.flags.c_contiguous:
-        raise ValueError(f"{name} has strides {array.strides}; it must be contiguous")
-    if not np.isfinite(array.sum()):  # a sum may overflow, so look again; it costs a tenth of looking at each
-        check_values(name, array, array.shape, array.dtype)
-    return array
-
-
-def check_start(start: Any, count: int, name: str = "start") -> tuple[np.ndarray, np.ndarray]:
-    """First point and number of points of each world, from offsets (W + 1,); None is one world with all of them.
-
-    Raises:
-        ValueError: naming the first bad index.
-    """
-    if count > 2**31 - 1:
-        raise ValueError(f"there are {count} points; there may be 2^31 - 1")
-    if start is None:
-        return np.zeros(1, np.int32), np.full(1, count, np.int32)
-    offsets = np.asarray(start)
-    if offsets.ndim != 1 or len(offsets) < 1 or offsets.dtype.kind not in "iu":
-        raise ValueError(f"{name} has shape {offsets.shape} and dtype {offsets.dtype}; it must be (W + 1,) integers")
-    if offsets[0] != 0 or offsets[-1] != count:
-        raise ValueError(f"{name} runs from {offsets[0]} to {offsets[-1]}; it must run from 0 to {count}")
-    falls = np.flatnonzero(np.diff(offsets) < 0)
-    if len(falls):
-        i = int(falls[0])
-        raise ValueError(f"{name}[{i + 1}] is {offsets[i + 1]}; it must not be below {name}[{i}] = {offsets[i]}")
-    return offsets[:-1].astype(np.int32), np.diff(offsets).astype(np.int32)
-
-
-def check_bins(bins: int, point_bin: Any, count: int) -> np.ndarray:
-    """The bin of each point, int32; a dummy where there is one bin.
-
-    Raises:
-        ValueError: for bins < 1, another shape, or a bin out of range.
-    """
-    if not isinstance(bins, int | np.integer) or bins < 1:
-        raise ValueError(f"bins is {bins!r}; it must be an integer of at least 1")
-    if point_bin is None:
-        if bins > 1:
-            raise ValueError(f"bins is {bins}, so point_bin must say which one each point belongs to")
-        return np.zeros(1, np.int32)
-    array = check_values("point_bin", point_bin, (count,), np.dtype(np.int32))
-    bad = np.flatnonzero((array < 0) | (array >= bins))
-    if len(bad):
-        raise ValueError(f"point_bin[{bad[0]}] is {array[bad[0]]}; it must lie in [0, {bins - 1}]")
-    return array if bins > 1 else np.zeros(1, np.int32)
 
 
 class Splat:
@@ -290,29 +218,46 @@ def lanes_window(stencil: int, support: float) -> int:
     return LANES if stencil >= len(KERNELS) else (int(2 * support) // LANES + 1) * LANES
 
 
-class _Call:
-    """Checked arguments of one splat or gather as the kernels take them."""
+class Transfer:
+    """Points on a grid, checked once: splats and gathers of them are bound to arrays and cost microseconds a call.
+
+    The points may move between calls and values change in place; what was checked is then no longer looked at, and a
+    point that is not finite contributes nothing.
+    """
 
     def __init__(
         self,
-        points: Any,
+        points: np.ndarray,
         grid: Grid,
-        scalars: dict[str, Any],
-        start: Any,
-        bins: int,
-        point_bin: Any,
-        threads: int,
-        backend: str,
+        *,
+        h: float | None = None,
+        kernel: Stencil = "poly6",
+        normalize: Literal["particle", "sum"] = "particle",
+        start: Any = None,
+        bins: int = 1,
+        point_bin: Any = None,
+        nearest: bool = True,
+        threads: int = 1,
+        backend: str = "warp",
     ) -> None:
+        """Check the points; arguments as of ``splat``.
+
+        Raises:
+            ValueError: naming field, index and limit, for input that is not as described.
+        """
         self.points = check_points(points)
+        self.grid = grid
         self.backend = check_backend(backend)
         self.dtype = self.points.dtype
         if not isinstance(threads, int | np.integer) or threads < 1:
             raise ValueError(f"threads is {threads!r}; it must be an integer of at least 1")
         self.threads = int(threads)
-        self.first, self.count = check_start(start, len(points))
-        self.worlds = len(self.first)
-        self.grid = grid
+        scalars = stencil_scalars(grid, kernel, h, normalize, nearest)
+        first, count = check_start(start, len(points))
+        self.worlds = len(first)
+        self.bins = bins
+        self.chunks = max(-(-int(count.max(initial=0)) // CHUNK), 1)
+        self.pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         origin = np.tile(np.asarray(grid.origin, self.dtype), (self.worlds, 1))
         self.table = transfer_kernels(backend, self.dtype.name)
         self.values: dict[str, Any] = {
@@ -320,28 +265,49 @@ class _Call:
             "bins": bins,
             "channel_offset": 0,
             "grid_origin": kernel_vectors(origin, backend),
-            "point_start": kernel_array(self.first, backend),
-            "point_count": kernel_array(self.count, backend),
+            "point_start": kernel_array(first, backend),
+            "point_count": kernel_array(count, backend),
             "point": kernel_vectors(self.points, backend),
             "point_bin": kernel_array(check_bins(bins, point_bin, len(points)), backend),
         }
 
-    def with_arrays(self, **arrays: np.ndarray) -> dict[str, Any]:
-        """The kernels' arguments with some more arrays."""
-        return {**self.values, **{name: kernel_array(array, self.backend) for name, array in arrays.items()}}
+    def splat(self, values: np.ndarray, image: np.ndarray) -> Splat:
+        """What splats ``values`` (n, C) onto ``image`` (W, bins C, rows, columns), which is zero at first.
 
-    def splat(self, values: np.ndarray, image: np.ndarray) -> None:
-        """Add to a zeroed image."""
-        arguments = self.with_arrays(value=values, image=image)
-        Splat(self.table, arguments, backend=self.backend, threads=self.threads)()
+        Raises:
+            ValueError: for arrays of another shape, dtype or memory layout.
+        """
+        _check_channels(values, len(self.points), self.dtype)
+        check_floats(image, "image", (self.worlds, self.bins * values.shape[1], *self.grid.shape), self.dtype)
+        arrays = {"value": kernel_array(values, self.backend), "image": kernel_array(image, self.backend)}
+        return Splat(self.table, {**self.values, **arrays}, backend=self.backend, threads=self.threads)
 
-    def launch(self, name: str, chunks: int = 1, **arrays: np.ndarray) -> None:
-        """Run a kernel over all worlds, ``chunks`` threads each."""
-        values = {**self.with_arrays(**arrays), "chunks": chunks}
+    def gather(self, image: np.ndarray, values: np.ndarray) -> Launch:
+        """What gathers ``image`` at the points into ``values`` (n, C).
+
+        Raises:
+            ValueError: for arrays of another shape, dtype or memory layout.
+        """
+        _check_channels(values, len(self.points), self.dtype)
+        check_floats(image, "image", (self.worlds, self.bins * values.shape[1], *self.grid.shape), self.dtype)
+        return self._bind("gather_points", self.chunks, image=image, value=values)
+
+    def divide(self, image: np.ndarray, weight: np.ndarray) -> Launch:
+        """What divides ``image`` by the weights (W, bins, rows, columns) that reached its nodes; 0 where none did."""
+        return self._bind("divide_image", 1, image=image, weight=weight)
+
+    def weights(self) -> np.ndarray:
+        """The sum of the points' weights at each node, (W, bins, rows, columns)."""
+        image = aligned_zeros((self.worlds, self.bins, *self.grid.shape), self.dtype)
+        self.splat(np.ones((len(self.points), 1), self.dtype), image)()
+        return image
+
+    def _bind(self, name: str, chunks: int, **arrays: np.ndarray) -> Launch:
+        values = {**self.values, "chunks": chunks}
+        values.update({key: kernel_array(array, self.backend) for key, array in arrays.items()})
         shards = shard_worlds(self.worlds, self.threads)
         launches = [bind(self.table[name], n * chunks, {**values, "world_offset": w}, "cpu") for w, n in shards]
-        with ThreadPoolExecutor(self.threads) as pool:
-            run_shards(launches, pool)
+        return functools.partial(run_shards, launches, self.pool)
 
 
 def splat(
@@ -383,20 +349,28 @@ def splat(
     Raises:
         ValueError: naming field, index and limit, for input that is not as described.
     """
-    shepard = normalize == "shepard"
-    scalars = stencil_scalars(grid, kernel, h, "sum" if shepard else normalize, nearest)
-    call = _Call(points, grid, scalars, start, bins, point_bin, threads, backend)
-    values = _check_channels(values, len(points), call.dtype)
-    shape = (call.worlds, bins * values.shape[1], *grid.shape)
+    transfer = Transfer(
+        points,
+        grid,
+        h=h,
+        kernel=kernel,
+        normalize="sum" if normalize == "shepard" else normalize,
+        start=start,
+        bins=bins,
+        point_bin=point_bin,
+        nearest=nearest,
+        threads=threads,
+        backend=backend,
+    )
+    values = _check_channels(values, len(points), transfer.dtype)
+    shape = (transfer.worlds, bins * values.shape[1], *grid.shape)
     if out is None:
-        out = aligned_zeros(shape, call.dtype)
+        out = aligned_zeros(shape, transfer.dtype)
     else:
-        check_floats(out, "out", shape, call.dtype).fill(0)
-    call.splat(values, out)
-    if shepard:
-        weight = aligned_zeros((call.worlds, bins, *grid.shape), call.dtype)
-        call.splat(np.ones((len(points), 1), call.dtype), weight)
-        call.launch("divide_image", weight=weight, image=out)
+        check_layout(out, "out", shape, transfer.dtype).fill(0)
+    transfer.splat(values, out)()
+    if normalize == "shepard":
+        transfer.divide(out, transfer.weights())()
     return out
 
 
@@ -433,24 +407,33 @@ def gather(
     Raises:
         ValueError: naming field, index and limit, for input that is not as described.
     """
-    scalars = stencil_scalars(grid, kernel, h, normalize, nearest)
-    call = _Call(points, grid, scalars, start, bins, point_bin, threads, backend)
+    transfer = Transfer(
+        points,
+        grid,
+        h=h,
+        kernel=kernel,
+        normalize=normalize,
+        start=start,
+        bins=bins,
+        point_bin=point_bin,
+        nearest=nearest,
+        threads=threads,
+        backend=backend,
+    )
     if not isinstance(image, np.ndarray) or image.ndim != 4:
         raise ValueError(f"image has shape {getattr(image, 'shape', None)}; it must be (W, bins C, rows, columns)")
-    channels = image.shape[1] // bins
-    check_floats(image, "image", (call.worlds, channels * bins, *grid.shape), call.dtype)
+    channels = max(image.shape[1] // bins, 1)
+    check_floats(image, "image", (transfer.worlds, channels * bins, *grid.shape), transfer.dtype)
+    if reverse and normalize != "particle":
+        raise ValueError(f"normalize is {normalize!r}; reverse needs 'particle'")
     if out is None:
-        out = np.zeros((len(points), channels), call.dtype)
+        out = np.zeros((len(points), channels), transfer.dtype)
     else:
-        check_floats(out, "out", (len(points), channels), call.dtype)
+        check_layout(out, "out", (len(points), channels), transfer.dtype)
     if reverse:
-        if normalize != "particle":
-            raise ValueError(f"normalize is {normalize!r}; reverse needs 'particle'")
-        weight = aligned_zeros((call.worlds, bins, *grid.shape), call.dtype)
-        call.splat(np.ones((len(points), 1), call.dtype), weight)
         image = image.copy()  # what the caller's image holds is not ours to change
-        call.launch("divide_image", weight=weight, image=image)
-    call.launch("gather_points", max(-(-int(call.count.max(initial=0)) // CHUNK), 1), image=image, value=out)
+        transfer.divide(image, transfer.weights())()
+    transfer.gather(image, out)()
     return out
 
 
