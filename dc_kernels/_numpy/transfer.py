@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..smoothing import GAUSSIAN_CUT, STENCILS
+from ..smoothing import STENCILS, smoothing, smoothing_gradient
 from .common import Array, Kernels
 
 BAND = 8  # rows that `touched` marks as one
@@ -40,27 +40,6 @@ def kernels(dtype: str) -> Kernels:
         "gather_gradient": gather_gradient,
         "divide_image": divide_image,
     }
-
-
-def radial(stencil: int, r: Array, h: float) -> tuple[Array, Array]:
-    """W(r, h) and dW/dr of the smoothing kernels in 2D (integral W = 1); the support is r < h."""
-    q = r / h
-    match _NAME[stencil]:
-        case "poly6":
-            w, dw = 4 / np.pi * (1 - q**2) ** 3, 4 / np.pi * -6 * q * (1 - q**2) ** 2
-        case "spiky":
-            w, dw = 10 / np.pi * (1 - q) ** 3, 10 / np.pi * -3 * (1 - q) ** 2
-        case "gaussian":
-            w = GAUSSIAN_CUT**2 / (2 * np.pi) * np.exp(-0.5 * (GAUSSIAN_CUT * q) ** 2)
-            dw = -(GAUSSIAN_CUT**2) * q * w
-        case "cubic":
-            c = 40 / (7 * np.pi)
-            w = c * np.where(q <= 0.5, 6 * (q**3 - q**2) + 1, 2 * (1 - q) ** 3)
-            dw = c * np.where(q <= 0.5, 18 * q**2 - 12 * q, -6 * (1 - q) ** 2)
-        case _:
-            w, dw = 7 / np.pi * (1 - q) ** 4 * (1 + 4 * q), 7 / np.pi * -20 * q * (1 - q) ** 3
-    inside = r < h
-    return np.where(inside, w / h**2, 0.0), np.where(inside, dw / h**3, 0.0)
 
 
 def axis_weights(stencil: int, u: float, nodes: int) -> tuple[Array, Array, Array, bool]:
@@ -133,12 +112,10 @@ def stencil_weights(
     )
     grid_r, grid_c = (a.ravel() for a in np.meshgrid(r, c, indexing="ij"))
     d = np.stack([x - spacing * grid_c, y - spacing * grid_r], axis=-1)
-    distance = np.hypot(d[:, 0], d[:, 1])
-    w, slope = radial(stencil, distance, h)
+    w = smoothing(_NAME[stencil], np.hypot(d[:, 0], d[:, 1]), h)
     reached = w > 0
-    grid_r, grid_c, d, distance, w, slope = (a[reached] for a in (grid_r, grid_c, d, distance, w, slope))
-    # at r = 0 the gradient is 0: exact for the smooth kernels, the mean of all sides for the spiky one
-    gradients = np.where(distance > 0, slope / np.where(distance > 0, distance, 1.0), 0.0)[:, None] * d
+    grid_r, grid_c, d, w = (a[reached] for a in (grid_r, grid_c, d, w))
+    gradients = smoothing_gradient(_NAME[stencil], d, h)
     total = w.sum()
     if normalize == 0 or (total == 0 and not nearest):
         return Stencil(grid_r, grid_c, w, gradients, total == 0)
@@ -229,7 +206,7 @@ def gather_points(
         offset = point[p].astype(float) - grid_origin[w]
         s = stencil_weights(stencil, normalize, nearest, float(spacing), float(h), image.shape[2:], offset)
         channels = _channels(p, bins, channel_offset, value.shape[1], point_bin)
-        value[p] = image[w, channels, s.rows, s.columns].astype(float) @ s.weights
+        value[p] = image[w][channels, s.rows, s.columns].astype(float) @ s.weights
 
 
 def gather_gradient(
@@ -258,7 +235,7 @@ def gather_gradient(
         offset = point[p].astype(float) - grid_origin[w]
         s = stencil_weights(stencil, normalize, nearest, float(spacing), float(h), image.shape[2:], offset)
         channels = _channels(p, bins, channel_offset, value.shape[1], point_bin)
-        per_node = value[p].astype(float) @ image[w, channels, s.rows, s.columns].astype(float)
+        per_node = value[p].astype(float) @ image[w][channels, s.rows, s.columns].astype(float)
         gradient[p] = per_node @ s.gradients
 
 
