@@ -26,7 +26,7 @@ QUANTITIES = {"value": 0, "gradient": 1, "laplacian": 2, "divergence": 3}
 """Codes of the sums; "divergence", values . grad W, only serves the adjoint of "gradient"."""
 PUBLIC = ("value", "gradient", "laplacian")
 CHUNK = 512  # queries of a Warp thread, and the unit that Python threads share
-_ORDERS = {"value": 0, "gradient": 1, "laplacian": 2, "divergence": 1}
+ORDERS = {"value": 0, "gradient": 1, "laplacian": 2, "divergence": 1}
 
 
 def sph_sum(
@@ -73,7 +73,7 @@ def sph_sum(
     """
     check_particles(queries, points, values, mass, density)
     check_options(quantity, threads, backend)
-    factor = scale(kernel, h, points.shape[1], _ORDERS[quantity], points.dtype)
+    factor = scale(kernel, h, points.shape[1], ORDERS[quantity], points.dtype)
     weighted = values * volume(mass, density)[:, None]
     lists = neighbors(
         queries, points, h, method=method, query_start=query_start, point_start=point_start, threads=threads
@@ -156,7 +156,7 @@ def pull_lists(
     backend: str,
 ) -> np.ndarray:
     """The kernel ``pull_neighbors``: gradient by the queries' positions, (nq, dim)."""
-    factor = scale(kernel, h, points.shape[1], _ORDERS[quantity] + 1, points.dtype)
+    factor = scale(kernel, h, points.shape[1], ORDERS[quantity] + 1, points.dtype)
     out = np.empty_like(queries)
     arrays = {"query": queries, "point": points, "query_value": query_value, "value": value, "out": out}
     scalars = {
