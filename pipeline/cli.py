@@ -1,4 +1,4 @@
-"""The command line ``deep-contact``: simulate, demo, protocol, explain.
+"""The command line ``deep-contact``: simulate, demo, protocol, explain, figures.
 
 Options are the fields of the dataclasses below, which tyro turns into flags.
 """
@@ -11,13 +11,18 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from dc_kernels.arrays import require
 
-from . import evaluate, plots
+from . import evaluate, figures, plots
 from .scenes import AnyScene, Thesis
 from .simulate import Output, RunOptions, SolverOptions, atomic_path, simulate, write_json
+
+try:
+    from tyro.conf import Positional
+except ImportError:  # parse() says what is missing
+    Positional = Annotated  # type: ignore[assignment,misc]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +116,23 @@ class Explain(Common):
         return {"scene": self.scene.name, "explain": text}
 
 
-Command = Simulate | Demo | Protocol | Explain
+@dataclass(frozen=True, kw_only=True)
+class Figures(Common):
+    """Draw a figure of the seed again: "kernels" compares the smoothing kernels (figures 3.3 and 3.4)."""
+
+    figure: Positional[Literal["kernels"]]
+    """Which figure."""
+    out: Path = Path("out/figures")
+    """Folder of the PNG."""
+
+    def __call__(self) -> dict[str, Any]:
+        path = figures.draw(self.figure, self.out)
+        if not self.json:
+            print(path)
+        return {"figure": self.figure, "path": str(path)}
+
+
+Command = Simulate | Demo | Protocol | Explain | Figures
 
 
 def run_protocol(
