@@ -177,9 +177,9 @@ for (int i = begin; i < end; ++i) {
     }
 }
 """
-# Bilinear alone: places and weights of LANES points at once, then four nodes of each, which are fetched while the points
-# before them are at work. That takes 1e6 points on a 64 MB image from 21 to 14 ns by place and from 103 to 75 in random
-# order, where every node is a cache line of its own.
+# Bilinear alone: places and weights of LANES points at once, then four nodes of each, which are fetched while the
+# points before them are at work. That takes 1e6 points on a 64 MB image from 21 to 14 ns by place and from 103 to 75
+# in random order, where every node is a cache line of its own.
 _BILINEAR_RUN = """
 typedef int I __attribute__((ext_vector_type(L), aligned(4)));
 const size_t step = bins > 1 ? C * channel_stride : 0;
