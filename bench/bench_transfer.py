@@ -37,15 +37,17 @@ WORLDS = 64
 class Cloud:
     """Random particles with their transfer, image and values."""
 
-    def __init__(self, count: int, nodes_each: float = 4.0, *, placed: bool = False, **options: Any) -> None:
-        """``placed``: numbered by place, in blocks of 8 x 8 nodes, instead of at random."""
+    def __init__(
+        self, count: int, nodes_each: float = 4.0, *, placed: bool = False, part: float = 1.0, **options: Any
+    ) -> None:
+        """``placed``: numbered by place, in blocks of 8 x 8 nodes; ``part``: of each side that they lie in."""
         from dc_kernels.grid import Grid
         from dc_kernels.transfer import Transfer, allocate_image
 
         side = round((nodes_each * count) ** 0.5)
         self.grid = Grid(rows=side, columns=side, spacing=SPACING)
         draw = np.random.default_rng(0)
-        self.points = draw.uniform(0, SPACING * (side - 1), (count, 2)).astype(np.float32)
+        self.points = draw.uniform(0, part * SPACING * (side - 1), (count, 2)).astype(np.float32)
         if placed:
             block = (self.points // (8 * SPACING)).astype(int)
             self.points = np.ascontiguousarray(self.points[np.lexsort((block[:, 0], block[:, 1]))])
@@ -114,6 +116,9 @@ def large(rounds: int) -> dict[str, Any]:
     small = SIZES[0]
     functions[f"splat_dense_{small}"] = Cloud(small, 1.0).splat
     functions[f"splat_sparse_{small}"] = Cloud(small, 13.0).splat
+    functions[f"splat_corner_{SIZES[1]}"] = Cloud(SIZES[1], 64.0, part=0.25).splat
+    blank = Cloud(1, 64.0 * SIZES[1]).image
+    functions[f"clear_{SIZES[1]}"] = lambda: blank.fill(0)
     functions[f"splat_two_threads_{SIZES[1]}"] = Cloud(SIZES[1], threads=2).splat
     for kernel in OTHERS:
         functions[f"splat_{kernel}_{small}"] = Cloud(small, kernel=kernel).splat
@@ -235,6 +240,8 @@ def report(values: dict[str, Any]) -> str:
         "grid_sample": "torch grid_sample, random order",
         "splat_dense": "splat, 1 node a particle",
         "splat_sparse": "splat, 13 nodes a particle",
+        "splat_corner": "splat, 4 nodes a particle, all in a sixteenth of the image",
+        "clear": "  clearing that image, which is not done",
         "splat_two_threads": "splat, random order, 2 threads",
         **{f"splat_{kernel}": f"splat, {kernel}" for kernel in OTHERS},
     }
