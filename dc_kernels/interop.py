@@ -1,0 +1,58 @@
+"""Arrays of other libraries, checked and read where they lie: torch tensors, numpy arrays and ``wp.array``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def address(array: Any, name: str, dtype: np.dtype) -> tuple[int, tuple[int, ...]]:
+    """Address and shape of an array in the CPU's memory that kernels can read as it is.
+
+    Args:
+        array: torch tensor, numpy array or ``wp.array``.
+        name: what the error messages call it.
+        dtype: that it must have.
+
+    Raises:
+        ValueError: for another type, dtype or device, an array that is not contiguous, or a tensor that requires a
+            gradient, which would be lost.
+    """
+    if hasattr(array, "data_ptr"):
+        kind, device, whole = str(array.dtype).removeprefix("torch."), array.device.type, array.is_contiguous()
+    elif isinstance(array, np.ndarray):
+        kind, device, whole = str(array.dtype), "cpu", array.flags.c_contiguous
+    elif hasattr(array, "ptr") and hasattr(array, "is_contiguous"):
+        kind, device, whole = array.dtype.__name__, str(array.device), array.is_contiguous
+    else:
+        raise ValueError(f"{name} is a {type(array).__name__}; it must be a torch tensor, numpy array or wp.array")
+    if kind != dtype.name:
+        raise ValueError(f"{name} has dtype {kind}; it must be {dtype.name}")
+    if device != "cpu":
+        raise ValueError(f"{name} is on {device}; it must be on the cpu")
+    if not whole:
+        strides = array.stride() if hasattr(array, "data_ptr") else array.strides
+        raise ValueError(f"{name} has strides {tuple(strides)}; it must be contiguous")
+    if isinstance(array, np.ndarray):
+        return array.ctypes.data, array.shape
+    if hasattr(array, "data_ptr"):
+        if array.requires_grad:
+            raise ValueError(f"{name} requires a gradient, which would be lost; give {name}.detach()")
+        return array.data_ptr(), tuple(array.shape)
+    return array.ptr, tuple(array.shape)
+
+
+def as_numpy(array: Any) -> np.ndarray:
+    """The same memory as numpy."""
+    return array if isinstance(array, np.ndarray) else array.numpy()
+
+
+def as_kernel_array(array: Any, pointer: int, backend: str) -> Any:
+    """The same memory as the kernels of a backend take it; only its owner keeps it alive."""
+    if backend == "numpy":
+        return as_numpy(array)
+    import warp as wp
+
+    dtype = array.dtype if isinstance(array, wp.array) else wp.dtype_from_numpy(as_numpy(array).dtype)
+    return wp.array(ptr=pointer, dtype=dtype, shape=tuple(array.shape), device="cpu", copy=False)

@@ -1,0 +1,86 @@
+"""Kernels over all worlds as one call: shards of worlds on threads, the launches of a shard recorded as a graph."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+from .backend import Launch, bind, in_turn
+from .transfer import Splat, run_shards, shard_worlds
+
+
+class Kernel(NamedTuple):
+    """A launch over the worlds of a shard: kernel, arguments but ``world_offset``, threads a world."""
+
+    kernel: Any
+    values: Mapping[str, Any]
+    chunks: int = 1
+
+
+Stage = Kernel | Splat | Launch
+
+
+class Program:
+    """A call that runs stages in turn, bound when it is made; the arrays they name live as long as it does.
+
+    Successive kernels go world by world, so each shard runs through them without waiting for the others; a splat by
+    tiles and any other call waits for all shards.
+    """
+
+    def __init__(
+        self,
+        stages: Sequence[Stage],
+        worlds: int,
+        *,
+        backend: str,
+        threads: int = 1,
+        pool: ThreadPoolExecutor | None = None,
+    ) -> None:
+        """Bind the stages.
+
+        Args:
+            stages: kernels, splats, and calls without arguments.
+            worlds: how many there are.
+            backend: of the kernels.
+            threads: shards of worlds.
+            pool: what runs them, None for one after the other.
+        """
+        self.stages = list(stages)  # graphs do not keep arrays alive
+        self._steps: list[Launch] = []
+        for kind, group in itertools.groupby(map(_as_kernel, stages), type):
+            if kind is not Kernel:
+                self._steps += [stage for stage in group if not isinstance(stage, Kernel)]
+                continue
+            run = [stage for stage in group if isinstance(stage, Kernel)]
+            shards = [
+                recorded([bind(k.kernel, n * k.chunks, {**k.values, "world_offset": w}, "cpu") for k in run], backend)
+                for w, n in shard_worlds(worlds, threads)
+            ]
+            self._steps.append(shards[0] if len(shards) == 1 else functools.partial(run_shards, shards, pool))
+
+    def __call__(self) -> None:
+        """Run all stages."""
+        for step in self._steps:
+            step()
+
+
+def _as_kernel(stage: Stage) -> Stage:
+    """A splat that is one thread a world as its kernel."""
+    if isinstance(stage, Splat) and not stage.tiled:
+        return Kernel(stage.table["splat_worlds"], stage.values)
+    return stage
+
+
+def recorded(launches: list[Launch], backend: str) -> Launch:
+    """Launches as one call; of Warp kernels as a graph: 2 us for one of 20 arguments, by itself 7."""
+    if backend != "warp":
+        return in_turn(launches)
+    import warp as wp
+
+    with wp.ScopedCapture(device="cpu") as capture:
+        for launch in launches:
+            launch()
+    return functools.partial(wp.capture_launch, capture.graph)
