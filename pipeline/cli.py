@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from dc_kernels.arrays import require
+from dc_kernels.grid import Grid
 
-from . import evaluate, figures, plots
+from . import evaluate, figures, grid_plots, plots
 from .scenes import AnyScene, Thesis
 from .simulate import Output, RunOptions, SolverOptions, atomic_path, simulate, write_json
 
@@ -55,7 +56,7 @@ class Demo(Common):
     """The thesis protocol: None against Builtin against Copy, then accelerated; a table, its plots, and a world."""
 
     out: Path = Path("out/demo")
-    """Folder of demo.png, protocol.png, protocol.json and, in world/, the files of the world shown."""
+    """Folder of demo.png, protocol.png, protocol.json, grids.png and, in world/, the files of the world shown."""
     worlds: int = 10
     """Worlds of the protocol [1]."""
     bodies: int = 100
@@ -82,8 +83,13 @@ class Demo(Common):
         title = f"{self.bodies} discs fall into a box: {self.worlds} worlds, {self.steps} steps of {options.dt:g} s"
         with atomic_path(self.out / "demo.png") as partial:
             plots.save(plots.demo_figure(sim, runs, title), partial)
+        side = Thesis(bodies=self.bodies).side
+        grid = Grid.from_box((0.0, 0.0), (side, side), Grid.thesis().spacing)
+        with atomic_path(self.out / "grids.png") as partial:
+            plots.save(grid_plots.grids_figure(sim, grid), partial)
         result.update(world=summary, wall_s=time.perf_counter() - began)
         if not self.json:
+            print(f"{self.out / 'grids.png'}: what a network reads of that world's end, and what it is to answer")
             print(f"{self.out / 'demo.png'}: the picture of it all; {result['wall_s']:.0f} s")
         return result
 

@@ -351,7 +351,7 @@ def test_command_protocol(tmp_path, capsys):
 def test_command_demo(tmp_path, capsys):
     assert main(["demo", "--worlds", "2", "--bodies", "6", "--steps", "70", "--out", str(tmp_path)]) == 0
     assert "Copy, PGS" in capsys.readouterr().out
-    for name in ("demo.png", "protocol.png", "world/summary.png"):
+    for name in ("demo.png", "protocol.png", "grids.png", "world/summary.png"):
         assert (tmp_path / name).read_bytes()[:4] == PNG
     assert (tmp_path / "world" / "trajectory.h5").exists()
 
