@@ -8,17 +8,16 @@ distance is the radius.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from .arrays import FLOATS, require
-from .backend import check_backend
+from .backend import bind, check_backend
+from .cell_search import MAX_INDEX, allowed, each, hash_lists, hash_pairs, shared_arrays
 
 METHODS = ("hash", "kdtree", "tree", "all")
-MAX_POINTS = 2**31 - 1
 BLOCK = 1 << 20  # distances at a time in the method "all"
 Found = tuple[np.ndarray, np.ndarray]  # one world's (queries, points), indices in the world
 Search = Callable[["np.ndarray | None", np.ndarray, Any], Found]
@@ -66,6 +65,8 @@ def neighbor_pairs(
     limit = _square("radius", radius, points.dtype)
     search = _search(method, backend)
     _check_threads(threads)
+    if search is None:
+        return hash_pairs(points, radius, limit, starts, threads, backend)
 
     def world(w: int) -> np.ndarray:
         first, last = starts[w : w + 2]
@@ -75,7 +76,7 @@ def neighbor_pairs(
         pairs += np.int32(first)
         return pairs
 
-    found = _each(world, len(starts) - 1, threads)
+    found = each(world, len(starts) - 1, threads)
     return np.concatenate(found) if found else np.empty((0, 2), np.int32)
 
 
@@ -121,6 +122,8 @@ def neighbors(
     limit = _square("radius", radius, points.dtype)
     search = _search(method, backend)
     _check_threads(threads)
+    if search is None:
+        return Neighbors(*hash_lists(queries, points, radius, limit, first_query, first_point, threads, backend))
 
     def world(w: int) -> tuple[np.ndarray, np.ndarray]:
         q0, q1 = first_query[w : w + 2]
@@ -129,7 +132,7 @@ def neighbors(
         order = np.argsort(a.astype(np.int64) * (p1 - p0) + b)
         return np.bincount(a, minlength=q1 - q0), (b[order] + p0).astype(np.int32)
 
-    found = _each(world, len(first_query) - 1, threads)
+    found = each(world, len(first_query) - 1, threads)
     lists = np.zeros(len(queries) + 1, np.int64)
     np.cumsum(np.concatenate([count for count, _ in found]) if found else [], out=lists[1:])
     return Neighbors(lists, np.concatenate([index for _, index in found]) if found else np.empty(0, np.int32))
@@ -145,8 +148,8 @@ def _check_points(name: str, points: Any) -> None:
         raise ValueError(f"{name} has dtype {points.dtype}; it must be one of {tuple(FLOATS)}")
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"{name} has shape {points.shape}; it must be (n, 2) or (n, 3)")
-    if len(points) > MAX_POINTS:
-        raise ValueError(f"{name} has {len(points)} points; it may have {MAX_POINTS}")
+    if len(points) > MAX_INDEX:
+        raise ValueError(f"{name} has {len(points)} points; it may have {MAX_INDEX}")
     if not points.flags.c_contiguous:
         raise ValueError(f"{name} has strides {points.strides}; it must be C-contiguous")
     finite = np.isfinite(points)
@@ -187,20 +190,13 @@ def _check_threads(threads: Any) -> None:
         raise ValueError(f"threads is {threads!r}; it must be an integer of at least 1")
 
 
-def _search(method: str, backend: str) -> Search:
+def _search(method: str, backend: str) -> Search | None:
+    """How a method searches one world; None for "hash", which takes all of them."""
     if method not in METHODS:
         raise ValueError(f"method is {method!r}; it must be one of {METHODS}")
     if check_backend(backend) == "numpy" and method != "hash":
         raise ValueError(f"backend is 'numpy' and method is {method!r}; only 'hash' has an oracle")
-    return {"hash": _kdtree, "kdtree": _kdtree, "tree": _kdtree, "all": _all}[method]
-
-
-def _each(function: Callable[[int], Any], count: int, threads: int) -> list[Any]:
-    """Results of 0 .. count - 1 in order."""
-    if threads == 1 or count < 2:
-        return [function(i) for i in range(count)]
-    with ThreadPoolExecutor(min(threads, count)) as pool:
-        return list(pool.map(function, range(count)))
+    return {"hash": None, "kdtree": _kdtree, "tree": _tree, "all": _all}[method]
 
 
 # ---------------------------------------------------------------------- methods for one world
@@ -244,3 +240,46 @@ def _kdtree(queries: np.ndarray | None, points: np.ndarray, limit: Any) -> Found
         a, b = near["i"], near["j"]
         keep = _within(queries[a], points[b], limit)
     return a[keep], b[keep]
+
+
+def _tree(queries: np.ndarray | None, points: np.ndarray, limit: Any) -> Found:
+    """A hierarchy of boxes (Warp's); boxes are float32 and in 3D, rounded outwards."""
+    import warp as wp
+
+    from ._warp.neighbors import tree_kernels
+
+    rows = points if queries is None else queries
+    if not len(points) or not len(rows):
+        return np.empty(0, int), np.empty(0, int)
+    reach = np.sqrt(float(limit)) * (1.0 + 8.0 * float(np.finfo(limit).eps))
+    boxes = [wp.array(box, dtype=wp.vec3, device="cpu") for box in (*_boxes(points, 0.0), *_boxes(rows, reach))]
+    tree = wp.Bvh(boxes[0], boxes[1], constructor="median")
+    count, first = np.empty(len(rows), np.int64), np.zeros(len(rows) + 1, np.int64)
+    index = np.empty(0, np.int32)
+    kernel = tree_kernels(points.dtype.name)["query_tree"]
+    for fill in (0, 1):
+        if fill:
+            np.cumsum(count, out=first[1:])
+            index = np.empty(allowed(int(first[-1])), np.int32)
+        arrays = {"query": rows, "point": points, "list_start": first, "list_count": count, "index": index}
+        values = {
+            "fill": fill,
+            "ahead": int(queries is None),
+            "tree": tree.id,
+            "limit": limit,
+            "lower": boxes[2],
+            "upper": boxes[3],
+            **shared_arrays(arrays, "warp"),
+        }
+        bind(kernel, len(rows), values, "cpu")()
+    return np.repeat(np.arange(len(rows)), count), index
+
+
+def _boxes(points: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes of (n, 3) float32 that hold the points and what is within reach of them."""
+    lower, upper = np.zeros((len(points), 3), np.float32), np.zeros((len(points), 3), np.float32)
+    if len(points) and np.abs(points).max() + reach > 0.5 * np.finfo(np.float32).max:
+        raise ValueError("method is 'tree', whose boxes are float32: a coordinate plus the radius exceeds 1.7e38 [m]")
+    for box, shift, end in ((lower, -reach, -np.inf), (upper, reach, np.inf)):
+        box[:, : points.shape[1]] = np.nextafter((points + np.float64(shift)).astype(np.float32), np.float32(end))
+    return lower, upper

@@ -1,0 +1,191 @@
+"""Neighbour search by sorted cells: arrays, growth of capacity and threads around the kernels of ``neighbors``."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from .backend import bind
+
+MAX_INDEX = 2**31 - 1  # of points, and of pairs or entries that a call may find
+PADDING = 16  # points and entries behind the last that lanes read and write
+ROOM = 16  # pairs and entries reserved for a point at first: of memory, only what is written becomes resident
+
+
+def each(function: Callable[[int], Any], count: int, threads: int) -> list[Any]:
+    """Results of 0 .. count - 1 in order."""
+    if threads == 1 or count < 2:
+        return [function(i) for i in range(count)]
+    with ThreadPoolExecutor(min(threads, count)) as pool:
+        return list(pool.map(function, range(count)))
+
+
+def shared_arrays(arrays: dict[str, np.ndarray], backend: str) -> dict[str, Any]:
+    """The arrays as a backend's kernels take them, without a copy."""
+    if backend == "numpy":
+        return dict(arrays)
+    import warp as wp
+
+    return {name: wp.array(array, device="cpu", copy=False) for name, array in arrays.items()}
+
+
+def allowed(total: int) -> int:
+    """A number of pairs or entries, if arrays can hold it."""
+    if total > MAX_INDEX:
+        raise ValueError(f"radius finds more than {MAX_INDEX} pairs; a call may find {MAX_INDEX}")
+    return total
+
+
+def shards_of(counts: np.ndarray, threads: int) -> list[tuple[int, int]]:
+    """(first world, worlds) for each thread, with about as many points each; the same results for any division."""
+    worlds = len(counts)
+    if threads == 1 or worlds < 2:
+        return [(0, worlds)] if worlds else []
+    done = np.cumsum(counts + 1)
+    edges = np.searchsorted(done, done[-1] * np.arange(1, threads) / threads) + 1
+    edges = np.unique(np.concatenate([[0], edges, [worlds]]))
+    return [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
+
+
+class SortedCells:
+    """Points of all worlds sorted by cell, shard by shard."""
+
+    def __init__(self, radius: float, points: np.ndarray, backend: str) -> None:
+        self.backend = backend
+        self.reach = float(points.dtype.type(radius))
+        self.dtype, self.dim = points.dtype, points.shape[1]
+        if backend == "warp":
+            from ._warp.neighbors import kernels
+        else:
+            from ._numpy.neighbors import kernels  # type: ignore[attr-defined, assignment, no-redef]
+        self.kernels = kernels(self.dtype.name, self.dim)
+
+    def call(self, name: str, values: dict[str, Any]) -> None:
+        """One launch."""
+        bind(self.kernels[name], 1, values, "cpu")()
+
+    def boxes(self, worlds: int, *sets: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
+        """``lower`` and ``upper`` of each world's points of all sets (points, starts)."""
+        box = {"lower": np.full((worlds, self.dim), np.inf), "upper": np.full((worlds, self.dim), -np.inf)}
+        shared = shared_arrays(box, self.backend)
+        for points, starts in sets:
+            arrays = {"start": starts.astype(np.int32), "point": points}
+            self.call(
+                "bound_points", {"world_offset": 0, "worlds": worlds, **shared, **shared_arrays(arrays, self.backend)}
+            )
+        with np.errstate(over="ignore"):
+            wide = np.argwhere(box["upper"] - box["lower"] == np.inf)
+        if len(wide):
+            w, k = wide[0]
+            raise ValueError(f"points of world {w} span more than float64 holds on axis {k}; they must span less [m]")
+        return shared
+
+    def sorter(self, points: np.ndarray, starts: np.ndarray, box: dict[str, Any]) -> tuple[dict[str, Any], Any]:
+        """Arrays for the sorted points, and a call that fills them for a shard."""
+        n, worlds = len(points), len(starts) - 1
+        cells = {
+            "start": starts.astype(np.int32),
+            "place": np.empty((self.dim, n + PADDING), self.dtype),
+            "number": np.empty(n + PADDING, np.int32),
+            "column": np.empty(n + PADDING, np.int32),
+            "line_key": np.empty(n, np.int64),
+            "line_start": np.empty(n + worlds, np.int32),
+            "line_count": np.empty(worlds, np.int32),
+            "line_stride": np.empty(worlds, np.int64),
+        }
+        shared = shared_arrays(cells, self.backend)
+        point = shared_arrays({"point": points}, self.backend)
+
+        def sort(first: int, count: int) -> None:
+            most = int(np.diff(starts[first : first + count + 1]).max())
+            item = self.dtype.itemsize
+            scratch = {
+                "line": np.empty(most, np.int32),
+                "record": np.empty((most, (item * self.dim + 8 + item - 1) // item * item // 4), np.int32),
+                "key": np.empty((2, most), np.uint64),
+                "value": np.empty((2, most), np.int32),
+                "table": np.empty(min(max(4 * most, 1024), 2**30) + 1, np.int32),
+            }
+            values = {"world_offset": first, "worlds": count, "reach": self.reach, **box, **point, **shared}
+            self.call("sort_points", {**values, **shared_arrays(scratch, self.backend)})
+
+        return shared, sort
+
+    def fill(self, name: str, output: str, count: int, shape: tuple[int, ...], values: dict[str, Any]) -> np.ndarray:
+        """What a sweep finds: the array ``output``, made larger until all of it has room."""
+        found = np.zeros(values["worlds"], np.int64)
+        room = min(ROOM * count, MAX_INDEX - 1024) + 1024
+        while True:
+            array = np.empty((room, *shape), np.int32)
+            self.call(name, {**values, **shared_arrays({"found": found, output: array}, self.backend)})
+            total = allowed(int(found.sum()))
+            if total + PADDING <= room:
+                array.resize((total, *shape), refcheck=False)
+                return array
+            room = total + PADDING
+
+
+def hash_pairs(
+    points: np.ndarray, radius: float, limit: Any, starts: np.ndarray, threads: int, backend: str
+) -> np.ndarray:
+    """The method "hash" of ``neighbor_pairs``; ``limit`` is the largest squared distance."""
+    shards = shards_of(np.diff(starts), threads)
+    hashed = SortedCells(radius, points, backend)
+    cells, sort = hashed.sorter(points, starts, hashed.boxes(len(starts) - 1, (points, starts)))
+
+    def shard(s: int) -> np.ndarray:
+        first, count = shards[s]
+        sort(first, count)
+        values = {"world_offset": first, "worlds": count, "limit": limit, **cells}
+        return hashed.fill("sweep_pairs", "pair", int(starts[first + count] - starts[first]), (2,), values)
+
+    found = each(shard, len(shards), threads)
+    allowed(sum(map(len, found)))
+    return found[0] if len(found) == 1 else np.concatenate([np.empty((0, 2), np.int32), *found])
+
+
+def hash_lists(
+    queries: np.ndarray,
+    points: np.ndarray,
+    radius: float,
+    limit: Any,
+    first_query: np.ndarray,
+    first_point: np.ndarray,
+    threads: int,
+    backend: str,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The method "hash" of ``neighbors``: start and index of the lists."""
+    shards = shards_of(np.diff(first_query) + np.diff(first_point), threads)
+    hashed = SortedCells(radius, points, backend)
+    box = hashed.boxes(len(first_query) - 1, (queries, first_query), (points, first_point))
+    cells, sort_points = hashed.sorter(points, first_point, box)
+    query_cells, sort_queries = hashed.sorter(queries, first_query, box)
+    lists = {"list_begin": np.zeros(len(queries), np.int64), "list_count": np.zeros(len(queries), np.int64)}
+    values = {f"query_{name}": array for name, array in query_cells.items()}
+    values = {"limit": limit, **cells, **values, **shared_arrays(lists, backend)}
+
+    def sweep(s: int) -> np.ndarray:
+        first, count = shards[s]
+        sort_points(first, count)
+        sort_queries(first, count)
+        number = int(first_query[first + count] - first_query[first])
+        return hashed.fill("sweep_lists", "entry", number, (), {**values, "world_offset": first, "worlds": count})
+
+    entries = each(sweep, len(shards), threads)
+    start = np.zeros(len(queries) + 1, np.int64)
+    np.cumsum(lists["list_count"], out=start[1:])
+    index = np.empty(allowed(int(start[-1])), np.int32)
+    order = {**values, **shared_arrays({"list_start": start, "index": index}, backend)}
+
+    def arrange(s: int) -> None:
+        first, count = shards[s]
+        begin, end = int(first_query[first]), int(first_query[first + count])
+        entry = shared_arrays({"entry": entries[s]}, backend)
+        hashed.call("order_lists", {**order, "query_offset": begin, "queries": end - begin, **entry})
+
+    each(arrange, len(shards), threads)
+    return start, index
