@@ -156,7 +156,7 @@ def world(rounds: int) -> dict[str, Any]:
     from pipeline import scenes
 
     from . import cases
-    from .theses import ThesesTransfer
+    from .theses import SeedTransfer, ThesesTransfer
 
     sim = cases.simulation(scenes.Thesis())
     sim.run(cases.STEPS, cases.DT)
@@ -173,7 +173,7 @@ def world(rounds: int) -> dict[str, Any]:
     falling.collide(cases.DT)  # nothing touches yet
     falling_images = Images(falling, grid)
 
-    theses = ThesesTransfer(grid, 2 * grid.spacing)
+    theirs = {way.__name__: way(grid, 2 * grid.spacing) for way in (SeedTransfer, ThesesTransfer)}
     moving = sim.model.numpy("body_type") != 0
     state = [sim.state.numpy(name)[moving] for name in ("position", "velocity", "angular_velocity")]
     count = int(sim.contacts.numpy("contact_count")[0])
@@ -182,18 +182,20 @@ def world(rounds: int) -> dict[str, Any]:
     normals, impulses = (sim.contacts.numpy(name)[:count] for name in ("normal", "impulse"))
     features = np.column_stack([sim.model.numpy("mass")[moving], state[1], state[2]])
 
-    def their_splat() -> None:
-        theses.splat(state[0], features)
-        theses.splat(points, normals)
+    def their_splat(way: str) -> None:
+        theirs[way].splat(state[0], features)
+        theirs[way].splat(points, normals)
 
-    their_image = theses.splat(points, impulses)
+    their_image = theirs["SeedTransfer"].splat(points, impulses)
     functions: dict[str, Callable[[], Any]] = {
         "world_splat": images.splat,
         "world_gather": lambda: images.gather(labels),
         "world_bodies": bodies_only.splat,
         "world_contacts": contacts_only.splat,
-        "theses_splat": their_splat,
-        "theses_gather": lambda: theses.gather(their_image, points),
+        "theses_splat": lambda: their_splat("SeedTransfer"),
+        "theses_gather": lambda: theirs["SeedTransfer"].gather(their_image, points),
+        "theses_numpy_splat": lambda: their_splat("ThesesTransfer"),
+        "theses_numpy_gather": lambda: theirs["ThesesTransfer"].gather(their_image, points),
         "batch_splat": batch_images.splat,
         "falling_splat": falling_images.splat,
     }
@@ -209,7 +211,9 @@ def world(rounds: int) -> dict[str, Any]:
     for name in ("batch_splat", "falling_splat"):
         values[f"{name}_us"] /= WORLDS
     ours = np.add(times["world_splat"], times["world_gather"])
-    values["over_theses"] = float(np.median(np.add(times["theses_splat"], times["theses_gather"]) / ours))
+    for way in ("theses", "theses_numpy"):
+        spent = np.add(times[f"{way}_splat"], times[f"{way}_gather"])
+        values[f"over_{way}"] = float(np.median(spent / ours))
     values["contacts"] = count
     values["theses_difference"] = float(np.abs(their_image - labels.numpy()[0]).max() / np.abs(their_image).max())
     return values
@@ -253,8 +257,11 @@ def report(values: dict[str, Any]) -> str:
         ("  bodies only (4)", values["world_bodies_us"]),
         ("  contacts only (2)", values["world_contacts_us"]),
         (f"2 channels back at {values['contacts']} contacts", values["world_gather_us"]),
-        ("theses' way: splat", values["theses_splat_us"]),
-        ("theses' way: gather", values["theses_gather_us"]),
+        ("theses' way (Wu): splat", values["theses_splat_us"]),
+        ("theses' way (Wu): gather", values["theses_gather_us"]),
+        ("theses' way at its best, numpy: splat", values["theses_numpy_splat_us"]),
+        ("theses' way at its best, numpy: gather", values["theses_numpy_gather_us"]),
+        ("times faster than that", values["over_theses_numpy"]),
         (f"6 channels, a world of {WORLDS} settled", values["batch_splat_us"]),
         (f"6 channels, a world of {WORLDS} without contacts", values["falling_splat_us"]),
     ]
