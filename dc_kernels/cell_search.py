@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -102,14 +103,10 @@ class SortedCells:
 
         def sort(first: int, count: int) -> None:
             most = int(np.diff(starts[first : first + count + 1]).max())
-            item = self.dtype.itemsize
-            scratch = {
-                "line": np.empty(most, np.int32),
-                "record": np.empty((most, (item * self.dim + 8 + item - 1) // item * item // 4), np.int32),
-                "key": np.empty((2, most), np.uint64),
-                "value": np.empty((2, most), np.int32),
-                "table": np.empty(min(max(4 * most, 1024), 2**30) + 1, np.int32),
-            }
+            # 8-byte words a point: two keys, two values, a line and four counts of 4 bytes, and a copy of the point
+            # with its number and column; a few rows more for worlds of few points
+            words = 2 + (2 + 1 + 4) / 2 + math.ceil((self.dtype.itemsize * self.dim + 8) / 8)
+            scratch = {"scratch": np.empty((most + 256, math.ceil(words)), np.int64)}
             values = {"world_offset": first, "worlds": count, "reach": self.reach, **box, **point, **shared}
             self.call("sort_points", {**values, **shared_arrays(scratch, self.backend)})
 
@@ -158,7 +155,7 @@ def hash_lists(
     threads: int,
     backend: str,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The method "hash" of ``neighbors``: start and index of the lists."""
+    """The method "hash" of ``neighbor_lists``: start and index of the lists."""
     shards = shards_of(np.diff(first_query) + np.diff(first_point), threads)
     hashed = SortedCells(radius, points, backend)
     box = hashed.boxes(len(first_query) - 1, (queries, first_query), (points, first_point))

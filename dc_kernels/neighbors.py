@@ -80,7 +80,7 @@ def neighbor_pairs(
     return np.concatenate(found) if found else np.empty((0, 2), np.int32)
 
 
-def neighbors(
+def neighbor_lists(
     queries: np.ndarray,
     points: np.ndarray,
     radius: float,
@@ -136,6 +136,9 @@ def neighbors(
     lists = np.zeros(len(queries) + 1, np.int64)
     np.cumsum(np.concatenate([count for count, _ in found]) if found else [], out=lists[1:])
     return Neighbors(lists, np.concatenate([index for _, index in found]) if found else np.empty(0, np.int32))
+
+
+neighbors = neighbor_lists  # inside the package; outside it ``dc_kernels.neighbors`` is this module
 
 
 # ---------------------------------------------------------------------- checks

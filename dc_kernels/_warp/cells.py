@@ -26,7 +26,7 @@ LANES = 16  # points tested at once, and the padding behind sorted points and pa
 CELL_SLACK = 2.0**-16
 MAX_CELLS = 2.0**30
 MAX_FOUND = 2**31 - 1  # a search stops above: the arrays could not be larger
-SPARE = 4  # table entries for a point: up to so many lines for a point are counted, more are sorted by key
+SPARE = 4  # up to so many lines for a point are counted, more are sorted by key; columns alike
 
 _TYPES = f"""
 #pragma clang fp contract(off)
@@ -71,13 +71,17 @@ for (int w = world_offset; w < world_offset + worlds; ++w) {
 _SORT = """
 typedef unsigned long long U;
 struct Record { S p[DIM]; int number, column; };
-int* const count = table.data;
-const L room = table.shape[0] - 1;
+const size_t rows = scratch.shape[0], words = (sizeof(Record) + sizeof(U) - 1) / sizeof(U);
+U* const key = (U*)scratch.data;
+Record* const record = (Record*)(key + 2 * rows);
+int* const value = (int*)(key + (2 + words) * rows);
+int* const line = value + 2 * rows;
+int* const count = line + rows;
+const L room = SPARE * (L)rows;
 const size_t stride = place.shape[1];
-// sorts key[0][..m] with value[0] below 2^bits; returns the half that holds the result
-auto radix = [&](L m, int bits) -> int {
-    const size_t half_key = key.shape[1], half_value = value.shape[1];
-    U* k = key.data; int* v = value.data;
+// sorts key[..m] below 2^bits, with value; returns where in both the result begins
+auto radix = [&](L m, int bits) -> size_t {
+    U* const k = key; int* const v = value;
     if (m <= 32) {
         for (L i = 1; i < m; ++i) {
             const U ki = k[i]; const int vi = v[i];
@@ -88,11 +92,12 @@ auto radix = [&](L m, int bits) -> int {
         return 0;
     }
     const int digit = m < 4096 ? 8 : 11;
-    int from = 0, digits[1 << 11];
+    size_t from = 0;
+    int digits[1 << 11];
     for (int shift = 0; shift < bits; shift += digit) {
-        const U* k0 = k + from * half_key; const int* v0 = v + from * half_value;
-        from ^= 1;
-        U* k1 = k + from * half_key; int* v1 = v + from * half_value;
+        const U* k0 = k + from; const int* v0 = v + from;
+        from = rows - from;
+        U* k1 = k + from; int* v1 = v + from;
         const U mask = (1 << digit) - 1;
         for (int d = 0; d < 1 << digit; ++d) digits[d] = 0;
         for (L i = 0; i < m; ++i) ++digits[(k0[i] >> shift) & mask];
@@ -131,7 +136,7 @@ for (int w = world_offset; w < world_offset + worlds; ++w) {
     int used = 0;
     if (lines <= room) {
         for (L k = 0; k < lines; ++k) count[k] = 0;
-        for (L i = 0; i < m; ++i) { const int k = (int)line_of(i); line.data[i] = k; ++count[k]; }
+        for (L i = 0; i < m; ++i) { const int k = (int)line_of(i); line[i] = k; ++count[k]; }
         for (L k = 0, sum = 0; k < lines; ++k) {
             const int c = count[k];
             count[k] = (int)sum;
@@ -139,30 +144,29 @@ for (int w = world_offset; w < world_offset + worlds; ++w) {
             sum += c;
         }
     } else {
-        for (L i = 0; i < m; ++i) { key.data[i] = (U)line_of(i); value.data[i] = (int)i; }
-        const int half = radix(m, bits_of((U)(lines - 1)));
-        const U* k = key.data + half * (size_t)key.shape[1];
-        const int* v = value.data + half * (size_t)value.shape[1];
+        for (L i = 0; i < m; ++i) { key[i] = (U)line_of(i); value[i] = (int)i; }
+        const size_t at = radix(m, bits_of((U)(lines - 1)));
+        const U* k = key + at;
+        const int* v = value + at;
         for (L i = 0; i < m; ++i) {
             if (i == 0 || k[i] != k[i - 1]) {
                 keys[used] = (L)k[i]; count[used] = (int)i; starts[used++] = first + (int)i;
             }
-            line.data[v[i]] = used - 1;
+            line[v[i]] = used - 1;
         }
     }
     starts[used] = first + (int)m;
     line_count.data[w] = used;
     line_stride.data[w] = layer;
 
-    Record* const r = (Record*)record.data;
     for (L i = 0; i < m; ++i) {
-        Record& to = r[count[line.data[i]]++];
+        Record& to = record[count[line[i]]++];
         for (int a = 0; a < DIM; ++a) to.p[a] = p[i * DIM + a];
         to.number = first + (int)i; to.column = cell(i, 0);
     }
     for (int l = 0; l < used; ++l) {
         const L a = starts[l] - first, size = starts[l + 1] - starts[l];
-        const Record* from = r + a;
+        const Record* from = record + a;
         auto put = [&](L at, const Record& q) {
             at += starts[l];
             for (int k = 0; k < DIM; ++k) place.data[k * stride + at] = q.p[k];
@@ -180,9 +184,8 @@ for (int w = world_offset; w < world_offset + worlds; ++w) {
             for (int c = 0, sum = 0; c < columns; ++c) { const int n = count[c]; count[c] = sum; sum += n; }
             for (L i = 0; i < size; ++i) put(count[from[i].column - least]++, from[i]);
         } else {
-            for (L i = 0; i < size; ++i) { key.data[i] = (U)(from[i].column - least); value.data[i] = (int)i; }
-            const int half = radix(size, bits_of((U)(most - least)));
-            const int* v = value.data + half * (size_t)value.shape[1];
+            for (L i = 0; i < size; ++i) { key[i] = (U)(from[i].column - least); value[i] = (int)i; }
+            const int* v = value + radix(size, bits_of((U)(most - least)));
             for (L i = 0; i < size; ++i) put(i, from[v[i]]);
         }
     }
@@ -238,11 +241,7 @@ def cell_functions(dtype: str, dim: int) -> dict[str, Any]:
         point: wp.array2d(dtype=real),
         lower: wp.array2d(dtype=wp.float64),
         upper: wp.array2d(dtype=wp.float64),
-        line: wp.array(dtype=wp.int32),
-        record: wp.array2d(dtype=wp.int32),
-        key: wp.array2d(dtype=wp.uint64),
-        value: wp.array2d(dtype=wp.int32),
-        table: wp.array(dtype=wp.int32),
+        scratch: wp.array2d(dtype=wp.int64),
         place: wp.array2d(dtype=real),
         number: wp.array(dtype=wp.int32),
         column: wp.array(dtype=wp.int32),
