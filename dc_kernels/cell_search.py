@@ -12,9 +12,11 @@ import numpy as np
 
 from .backend import bind
 
-MAX_INDEX = 2**31 - 1  # of points, and of pairs or entries that a call may find
+MAX_INDEX = 2**31 - 1
 PADDING = 16  # points and entries behind the last that lanes read and write
+MAX_FOUND = MAX_INDEX - PADDING  # pairs, or entries of lists, of a call
 ROOM = 16  # pairs and entries reserved for a point at first: of memory, only what is written becomes resident
+LEAST_ROOM = 1024
 
 
 def each(function: Callable[[int], Any], count: int, threads: int) -> list[Any]:
@@ -36,8 +38,8 @@ def shared_arrays(arrays: dict[str, np.ndarray], backend: str) -> dict[str, Any]
 
 def allowed(total: int) -> int:
     """A number of pairs or entries, if arrays can hold it."""
-    if total > MAX_INDEX:
-        raise ValueError(f"radius finds more than {MAX_INDEX} pairs; a call may find {MAX_INDEX}")
+    if total > MAX_FOUND:
+        raise ValueError(f"radius finds more than {MAX_FOUND} pairs; it must find fewer")
     return total
 
 
@@ -115,7 +117,7 @@ class SortedCells:
     def fill(self, name: str, output: str, count: int, shape: tuple[int, ...], values: dict[str, Any]) -> np.ndarray:
         """What a sweep finds: the array ``output``, made larger until all of it has room."""
         found = np.zeros(values["worlds"], np.int64)
-        room = min(ROOM * count, MAX_INDEX - 1024) + 1024
+        room = min(ROOM * count + LEAST_ROOM, MAX_INDEX)
         while True:
             array = np.empty((room, *shape), np.int32)
             self.call(name, {**values, **shared_arrays({"found": found, output: array}, self.backend)})
