@@ -111,6 +111,7 @@ def large(rounds: int) -> dict[str, Any]:
         functions[f"gather_random_{count}"] = cloud.gather
         functions[f"index_add_{count}"] = index_add(cloud)
         functions[f"grid_sample_{count}"] = grid_sample(cloud)
+        functions[f"grid_sample_placed_{count}"] = grid_sample(placed[count])
         functions[f"splat_placed_{count}"] = placed[count].splat
         functions[f"gather_placed_{count}"] = placed[count].gather
     small = SIZES[0]
@@ -133,14 +134,15 @@ def large(rounds: int) -> dict[str, Any]:
     clouds[small].gather()
     sampled = functions[f"grid_sample_{small}"]().numpy()[0, :, 0].T
     values["grid_sample_difference"] = float(np.abs(sampled - clouds[small].back).max())
-    values["gather_ns"] = max(
-        values[f"{name}_ns"] for name in (f"gather_random_{small}", *(f"gather_placed_{n}" for n in SIZES))
-    )
-    values["over_index_add"] = min(ratio(times, f"index_add_{n}", f"splat_{n}") for n in SIZES)
+    # not of the keys: 1e6 points in random order on a 64 MB image, where whoever gathers waits for 8e6 cache misses
+    rows = (f"gather_random_{small}", *(f"gather_placed_{n}" for n in SIZES))
+    values["gather_ns"] = max(values[f"{name}_ns"] for name in rows)
     for n in SIZES:
         values[f"over_grid_sample_{n}"] = ratio(times, f"grid_sample_{n}", f"gather_random_{n}")
-    # 1e6 nodes in random order of a 64 MB image are 8e6 cache misses, for whoever gathers them
-    values["over_grid_sample"] = values[f"over_grid_sample_{small}"]
+        values[f"over_grid_sample_placed_{n}"] = ratio(times, f"grid_sample_placed_{n}", f"gather_placed_{n}")
+    # 1e6 points keep the memory busy by either way, in either order
+    values["over_grid_sample"] = min(values[f"over_grid_sample{order}_{small}"] for order in ("", "_placed"))
+    values["over_index_add"] = min(ratio(times, f"index_add_{n}", f"splat_{n}") for n in SIZES)
     return values
 
 
@@ -165,10 +167,11 @@ def world(rounds: int) -> dict[str, Any]:
     images = Images(sim, grid)
     labels = images.impulse_image()
     bodies_only, contacts_only = Images(sim, grid, contacts=()), Images(sim, grid, bodies=())
+    two = Images(sim, grid, bodies=("mass", "omega"), contacts=())
     batch = cases.simulation(scenes.Thesis(), WORLDS)
     batch.run(cases.STEPS, cases.DT)
     batch.collide(cases.DT)
-    batch_images = Images(batch, grid)
+    batch_images, batch_threads = Images(batch, grid), Images(batch, grid, threads=2)
     falling = cases.simulation(scenes.Thesis(), WORLDS)
     falling.collide(cases.DT)  # nothing touches yet
     falling_images = Images(falling, grid)
@@ -192,11 +195,13 @@ def world(rounds: int) -> dict[str, Any]:
         "world_gather": lambda: images.gather(labels),
         "world_bodies": bodies_only.splat,
         "world_contacts": contacts_only.splat,
+        "world_two": two.splat,
         "theses_splat": lambda: their_splat("SeedTransfer"),
         "theses_gather": lambda: theirs["SeedTransfer"].gather(their_image, points),
         "theses_numpy_splat": lambda: their_splat("ThesesTransfer"),
         "theses_numpy_gather": lambda: theirs["ThesesTransfer"].gather(their_image, points),
         "batch_splat": batch_images.splat,
+        "batch_threads": batch_threads.splat,
         "falling_splat": falling_images.splat,
     }
     # a call of a few us is timed many at once
@@ -208,13 +213,22 @@ def world(rounds: int) -> dict[str, Any]:
 
     times = timing.interleave(functions, rounds, clock=clock)
     values = {f"{name}_us": 1e6 * spent for name, spent in timing.medians(times).items()}
-    for name in ("batch_splat", "falling_splat"):
+    for name in ("batch_splat", "batch_threads", "falling_splat"):
         values[f"{name}_us"] /= WORLDS
     ours = np.add(times["world_splat"], times["world_gather"])
     for way in ("theses", "theses_numpy"):
         spent = np.add(times[f"{way}_splat"], times[f"{way}_gather"])
         values[f"over_{way}"] = float(np.median(spent / ours))
     values["contacts"] = count
+    # what is left out changes nothing of what is there
+    whole, parts = images.numpy(), (bodies_only.numpy(), contacts_only.numpy())
+    values["channels_difference"] = float(
+        max(
+            np.abs(whole - np.concatenate(parts, axis=1)).max(),
+            np.abs(whole[:, [0, 3]] - two.numpy()).max(),
+            np.abs(batch_images.numpy() - batch_threads.numpy()).max(),
+        )
+    )
     values["theses_difference"] = float(np.abs(their_image - labels.numpy()[0]).max() / np.abs(their_image).max())
     return values
 
@@ -242,6 +256,7 @@ def report(values: dict[str, Any]) -> str:
         "gather_placed": "bilinear gather, by place",
         "index_add": "torch index_add_, random order",
         "grid_sample": "torch grid_sample, random order",
+        "grid_sample_placed": "torch grid_sample, by place",
         "splat_dense": "splat, 1 node a particle",
         "splat_sparse": "splat, 13 nodes a particle",
         "splat_corner": "splat, 4 nodes a particle, all in a sixteenth of the image",
@@ -251,11 +266,11 @@ def report(values: dict[str, Any]) -> str:
     }
     for name, label in labels.items():
         rows.append((label, *(values.get(f"{name}_{count}_ns") for count in SIZES)))
-    many = timing.table(("4 channels, ns per particle", *(f"{count:.0e}" for count in SIZES)), rows)
     world_rows = [
         ("6 channels to 61 x 61", values["world_splat_us"]),
         ("  bodies only (4)", values["world_bodies_us"]),
         ("  contacts only (2)", values["world_contacts_us"]),
+        ("  mass and angular velocity only (2)", values["world_two_us"]),
         (f"2 channels back at {values['contacts']} contacts", values["world_gather_us"]),
         ("theses' way (Wu): splat", values["theses_splat_us"]),
         ("theses' way (Wu): gather", values["theses_gather_us"]),
@@ -263,8 +278,16 @@ def report(values: dict[str, Any]) -> str:
         ("theses' way at its best, numpy: gather", values["theses_numpy_gather_us"]),
         ("times faster than that", values["over_theses_numpy"]),
         (f"6 channels, a world of {WORLDS} settled", values["batch_splat_us"]),
+        (f"6 channels, a world of {WORLDS} settled, 2 threads", values["batch_threads_us"]),
         (f"6 channels, a world of {WORLDS} without contacts", values["falling_splat_us"]),
+        ("difference of what is left from what it is with all", values["channels_difference"]),
     ]
     one = timing.table(("a thesis world", "us"), world_rows)
+    ratios = [
+        (f"times faster than grid_sample, {order}", *(values[f"over_grid_sample{key}_{n}"] for n in SIZES))
+        for order, key in (("random order", ""), ("by place", "_placed"))
+    ]
+    rows += ratios
+    many = timing.table(("4 channels, ns per particle", *(f"{count:.0e}" for count in SIZES)), rows)
     keys = timing.table(("key", "value"), [(key, values[key]) for key in KEYS])
     return "\n\n".join((many, one, keys))
