@@ -114,8 +114,8 @@ class SortedCells:
 
         return shared, sort
 
-    def fill(self, name: str, output: str, count: int, shape: tuple[int, ...], values: dict[str, Any]) -> np.ndarray:
-        """What a sweep finds: the array ``output``, made larger until all of it has room."""
+    def fill(self, name: str, output: str, count: int, shape: tuple[int, ...], values: dict[str, Any]) -> Any:
+        """What a sweep finds, and how much: the array ``output``, made larger until all and PADDING have room."""
         found = np.zeros(values["worlds"], np.int64)
         room = min(ROOM * count + LEAST_ROOM, MAX_INDEX)
         while True:
@@ -123,8 +123,7 @@ class SortedCells:
             self.call(name, {**values, **shared_arrays({"found": found, output: array}, self.backend)})
             total = allowed(int(found.sum()))
             if total + PADDING <= room:
-                array.resize((total, *shape), refcheck=False)
-                return array
+                return array, total
             room = total + PADDING
 
 
@@ -140,7 +139,9 @@ def hash_pairs(
         first, count = shards[s]
         sort(first, count)
         values = {"world_offset": first, "worlds": count, "limit": limit, **cells}
-        return hashed.fill("sweep_pairs", "pair", int(starts[first + count] - starts[first]), (2,), values)
+        pairs, total = hashed.fill("sweep_pairs", "pair", int(starts[first + count] - starts[first]), (2,), values)
+        pairs.resize((total, 2), refcheck=False)  # returns the rest to the system
+        return pairs
 
     found = each(shard, len(shards), threads)
     allowed(sum(map(len, found)))
@@ -160,23 +161,27 @@ def hash_lists(
     """The method "hash" of ``neighbor_lists``: start and index of the lists."""
     shards = shards_of(np.diff(first_query) + np.diff(first_point), threads)
     hashed = SortedCells(radius, points, backend)
-    box = hashed.boxes(len(first_query) - 1, (queries, first_query), (points, first_point))
+    same = queries is points and np.array_equal(first_query, first_point)
+    sets = ((points, first_point),) if same else ((points, first_point), (queries, first_query))
+    box = hashed.boxes(len(first_query) - 1, *sets)
     cells, sort_points = hashed.sorter(points, first_point, box)
-    query_cells, sort_queries = hashed.sorter(queries, first_query, box)
-    lists = {"list_begin": np.zeros(len(queries), np.int64), "list_count": np.zeros(len(queries), np.int64)}
+    query_cells, sort_queries = (cells, None) if same else hashed.sorter(queries, first_query, box)
+    span = np.zeros((len(queries), 2), np.int64)
     values = {f"query_{name}": array for name, array in query_cells.items()}
-    values = {"limit": limit, **cells, **values, **shared_arrays(lists, backend)}
+    values = {"limit": limit, **cells, **values, **shared_arrays({"list_span": span}, backend)}
 
     def sweep(s: int) -> np.ndarray:
         first, count = shards[s]
         sort_points(first, count)
-        sort_queries(first, count)
+        if sort_queries is not None:
+            sort_queries(first, count)
         number = int(first_query[first + count] - first_query[first])
-        return hashed.fill("sweep_lists", "entry", number, (), {**values, "world_offset": first, "worlds": count})
+        shard = {**values, "world_offset": first, "worlds": count}
+        return hashed.fill("sweep_lists", "entry", number, (), shard)[0]  # lanes read the padding too
 
     entries = each(sweep, len(shards), threads)
     start = np.zeros(len(queries) + 1, np.int64)
-    np.cumsum(lists["list_count"], out=start[1:])
+    np.cumsum(span[:, 1], out=start[1:])
     index = np.empty(allowed(int(start[-1])), np.int32)
     order = {**values, **shared_arrays({"list_start": start, "index": index}, backend)}
 

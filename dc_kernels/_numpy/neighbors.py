@@ -139,8 +139,7 @@ def sweep_lists(
     line_start: Array,
     line_count: Array,
     line_stride: Array,
-    list_begin: Array,
-    list_count: Array,
+    list_span: Array,
     found: Array,
     entry: Array,
 ) -> None:
@@ -153,21 +152,21 @@ def sweep_lists(
         for k, queries in _lines(w, query_start, query_line_key, query_line_start, query_line_count).items():
             for i in queries:
                 q = query_number[i]
-                list_begin[q] = out
+                list_span[q, 0] = out
                 for layer in layers:
                     for j in itertools.chain(*(lines.get(k + layer + row, range(0)) for row in (-1, 0, 1))):
                         if _near(query_place[:, i], place[:, j], limit):
                             if out < len(entry):
                                 entry[out] = number[j]
                             out += 1
-                list_count[q] = out - list_begin[q]
+                list_span[q, 1] = out - list_span[q, 0]
         found[w - world_offset] = out - before
 
 
 def order_lists(
-    tid: int, query_offset: int, queries: int, list_begin: Array, list_start: Array, entry: Array, index: Array
+    tid: int, query_offset: int, queries: int, list_span: Array, list_start: Array, entry: Array, index: Array
 ) -> None:
     """Lists in the order of the queries, each ascending."""
     for q in range(query_offset, query_offset + queries):
         count = list_start[q + 1] - list_start[q]
-        index[list_start[q] : list_start[q + 1]] = np.sort(entry[list_begin[q] : list_begin[q] + count])
+        index[list_start[q] : list_start[q + 1]] = np.sort(entry[list_span[q, 0] : list_span[q, 0] + count])

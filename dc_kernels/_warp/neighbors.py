@@ -132,8 +132,8 @@ def kernels(dtype: str, dim: int) -> dict[str, Any]:
         line_count: wp.array(dtype=wp.int32),
         line_stride: wp.array(dtype=wp.int64),
         # Out:
-        list_begin: wp.array(dtype=wp.int64),
-        list_count: wp.array(dtype=wp.int64),
+        # of each query, first entry and number:
+        list_span: wp.array2d(dtype=wp.int64),
         found: wp.array(dtype=wp.int64),
         entry: wp.array(dtype=wp.int32),
     ):
@@ -160,8 +160,7 @@ def kernels(dtype: str, dim: int) -> dict[str, Any]:
             line_start,
             line_count,
             line_stride,
-            list_begin,
-            list_count,
+            list_span,
             found,
             entry,
         )
@@ -170,7 +169,7 @@ def kernels(dtype: str, dim: int) -> dict[str, Any]:
     def order_lists(
         query_offset: int,
         queries: int,
-        list_begin: wp.array(dtype=wp.int64),
+        list_span: wp.array2d(dtype=wp.int64),
         list_start: wp.array(dtype=wp.int64),
         entry: wp.array(dtype=wp.int32),
         # Out:
@@ -180,7 +179,7 @@ def kernels(dtype: str, dim: int) -> dict[str, Any]:
         native_order(
             query_offset,
             queries,
-            list_begin,
+            list_span,
             list_start,
             entry,
             index,

@@ -122,6 +122,7 @@ for (int w = world_offset; w < world_offset + worlds; ++w) {
             for (int a = 0; a < DIM; ++a) own[a] = query_place.data[a * query_stride + i];
             const int c = query_column.data[i], mine = query_number.data[i];
             const L begin = out;
+            __builtin_prefetch(list_span.data + 2 * (size_t)query_number.data[i + LANES], 1);
             for (int k = 0; k < near_lines; ++k) {
                 from[k] = skip(column.data, from[k], last[k], c - 1);
                 for (L j = from[k]; j < last[k] && column.data[j] <= c + 1; j += LANES) {
@@ -137,17 +138,20 @@ for (int w = world_offset; w < world_offset + worlds; ++w) {
                     out += __builtin_popcount(bits);
                 }
             }
-            list_begin.data[mine] = begin;
-            list_count.data[mine] = out - begin;
+            list_span.data[2 * (size_t)mine] = begin;
+            list_span.data[2 * (size_t)mine + 1] = out - begin;
         }
     }
     found.data[w - world_offset] = out - before;
 }
 """
 _ORDER = """
+const int AHEAD = 16;
 for (int q = query_offset; q < query_offset + queries; ++q) {
     const L m = list_start.data[q + 1] - list_start.data[q];
-    const int* from = entry.data + list_begin.data[q];
+    // the lists lie in the order of the sorted queries: each is fetched from anywhere
+    if (q + AHEAD < query_offset + queries) __builtin_prefetch(entry.data + list_span.data[2 * (size_t)(q + AHEAD)]);
+    const int* from = entry.data + list_span.data[2 * (size_t)q];
     int* to = index.data + list_start.data[q];
     if (m <= 4 * LANES) {
         // a number's place is how many are less; all differ
@@ -231,8 +235,7 @@ def sweep_functions(dtype: str, dim: int) -> dict[str, Any]:
         line_start: wp.array(dtype=wp.int32),
         line_count: wp.array(dtype=wp.int32),
         line_stride: wp.array(dtype=wp.int64),
-        list_begin: wp.array(dtype=wp.int64),
-        list_count: wp.array(dtype=wp.int64),
+        list_span: wp.array2d(dtype=wp.int64),
         found: wp.array(dtype=wp.int64),
         entry: wp.array(dtype=wp.int32),
     ): ...
@@ -241,7 +244,7 @@ def sweep_functions(dtype: str, dim: int) -> dict[str, Any]:
     def order_lists(
         query_offset: wp.int32,
         queries: wp.int32,
-        list_begin: wp.array(dtype=wp.int64),
+        list_span: wp.array2d(dtype=wp.int64),
         list_start: wp.array(dtype=wp.int64),
         entry: wp.array(dtype=wp.int32),
         index: wp.array(dtype=wp.int32),
