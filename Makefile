@@ -5,7 +5,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 JOBS ?= 2
-BENCHES ?= sweep worlds scaling protocol startup
+BENCHES ?= sweep worlds scaling protocol transfer roundtrip neighbors startup
 ARGS ?=
 
 BIN := $(VENV)/bin

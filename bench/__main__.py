@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from . import timing
 
-NAMES = ("sweep", "worlds", "scaling", "protocol", "startup")
+NAMES = ("sweep", "worlds", "scaling", "protocol", "transfer", "roundtrip", "neighbors", "startup")
 
 
 class Bench(Protocol):

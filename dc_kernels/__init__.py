@@ -11,8 +11,9 @@
     sim = dc.Simulation(*builder.finalize())
     sim.run(steps=100, dt=0.01)
 
-Only numpy and warp-lang are needed. A name is imported when it is first used, so importing the package
-costs next to nothing; ``types.py`` holds the conventions and the name of every array.
+Only numpy and warp-lang are needed. ``operators`` and ``sph_operators`` hold the torch operators; all else is here. A
+name is imported when it is first used, so importing the package costs next to nothing; ``types.py`` holds the
+conventions and the name of every array.
 """
 
 from __future__ import annotations
@@ -23,9 +24,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .arrays import Contacts, Joints, Model, State, to_numpy, to_torch
     from .builder import ModelBuilder
+    from .grid import Grid, GridChoice, choose_grid, shared_cells
+    from .images import Images
     from .measure import kinetic_energy, overlap, potential_energy
+    from .neighbors import Neighbors, neighbor_lists, neighbor_pairs
     from .solver import SolveStats
+    from .sph import sph_density, sph_sum
     from .step import Simulation
+    from .transfer import Transfer, gather, splat
     from .types import LANES, BodyType, Flag, ShapeType, SolverConfig
 
 __version__ = "0.1.0"
@@ -35,17 +41,30 @@ __all__ = [
     "BodyType",
     "Contacts",
     "Flag",
+    "Grid",
+    "GridChoice",
+    "Images",
     "Joints",
     "Model",
     "ModelBuilder",
+    "Neighbors",
     "ShapeType",
     "Simulation",
     "SolveStats",
     "SolverConfig",
     "State",
+    "Transfer",
+    "choose_grid",
+    "gather",
     "kinetic_energy",
+    "neighbor_lists",
+    "neighbor_pairs",
     "overlap",
     "potential_energy",
+    "shared_cells",
+    "sph_density",
+    "sph_sum",
+    "splat",
     "to_numpy",
     "to_torch",
 ]
@@ -54,9 +73,14 @@ __all__ = [
 _MODULES = {
     "arrays": ("Contacts", "Joints", "Model", "State", "to_numpy", "to_torch"),
     "builder": ("ModelBuilder",),
+    "grid": ("Grid", "GridChoice", "choose_grid", "shared_cells"),
+    "images": ("Images",),
     "measure": ("kinetic_energy", "overlap", "potential_energy"),
+    "neighbors": ("Neighbors", "neighbor_lists", "neighbor_pairs"),
     "solver": ("SolveStats",),
+    "sph": ("sph_density", "sph_sum"),
     "step": ("Simulation",),
+    "transfer": ("Transfer", "gather", "splat"),
     "types": ("LANES", "BodyType", "Flag", "ShapeType", "SolverConfig"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

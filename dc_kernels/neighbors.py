@@ -138,9 +138,6 @@ def neighbor_lists(
     return Neighbors(lists, np.concatenate([index for _, index in found]) if found else np.empty(0, np.int32))
 
 
-neighbors = neighbor_lists  # inside the package; outside it ``dc_kernels.neighbors`` is this module
-
-
 # ---------------------------------------------------------------------- checks
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from .arrays import FLOATS
 from .backend import bind, check_backend
-from .neighbors import Neighbors, neighbors
+from .neighbors import Neighbors, neighbor_lists
 from .smoothing import KERNELS, scale
 
 QUANTITIES = {"value": 0, "gradient": 1, "laplacian": 2, "divergence": 3}
@@ -61,7 +61,7 @@ def sph_sum(
         query_start: first query of each world and the number of queries, (W + 1,); None for one world.
         point_start: the same of the particles.
         quantity: "value", "gradient" or "laplacian".
-        method: how neighbours are searched (``neighbors``).
+        method: how neighbours are searched (``neighbors.METHODS``).
         threads: Python threads that share the queries.
         backend: "warp", or "numpy" for the oracle.
 
@@ -75,7 +75,7 @@ def sph_sum(
     check_options(quantity, threads, backend)
     factor = scale(kernel, h, points.shape[1], ORDERS[quantity], points.dtype)
     weighted = values * volume(mass, density)[:, None]
-    lists = neighbors(
+    lists = neighbor_lists(
         queries, points, h, method=method, query_start=query_start, point_start=point_start, threads=threads
     )
     out = sum_lists(lists, queries, points, weighted, h, factor, kernel, quantity, threads, backend)
@@ -112,7 +112,7 @@ def sph_density(
     check_array("mass", mass, (len(points),), points.dtype, low=0.0)
     check_options("value", threads, backend)
     factor = scale(kernel, h, points.shape[1], 0, points.dtype)
-    lists = neighbors(points, points, h, method=method, query_start=start, point_start=start, threads=threads)
+    lists = neighbor_lists(points, points, h, method=method, query_start=start, point_start=start, threads=threads)
     return sum_lists(lists, points, points, mass[:, None], h, factor, kernel, "value", threads, backend)[:, 0]
 
 

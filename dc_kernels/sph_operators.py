@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from .arrays import FLOATS, require
-from .neighbors import Neighbors, neighbors
+from .neighbors import Neighbors, neighbor_lists
 from .smoothing import scale
 from .sph import ORDERS, check_array, check_options, check_particles, out_shape, pull_lists, sph_sum, sum_lists, volume
 
@@ -59,7 +59,7 @@ def sph_sum_torch(
         query_start: first query of each world and the number of queries, (W + 1,) integers; None for one world.
         point_start: the same of the particles.
         quantity: "value", "gradient" or "laplacian".
-        method: how neighbours are searched (``neighbors``).
+        method: how neighbours are searched (``neighbors.METHODS``).
         threads: Python threads that share the queries.
 
     Returns:
@@ -179,7 +179,7 @@ def _sum_backward(
 
     def search(i: int) -> Neighbors:
         sides, first = ((q, p), starts) if i == 0 else ((p, q), starts[::-1])
-        return neighbors(*sides, h, method=method, query_start=first[0], point_start=first[1], threads=threads)
+        return neighbor_lists(*sides, h, method=method, query_start=first[0], point_start=first[1], threads=threads)
 
     # a sum over the queries themselves: who is near whom is symmetric, so one search serves both ways
     itself = q.shape == p.shape and q.ctypes.data == p.ctypes.data and _same(*starts)
