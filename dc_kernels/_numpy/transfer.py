@@ -7,10 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..smoothing import STENCILS, smoothing, smoothing_gradient
+from ..transfer import BAND, CHUNK
 from .common import Array, Kernels
 
-BAND = 8  # rows that `touched` marks as one
-CHUNK = 4096  # points of one thread of a gather
 _NAME = {code: name for name, code in STENCILS.items()}
 
 
