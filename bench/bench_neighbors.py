@@ -138,7 +138,7 @@ def measure(quick: bool) -> dict[str, Any]:
         if len(points) < 100_000:
             rounds = 4 * rounds + 1
         # the slow ones apart: after one of them a fast one would find the caches empty
-        slow = {method: functions[method] for method in ("tree", "all") if method in functions}
+        slow: dict[str, Callable[[], Any]] = {m: functions[m] for m in ("tree", "all") if m in functions}
         fast = {method: function for method, function in functions.items() if method not in slow}
         times = timing.medians({**timing.interleave(fast, rounds), **timing.interleave(slow, rounds)})
         for method, seconds in times.items():
