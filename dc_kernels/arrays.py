@@ -106,6 +106,30 @@ def to_torch(array: Any) -> Any:
     return wp.to_torch(array, requires_grad=False)
 
 
+def kernel_array(array: np.ndarray, backend: str) -> Any:
+    """An array as the kernels of a backend take it, the same memory."""
+    if backend == "numpy":
+        return array
+    import warp as wp
+
+    return wp.array(array, dtype=wp.dtype_from_numpy(array.dtype), device="cpu", copy=False)
+
+
+def kernel_arrays(arrays: Mapping[str, np.ndarray], backend: str) -> dict[str, Any]:
+    """Arrays by name as the kernels of a backend take them, the same memory."""
+    return {name: kernel_array(array, backend) for name, array in arrays.items()}
+
+
+def kernel_vectors(array: np.ndarray, backend: str) -> Any:
+    """An array (n, 2) as the kernels of a backend take it: vec2 for Warp, the same memory."""
+    if backend == "numpy":
+        return array
+    import warp as wp
+
+    dtype = wp.types.vector(2, wp.dtype_from_numpy(array.dtype))
+    return wp.array(array, dtype=dtype, shape=(len(array),), device="cpu", copy=False)
+
+
 def uniform(values: np.ndarray) -> float:
     """The value that all have in common, -1 if they differ."""
     return float(values[0]) if len(values) and (values == values[0]).all() else -1.0

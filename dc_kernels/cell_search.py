@@ -5,14 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
-from .backend import bind
+from .arrays import kernel_arrays
+from .backend import bind, thread_pool
+from .inputs import MAX_INDEX
 
-MAX_INDEX = 2**31 - 1
 PADDING = 16  # points and entries behind the last that lanes read and write
 MAX_FOUND = MAX_INDEX - PADDING  # pairs, or entries of lists, of a call
 ROOM = 16  # pairs and entries reserved for a point at first: of memory, only what is written becomes resident
@@ -23,17 +23,7 @@ def each(function: Callable[[int], Any], count: int, threads: int) -> list[Any]:
     """Results of 0 .. count - 1 in order."""
     if threads == 1 or count < 2:
         return [function(i) for i in range(count)]
-    with ThreadPoolExecutor(min(threads, count)) as pool:
-        return list(pool.map(function, range(count)))
-
-
-def shared_arrays(arrays: dict[str, np.ndarray], backend: str) -> dict[str, Any]:
-    """The arrays as a backend's kernels take them, without a copy."""
-    if backend == "numpy":
-        return dict(arrays)
-    import warp as wp
-
-    return {name: wp.array(array, device="cpu", copy=False) for name, array in arrays.items()}
+    return list(thread_pool(threads).map(function, range(count)))
 
 
 def allowed(total: int) -> int:
@@ -74,11 +64,11 @@ class SortedCells:
     def boxes(self, worlds: int, *sets: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
         """``lower`` and ``upper`` of each world's points of all sets (points, starts)."""
         box = {"lower": np.full((worlds, self.dim), np.inf), "upper": np.full((worlds, self.dim), -np.inf)}
-        shared = shared_arrays(box, self.backend)
+        shared = kernel_arrays(box, self.backend)
         for points, starts in sets:
             arrays = {"start": starts.astype(np.int32), "point": points}
             self.call(
-                "bound_points", {"world_offset": 0, "worlds": worlds, **shared, **shared_arrays(arrays, self.backend)}
+                "bound_points", {"world_offset": 0, "worlds": worlds, **shared, **kernel_arrays(arrays, self.backend)}
             )
         with np.errstate(over="ignore"):
             wide = np.argwhere(box["upper"] - box["lower"] == np.inf)
@@ -100,8 +90,8 @@ class SortedCells:
             "line_count": np.empty(worlds, np.int32),
             "line_stride": np.empty(worlds, np.int64),
         }
-        shared = shared_arrays(cells, self.backend)
-        point = shared_arrays({"point": points}, self.backend)
+        shared = kernel_arrays(cells, self.backend)
+        point = kernel_arrays({"point": points}, self.backend)
 
         def sort(first: int, count: int) -> None:
             most = int(np.diff(starts[first : first + count + 1]).max())
@@ -110,7 +100,7 @@ class SortedCells:
             words = 2 + (2 + 1 + 4) / 2 + math.ceil((self.dtype.itemsize * self.dim + 8) / 8)
             scratch = {"scratch": np.empty((most + 256, math.ceil(words)), np.int64)}
             values = {"world_offset": first, "worlds": count, "reach": self.reach, **box, **point, **shared}
-            self.call("sort_points", {**values, **shared_arrays(scratch, self.backend)})
+            self.call("sort_points", {**values, **kernel_arrays(scratch, self.backend)})
 
         return shared, sort
 
@@ -120,7 +110,7 @@ class SortedCells:
         room = min(ROOM * count + LEAST_ROOM, MAX_INDEX)
         while True:
             array = np.empty((room, *shape), np.int32)
-            self.call(name, {**values, **shared_arrays({"found": found, output: array}, self.backend)})
+            self.call(name, {**values, **kernel_arrays({"found": found, output: array}, self.backend)})
             total = allowed(int(found.sum()))
             if total + PADDING <= room:
                 return array, total
@@ -168,7 +158,7 @@ def hash_lists(
     query_cells, sort_queries = (cells, None) if same else hashed.sorter(queries, first_query, box)
     span = np.zeros((len(queries), 2), np.int64)
     values = {f"query_{name}": array for name, array in query_cells.items()}
-    values = {"limit": limit, **cells, **values, **shared_arrays({"list_span": span}, backend)}
+    values = {"limit": limit, **cells, **values, **kernel_arrays({"list_span": span}, backend)}
 
     def sweep(s: int) -> np.ndarray:
         first, count = shards[s]
@@ -183,12 +173,12 @@ def hash_lists(
     start = np.zeros(len(queries) + 1, np.int64)
     np.cumsum(span[:, 1], out=start[1:])
     index = np.empty(allowed(int(start[-1])), np.int32)
-    order = {**values, **shared_arrays({"list_start": start, "index": index}, backend)}
+    order = {**values, **kernel_arrays({"list_start": start, "index": index}, backend)}
 
     def arrange(s: int) -> None:
         first, count = shards[s]
         begin, end = int(first_query[first]), int(first_query[first + count])
-        entry = shared_arrays({"entry": entries[s]}, backend)
+        entry = kernel_arrays({"entry": entries[s]}, backend)
         hashed.call("order_lists", {**order, "query_offset": begin, "queries": end - begin, **entry})
 
     each(arrange, len(shards), threads)

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from .area import area_points, center_points, wall_nodes
-from .arrays import to_numpy, to_torch
+from .arrays import kernel_array, kernel_vectors, to_numpy, to_torch
 from .channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES, Channel
 from .grid import Grid
 from .interop import address, as_kernel_array, as_numpy
@@ -27,8 +26,6 @@ from .transfer import (
     Splat,
     Stencil,
     allocate_image,
-    kernel_array,
-    kernel_vectors,
     stencil_scalars,
     transfer_kernels,
 )
@@ -114,7 +111,6 @@ class Images:
         self.channels = (*bodies, *binned)
         self.worlds = sim.model.world_count
         self.threads = max(1, min(threads or sim.threads, self.worlds))
-        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._table = {**transfer_kernels(sim.backend, sim.dtype.name), **_feature_kernels(sim.backend, sim.dtype.name)}
         self._image = allocate_image(self.worlds, len(self.channels), grid, sim.dtype)
         self._impulses: Any = None
@@ -291,7 +287,7 @@ class Images:
     # ------------------------------------------------------------------ set-up
 
     def _program(self, stages: Sequence[Stage]) -> Program:
-        return Program(stages, self.worlds, backend=self.sim.backend, threads=self.threads, pool=self._pool)
+        return Program(stages, self.worlds, backend=self.sim.backend, threads=self.threads)
 
     def _array(self, values: np.ndarray) -> Any:
         return kernel_array(values, self.sim.backend)

@@ -1,4 +1,4 @@
-"""Checks of the arrays that users hand to kernels as they are: nothing is copied, all that is wrong is said."""
+"""Checks of the arrays that users hand to kernels as they are: nothing is copied, and all that is wrong is said."""
 
 from __future__ import annotations
 
@@ -6,75 +6,101 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import check_values
+from .arrays import FLOATS, check_values
+
+MAX_INDEX = 2**31 - 1  # of a point: kernels count in int32
 
 
-def check_points(points: Any, name: str = "points") -> np.ndarray:
-    """Points (n, 2) of float32 or float64, contiguous and finite.
+def check_layout(name: str, array: Any, shape: tuple[int | None, ...], dtype: Any = None) -> np.ndarray:
+    """A contiguous numpy array of the CPU, whatever it holds.
 
-    Raises:
-        ValueError: naming the field and the first bad index.
-    """
-    if not isinstance(points, np.ndarray):
-        raise ValueError(f"{name} is a {type(points).__name__}; it must be a numpy array (n, 2)")
-    if points.ndim != 2 or points.shape[1] != 2:
-        raise ValueError(f"{name} has shape {points.shape}; it must be (n, 2)")
-    return check_floats(points, name)
-
-
-def check_layout(array: Any, name: str, shape: tuple[int, ...] | None = None, dtype: Any = None) -> np.ndarray:
-    """A contiguous numpy array of float32 or float64, or of the dtype and shape that are given.
+    Args:
+        name: of the argument.
+        array: to check.
+        shape: as it must be, None where any length will do.
+        dtype: as it must be; None for float32 or float64.
 
     Raises:
-        ValueError: naming the field and what is wrong with it.
+        ValueError: naming the argument, and what it is and must be.
     """
     if not isinstance(array, np.ndarray):
-        raise ValueError(f"{name} is a {type(array).__name__}; it must be a numpy array")
-    wanted = (np.dtype(np.float32), np.dtype(np.float64)) if dtype is None else (np.dtype(dtype),)
-    if array.dtype not in wanted:
-        raise ValueError(f"{name} has dtype {array.dtype}; it must be {' or '.join(map(str, wanted))}")
-    if shape is not None and array.shape != shape:
-        raise ValueError(f"{name} has shape {array.shape}; it must be {shape}")
+        raise ValueError(f"{name} is a {type(array).__name__}; it must be a numpy array on the CPU")
+    if array.dtype not in FLOATS.values() if dtype is None else array.dtype != dtype:
+        raise ValueError(f"{name} has dtype {array.dtype}; it must be {dtype or ' or '.join(FLOATS)}")
+    if array.ndim != len(shape) or any(b not in (None, a) for a, b in zip(array.shape, shape)):
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise ValueError(f"{name} has shape {array.shape}; it must be ({wanted})")
     if not array.flags.c_contiguous:
-        raise ValueError(f"{name} has strides {array.strides}; it must be contiguous")
+        raise ValueError(f"{name} has strides {array.strides} for shape {array.shape}; it must be contiguous")
     return array
 
 
-def check_floats(array: Any, name: str, shape: tuple[int, ...] | None = None, dtype: Any = None) -> np.ndarray:
-    """The same, without NaN or inf.
+def check_array(
+    name: str,
+    array: Any,
+    shape: tuple[int | None, ...],
+    dtype: Any = None,
+    *,
+    low: float | None = None,
+    closed: bool = True,
+) -> np.ndarray:
+    """The same, without NaN or inf, and nothing below ``low``, which itself is allowed if ``closed``."""
+    check_layout(name, array, shape, dtype)
+    # a finite sum has finite terms, one that is not may have overflowed; looking at each takes ten times as long
+    with np.errstate(over="ignore", invalid="ignore"):
+        good = bool(np.isfinite(array.sum()))
+    if good and low is not None and array.size:
+        least = array.min()
+        good = least >= low if closed else least > low
+    if not good:
+        fine, limit = np.isfinite(array), "finite"
+        if low is not None:
+            fine &= array >= low if closed else array > low
+            limit += f" and {'>=' if closed else '>'} {low:g}"
+        bad = np.argwhere(~fine)
+        if len(bad):
+            index = tuple(int(i) for i in bad[0])
+            raise ValueError(f"{name}[{', '.join(map(str, index))}] is {array[index]}; it must be {limit}")
+    return array
+
+
+def check_points(name: str, points: Any, dims: tuple[int, ...] = (2,)) -> np.ndarray:
+    """Finite points (n, d), d one of ``dims``, of float32 or float64.
 
     Raises:
-        ValueError: naming the field and what is wrong with it.
+        ValueError: naming the argument and the first bad index.
     """
-    check_layout(array, name, shape, dtype)
-    if not np.isfinite(array.sum()):  # a sum may overflow, so look again; it costs a tenth of looking at each
-        check_values(name, array, array.shape, array.dtype)
-    return array
+    if isinstance(points, np.ndarray):
+        if points.ndim != 2 or points.shape[1] not in dims:
+            raise ValueError(f"{name} has shape {points.shape}; it must be {' or '.join(f'(n, {d})' for d in dims)}")
+        if len(points) > MAX_INDEX:
+            raise ValueError(f"{name} has {len(points)} points; it may have {MAX_INDEX}")
+    return check_array(name, points, (None, None))
 
 
-def check_start(start: Any, count: int, name: str = "start") -> tuple[np.ndarray, np.ndarray]:
-    """First point and number of points of each world, from offsets (W + 1,); None is one world with all of them.
+def check_start(name: str, start: Any, count: int) -> np.ndarray:
+    """Offsets of the worlds' points, (W + 1,) int64; None is one world with all of them.
 
     Raises:
         ValueError: naming the first bad index.
     """
-    if count > 2**31 - 1:
-        raise ValueError(f"there are {count} points; there may be 2^31 - 1")
     if start is None:
-        return np.zeros(1, np.int32), np.full(1, count, np.int32)
-    offsets = np.asarray(start)
-    if offsets.ndim != 1 or len(offsets) < 1 or offsets.dtype.kind not in "iu":
-        raise ValueError(f"{name} has shape {offsets.shape} and dtype {offsets.dtype}; it must be (W + 1,) integers")
-    if offsets[0] != 0 or offsets[-1] != count:
-        raise ValueError(f"{name} runs from {offsets[0]} to {offsets[-1]}; it must run from 0 to {count}")
-    falls = np.flatnonzero(np.diff(offsets) < 0)
+        return np.array([0, count])
+    array = np.asarray(start)
+    if array.ndim != 1 or len(array) < 1 or array.dtype.kind not in "iu":
+        raise ValueError(f"{name} has shape {array.shape}, dtype {array.dtype}; it must be (W + 1,) integers")
+    if array[0] != 0:
+        raise ValueError(f"{name}[0] is {array[0]}; it must be 0")
+    if array[-1] != count:
+        raise ValueError(f"{name}[{len(array) - 1}] is {array[-1]}; it must be the number of points, {count}")
+    falls = np.flatnonzero(array[1:] < array[:-1])
     if len(falls):
-        i = int(falls[0])
-        raise ValueError(f"{name}[{i + 1}] is {offsets[i + 1]}; it must not be below {name}[{i}] = {offsets[i]}")
-    return offsets[:-1].astype(np.int32), np.diff(offsets).astype(np.int32)
+        w = int(falls[0]) + 1
+        raise ValueError(f"{name}[{w}] is {array[w]}; it must be at least {name}[{w - 1}], {array[w - 1]}")
+    return array.astype(np.int64)
 
 
-def check_bins(bins: int, point_bin: Any, count: int) -> np.ndarray:
+def check_bins(bins: Any, point_bin: Any, count: int) -> np.ndarray:
     """The bin of each point, int32; a dummy where there is one bin.
 
     Raises:
@@ -91,3 +117,14 @@ def check_bins(bins: int, point_bin: Any, count: int) -> np.ndarray:
     if len(bad):
         raise ValueError(f"point_bin[{bad[0]}] is {array[bad[0]]}; it must lie in [0, {bins - 1}]")
     return array if bins > 1 else np.zeros(1, np.int32)
+
+
+def check_threads(threads: Any) -> int:
+    """A number of threads.
+
+    Raises:
+        ValueError: for one that is not an integer of at least 1.
+    """
+    if not isinstance(threads, int | np.integer) or isinstance(threads, bool) or threads < 1:
+        raise ValueError(f"threads is {threads!r}; it must be an integer of at least 1")
+    return int(threads)

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from .arrays import FLOATS
+
 
 def address(array: Any, name: str, dtype: np.dtype) -> tuple[int, tuple[int, ...]]:
     """Address and shape of an array in the CPU's memory that kernels can read as it is.
@@ -41,6 +43,33 @@ def address(array: Any, name: str, dtype: np.dtype) -> tuple[int, tuple[int, ...
             raise ValueError(f"{name} requires a gradient, which would be lost; give {name}.detach()")
         return array.data_ptr(), tuple(array.shape)
     return array.ptr, tuple(array.shape)
+
+
+def tensor_array(name: str, tensor: Any) -> np.ndarray:
+    """The memory of a tensor of float32 or float64 as a numpy array.
+
+    Raises:
+        ValueError: for one that would have to be copied.
+    """
+    _check_device(name, tensor)
+    if str(tensor.dtype).removeprefix("torch.") not in FLOATS:
+        raise ValueError(f"{name} has dtype {tensor.dtype}; it must be {' or '.join(FLOATS)}")
+    if not tensor.is_contiguous():
+        raise ValueError(f"{name} has strides {tensor.stride()} for shape {tuple(tensor.shape)}; it must be contiguous")
+    return tensor.detach().numpy()
+
+
+def tensor_integers(name: str, tensor: Any) -> np.ndarray | None:
+    """The memory of a tensor of integers as a numpy array; None for None."""
+    if tensor is None:
+        return None
+    _check_device(name, tensor)
+    return tensor.detach().numpy()
+
+
+def _check_device(name: str, tensor: Any) -> None:
+    if tensor.device.type != "cpu":
+        raise ValueError(f"{name} is on {tensor.device}; it must be on the CPU, where these kernels run")
 
 
 def as_numpy(array: Any) -> np.ndarray:

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import FLOATS, require
+from .arrays import kernel_arrays, require
 from .backend import bind, check_backend
-from .cell_search import MAX_INDEX, allowed, each, hash_lists, hash_pairs, shared_arrays
+from .cell_search import allowed, each, hash_lists, hash_pairs
+from .inputs import check_points, check_start, check_threads
 
 METHODS = ("hash", "kdtree", "tree", "all")
 BLOCK = 1 << 20  # distances at a time in the method "all"
@@ -60,11 +61,11 @@ def neighbor_pairs(
         ValueError: naming the argument, the index and the limit.
         ImportError: for "kdtree" without SciPy.
     """
-    _check_points("points", points)
-    starts = _check_start("start", start, len(points))
+    check_points("points", points, (2, 3))
+    starts = check_start("start", start, len(points))
     limit = _square("radius", radius, points.dtype)
     search = _search(method, backend)
-    _check_threads(threads)
+    check_threads(threads)
     if search is None:
         return hash_pairs(points, radius, limit, starts, threads, backend)
 
@@ -107,21 +108,21 @@ def neighbor_lists(
         ValueError: naming the argument, the index and the limit.
         ImportError: for "kdtree" without SciPy.
     """
-    _check_points("queries", queries)
-    _check_points("points", points)
+    check_points("queries", queries, (2, 3))
+    check_points("points", points, (2, 3))
     for what in ("dtype", "shape"):
         a, b = (getattr(array, what) for array in (queries, points))
         if (a[1:], b[1:]) != (b[1:], a[1:]) if what == "shape" else a != b:
             raise ValueError(f"queries has {what} {a}, points has {what} {b}; they must agree")
-    first_query = _check_start("query_start", query_start, len(queries))
-    first_point = _check_start("point_start", point_start, len(points))
+    first_query = check_start("query_start", query_start, len(queries))
+    first_point = check_start("point_start", point_start, len(points))
     if len(first_query) != len(first_point):
         raise ValueError(
             f"query_start has {len(first_query) - 1} worlds, point_start has {len(first_point) - 1}; they must agree"
         )
     limit = _square("radius", radius, points.dtype)
     search = _search(method, backend)
-    _check_threads(threads)
+    check_threads(threads)
     if search is None:
         return Neighbors(*hash_lists(queries, points, radius, limit, first_query, first_point, threads, backend))
 
@@ -141,41 +142,6 @@ def neighbor_lists(
 # ---------------------------------------------------------------------- checks
 
 
-def _check_points(name: str, points: Any) -> None:
-    if not isinstance(points, np.ndarray):
-        raise ValueError(f"{name} is a {type(points).__name__}; it must be a numpy array on the CPU")
-    if points.dtype not in FLOATS.values():
-        raise ValueError(f"{name} has dtype {points.dtype}; it must be one of {tuple(FLOATS)}")
-    if points.ndim != 2 or points.shape[1] not in (2, 3):
-        raise ValueError(f"{name} has shape {points.shape}; it must be (n, 2) or (n, 3)")
-    if len(points) > MAX_INDEX:
-        raise ValueError(f"{name} has {len(points)} points; it may have {MAX_INDEX}")
-    if not points.flags.c_contiguous:
-        raise ValueError(f"{name} has strides {points.strides}; it must be C-contiguous")
-    finite = np.isfinite(points)
-    if not finite.all():
-        i, k = np.argwhere(~finite)[0]
-        raise ValueError(f"{name}[{i}, {k}] is {points[i, k]}; it must be finite")
-
-
-def _check_start(name: str, start: Any, count: int) -> np.ndarray:
-    """Offsets of the worlds as int64."""
-    if start is None:
-        return np.array([0, count])
-    array = np.asarray(start)
-    if array.ndim != 1 or len(array) < 1 or array.dtype.kind not in "iu":
-        raise ValueError(f"{name} has shape {array.shape}, dtype {array.dtype}; it must be (W + 1,) integers")
-    if array[0] != 0:
-        raise ValueError(f"{name}[0] is {array[0]}; it must be 0")
-    if array[-1] != count:
-        raise ValueError(f"{name}[{len(array) - 1}] is {array[-1]}; it must be the number of points, {count}")
-    falls = np.flatnonzero(array[1:] < array[:-1])
-    if len(falls):
-        w = falls[0] + 1
-        raise ValueError(f"{name}[{w}] is {array[w]}; it must be at least {name}[{w - 1}], {array[w - 1]}")
-    return array.astype(np.int64)
-
-
 def _square(name: str, radius: Any, dtype: np.dtype) -> Any:
     """The largest squared distance, r r in the dtype of the points."""
     with np.errstate(over="ignore", under="ignore"):
@@ -183,11 +149,6 @@ def _square(name: str, radius: Any, dtype: np.dtype) -> Any:
     if not radius > 0 or not np.finfo(dtype).tiny <= square <= np.finfo(dtype).max:
         raise ValueError(f"{name} is {radius!r}; it must be > 0, and its square a finite, normal {dtype} [m]")
     return square
-
-
-def _check_threads(threads: Any) -> None:
-    if not isinstance(threads, int) or threads < 1:
-        raise ValueError(f"threads is {threads!r}; it must be an integer of at least 1")
 
 
 def _search(method: str, backend: str) -> Search | None:
@@ -269,7 +230,7 @@ def _tree(queries: np.ndarray | None, points: np.ndarray, limit: Any) -> Found:
             "limit": limit,
             "lower": boxes[2],
             "upper": boxes[3],
-            **shared_arrays(arrays, "warp"),
+            **kernel_arrays(arrays, "warp"),
         }
         bind(kernel, len(rows), values, "cpu")()
     return np.repeat(np.arange(len(rows)), count), index

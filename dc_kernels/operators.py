@@ -20,22 +20,23 @@ from __future__ import annotations
 import functools
 import math
 from collections import defaultdict
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal
 
 import numpy as np
 import warp as wp
 
-from .arrays import FLOATS, require
+from .arrays import require
+from .backend import run_shards
 from .grid import Grid
 from .inputs import check_bins, check_points, check_start
+from .interop import tensor_array, tensor_integers
 from .transfer import (
     BAND,
     CHUNK,
     TILED_BYTES,
     Splat,
     Stencil,
-    run_shards,
+    first_and_count,
     shard_worlds,
     stencil_scalars,
     transfer_kernels,
@@ -280,8 +281,8 @@ class _Call:
 
     def __init__(self, points: Any, settings: tuple[Any, ...]) -> None:
         start, point_bin, rows, columns, spacing, x, y, stencil, normalize, nearest, h, bins, threads = settings
-        count = len(check_points(_array("points", points)))
-        first, counts, most = _one_world(count) if start is None else _worlds(_integers("start", start), count)
+        count = len(check_points("points", tensor_array("points", points)))
+        first, counts, most = _one_world(count) if start is None else _worlds(tensor_integers("start", start), count)
         self.dtype = str(points.dtype).removeprefix("torch.")
         self.shape, self.worlds, self.bins, self.threads = (rows, columns), len(first), bins, threads
         self.values = {
@@ -302,7 +303,7 @@ class _Call:
 
     def check_values(self, values: Any) -> int:
         """C of values (n, C)."""
-        _array("values", values)
+        tensor_array("values", values)
         count = self.values["point"].shape[0]
         if values.dim() != 2 or values.shape[0] != count or values.shape[1] < 1:
             raise ValueError(f"values has shape {tuple(values.shape)}; it must be ({count}, C) with C >= 1")
@@ -311,7 +312,7 @@ class _Call:
 
     def check_image(self, image: Any) -> int:
         """C of an image (W, bins C, rows, columns)."""
-        _array("image", image)
+        tensor_array("image", image)
         _check_shape(image, self.worlds, self.bins, self.shape)
         self._check_dtype("image", image)
         return image.shape[1] // self.bins
@@ -337,7 +338,7 @@ class _Call:
             launch.set_param_at_index_from_ctype(0, first)
             launch.set_dim(count * each)
             launches.append(launch)
-        run_shards([launch.launch for launch in launches], _pool(self.threads) if len(launches) > 1 else None)
+        run_shards([launch.launch for launch in launches], self.threads)
         free.extend(launches)
 
     def run_tiled(self, value: Any, image: Any) -> None:
@@ -388,11 +389,6 @@ def _template(shape: tuple[int, ...], element: Any) -> Any:
     return wp.array(ptr=0, dtype=element, shape=tuple(shape), device="cpu").__ctype__()
 
 
-@functools.cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads)
-
-
 @functools.lru_cache(256)
 def _one_world(count: int) -> tuple[Any, Any, int]:
     """First point, number of points and the largest of these for one world with all points."""
@@ -400,7 +396,7 @@ def _one_world(count: int) -> tuple[Any, Any, int]:
 
 
 def _worlds(start: np.ndarray | None, count: int) -> tuple[Any, Any, int]:
-    first, counts = check_start(start, count)
+    first, counts = first_and_count(check_start("start", start, count))
     return torch.from_numpy(first), torch.from_numpy(counts), int(counts.max(initial=0))
 
 
@@ -418,30 +414,10 @@ def _no_bins() -> Any:
 def _bins(bins: int, point_bin: Any, count: int) -> Any:
     if point_bin is None and bins == 1:
         return _no_bins()
-    return torch.from_numpy(check_bins(bins, None if point_bin is None else _integers("point_bin", point_bin), count))
+    return torch.from_numpy(check_bins(bins, tensor_integers("point_bin", point_bin), count))
 
 
 # ------------------------------------------------------------------ checks
-
-
-def _array(name: str, tensor: Any) -> np.ndarray:
-    """The tensor's memory as a numpy array; ValueError for one that would have to be copied."""
-    _on_cpu(name, tensor)
-    if str(tensor.dtype).removeprefix("torch.") not in FLOATS:
-        raise ValueError(f"{name} has dtype {tensor.dtype}; it must be {' or '.join(FLOATS)}")
-    if not tensor.is_contiguous():
-        raise ValueError(f"{name} has strides {tensor.stride()} for shape {tuple(tensor.shape)}; it must be contiguous")
-    return tensor.detach().numpy()
-
-
-def _integers(name: str, tensor: Any) -> np.ndarray:
-    _on_cpu(name, tensor)
-    return tensor.detach().numpy()
-
-
-def _on_cpu(name: str, tensor: Any) -> None:
-    if tensor.device.type != "cpu":
-        raise ValueError(f"{name} is on {tensor.device}; it must be on the CPU, where these kernels run")
 
 
 def _check_shape(image: Any, worlds: int, bins: int, shape: Any) -> None:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
-from .backend import Launch, bind, in_turn
-from .transfer import Splat, run_shards, shard_worlds
+from .backend import Launch, bind, recorded, run_shards
+from .transfer import Splat, shard_worlds
 
 
 class Kernel(NamedTuple):
@@ -37,7 +36,6 @@ class Program:
         *,
         backend: str,
         threads: int = 1,
-        pool: ThreadPoolExecutor | None = None,
     ) -> None:
         """Bind the stages.
 
@@ -45,8 +43,7 @@ class Program:
             stages: kernels, splats, and calls without arguments.
             worlds: how many there are.
             backend: of the kernels.
-            threads: shards of worlds.
-            pool: what runs them, None for one after the other.
+            threads: shards of worlds, and what runs them.
         """
         self.stages = list(stages)  # graphs do not keep arrays alive
         self._steps: list[Launch] = []
@@ -59,7 +56,7 @@ class Program:
                 recorded([bind(k.kernel, n * k.chunks, {**k.values, "world_offset": w}, "cpu") for k in run], backend)
                 for w, n in shard_worlds(worlds, threads)
             ]
-            self._steps.append(shards[0] if len(shards) == 1 else functools.partial(run_shards, shards, pool))
+            self._steps.append(shards[0] if len(shards) == 1 else functools.partial(run_shards, shards, threads))
 
     def __call__(self) -> None:
         """Run all stages."""
@@ -72,15 +69,3 @@ def _as_kernel(stage: Stage) -> Stage:
     if isinstance(stage, Splat) and not stage.tiled:
         return Kernel(stage.table["splat_worlds"], stage.values)
     return stage
-
-
-def recorded(launches: list[Launch], backend: str) -> Launch:
-    """Launches as one call; of Warp kernels as a graph: 2 us for one of 20 arguments, by itself 7."""
-    if backend != "warp":
-        return in_turn(launches)
-    import warp as wp
-
-    with wp.ScopedCapture(device="cpu") as capture:
-        for launch in launches:
-            launch()
-    return functools.partial(wp.capture_launch, capture.graph)

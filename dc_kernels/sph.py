@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
-from .arrays import FLOATS
-from .backend import bind, check_backend
+from .arrays import kernel_arrays
+from .backend import bind, check_backend, run_shards
+from .inputs import check_array, check_points, check_threads
 from .neighbors import Neighbors, neighbor_lists
 from .smoothing import KERNELS, scale
 
@@ -108,7 +108,7 @@ def sph_density(
     Raises:
         ValueError: naming the argument, the index and the limit.
     """
-    check_points("points", points)
+    check_points("points", points, (2, 3))
     check_array("mass", mass, (len(points),), points.dtype, low=0.0)
     check_options("value", threads, backend)
     factor = scale(kernel, h, points.shape[1], 0, points.dtype)
@@ -204,21 +204,14 @@ def _run(
         return
     table = _kernels(backend, queries.dtype.name)
     named = {**arrays, "neighbor_start": lists.start, "neighbor_index": lists.index}
-    if backend == "warp":
-        import warp as wp
-
-        named = {key: wp.array(array, device="cpu", copy=False) for key, array in named.items()}
+    named = kernel_arrays(named, backend)
     chunks = -(-len(queries) // CHUNK)
     bounds = np.linspace(0, chunks, min(threads, chunks) + 1).astype(int)
     launches = [
         bind(table[name], int(last - first), {**named, **scalars, "chunk_offset": int(first)}, "cpu")
         for first, last in itertools.pairwise(bounds)
     ]
-    if len(launches) == 1:
-        launches[0]()
-        return
-    with ThreadPoolExecutor(len(launches)) as pool:
-        list(pool.map(lambda launch: launch(), launches))
+    run_shards(launches, threads)
 
 
 def _kernels(backend: str, dtype: str) -> dict[str, Any]:
@@ -234,8 +227,8 @@ def _kernels(backend: str, dtype: str) -> dict[str, Any]:
 
 def check_particles(queries: Any, points: Any, values: Any, mass: Any, density: Any) -> None:
     """Raise ValueError, naming argument, index and limit, for particles or queries that cannot be summed."""
-    check_points("queries", queries)
-    check_points("points", points)
+    check_points("queries", queries, (2, 3))
+    check_points("points", points, (2, 3))
     if queries.dtype != points.dtype or queries.shape[1] != points.shape[1]:
         raise ValueError(
             f"queries are {queries.dtype} {queries.shape}, points are {points.dtype} {points.shape}; dtype and "
@@ -246,54 +239,9 @@ def check_particles(queries: Any, points: Any, values: Any, mass: Any, density: 
     check_array("density", density, (len(points),), points.dtype, low=0.0, closed=False)
 
 
-def check_points(name: str, points: Any) -> None:
-    """Raise ValueError unless it is a finite, contiguous (n, 2) or (n, 3) array of float32 or float64."""
-    check_array(name, points, (None, None), None)
-    if points.shape[1] not in (2, 3):
-        raise ValueError(f"{name} has shape {points.shape}; it must be (n, 2) or (n, 3)")
-
-
-def check_array(
-    name: str,
-    array: Any,
-    shape: tuple[int | None, ...],
-    dtype: np.dtype | None,
-    *,
-    low: float | None = None,
-    closed: bool = True,
-) -> None:
-    """Raise ValueError, naming argument, index and limit, for an array that a kernel must not see.
-
-    Args:
-        name: of the argument.
-        array: to check.
-        shape: as it must be, None where any length will do.
-        dtype: as it must be; None for float32 or float64.
-        low: smallest value; None for any.
-        closed: whether ``low`` itself is allowed.
-    """
-    if not isinstance(array, np.ndarray):
-        raise ValueError(f"{name} is a {type(array).__name__}; it must be a numpy array on the CPU")
-    if array.dtype not in FLOATS.values() if dtype is None else array.dtype != dtype:
-        raise ValueError(f"{name} has dtype {array.dtype}; it must be {dtype or ' or '.join(FLOATS)}")
-    if array.ndim != len(shape) or any(b not in (None, a) for a, b in zip(array.shape, shape)):
-        wanted = ", ".join("any" if n is None else str(n) for n in shape)
-        raise ValueError(f"{name} has shape {array.shape}; it must be ({wanted})")
-    if not array.flags.c_contiguous:
-        raise ValueError(f"{name} has strides {array.strides}; it must be contiguous")
-    good, limit = np.isfinite(array), "finite"
-    if low is not None:
-        good &= array >= low if closed else array > low
-        limit += f" and {'>=' if closed else '>'} {low:g}"
-    if not good.all():
-        index = tuple(int(i) for i in np.argwhere(~good)[0])
-        raise ValueError(f"{name}[{', '.join(map(str, index))}] is {array[index]}; it must be {limit}")
-
-
 def check_options(quantity: str, threads: int, backend: str) -> None:
     """Raise ValueError for an unknown quantity or backend, or a number of threads below 1."""
     if quantity not in PUBLIC:
         raise ValueError(f"quantity is {quantity!r}; it must be one of {PUBLIC}")
-    if not isinstance(threads, int) or isinstance(threads, bool) or threads < 1:
-        raise ValueError(f"threads is {threads!r}; it must be an integer of at least 1")
+    check_threads(threads)
     check_backend(backend)

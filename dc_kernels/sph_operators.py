@@ -18,10 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import FLOATS, require
+from .arrays import require
+from .inputs import check_array
+from .interop import tensor_array, tensor_integers
 from .neighbors import Neighbors, neighbor_lists
 from .smoothing import scale
-from .sph import ORDERS, check_array, check_options, check_particles, out_shape, pull_lists, sph_sum, sum_lists, volume
+from .sph import ORDERS, check_options, check_particles, out_shape, pull_lists, sph_sum, sum_lists, volume
 
 torch = require("torch", "pipeline")
 
@@ -123,13 +125,13 @@ def _sum(
     threads: int,
 ) -> Any:
     named = {"queries": queries, "points": points, "values": values, "mass": mass, "density": density}
-    arrays: dict[str, Any] = {name: _array(name, tensor) for name, tensor in named.items()}
+    arrays: dict[str, Any] = {name: tensor_array(name, tensor) for name, tensor in named.items()}
     result = sph_sum(
         **arrays,
         h=h,
         kernel=kernel,
-        query_start=_integers("query_start", query_start),
-        point_start=_integers("point_start", point_start),
+        query_start=tensor_integers("query_start", query_start),
+        point_start=tensor_integers("point_start", point_start),
         quantity=quantity,
         method=method,
         threads=threads,
@@ -165,14 +167,14 @@ def _sum_backward(
 ) -> tuple[Any, ...]:
     """Cotangents of the five tensors; an empty one for each that is not wanted."""
     named = {"queries": queries, "points": points, "values": values, "mass": mass, "density": density}
-    q, p, a, m, rho = (_array(name, tensor) for name, tensor in named.items())
+    q, p, a, m, rho = (tensor_array(name, tensor) for name, tensor in named.items())
     check_particles(q, p, a, m, rho)
     check_options(quantity, threads, "warp")
     # autograd hands over expanded tensors, such as the ones of a sum
-    y = _array("cotangent", cotangent.contiguous())
+    y = tensor_array("cotangent", cotangent.contiguous())
     check_array("cotangent", y, out_shape(quantity, len(q), a.shape[1], p.shape[1]), p.dtype)
     y = y.reshape(len(q), y.size // max(len(q), 1))
-    starts = [_integers("query_start", query_start), _integers("point_start", point_start)]
+    starts = [tensor_integers("query_start", query_start), tensor_integers("point_start", point_start)]
     cells = volume(m, rho)
     weighted = a * cells[:, None]
     want_q, want_p, want_a, want_m, want_rho = wanted
@@ -228,27 +230,5 @@ _sum.register_autograd(_backward, setup_context=_setup)
 # ------------------------------------------------------------------ checks
 
 
-def _array(name: str, tensor: Any) -> np.ndarray:
-    """The tensor's memory as a numpy array; ValueError for one that would have to be copied."""
-    _on_cpu(name, tensor)
-    if str(tensor.dtype).removeprefix("torch.") not in FLOATS:
-        raise ValueError(f"{name} has dtype {tensor.dtype}; it must be {' or '.join(FLOATS)}")
-    if not tensor.is_contiguous():
-        raise ValueError(f"{name} has strides {tensor.stride()} for shape {tuple(tensor.shape)}; it must be contiguous")
-    return tensor.detach().numpy()
-
-
-def _integers(name: str, tensor: Any) -> np.ndarray | None:
-    if tensor is None:
-        return None
-    _on_cpu(name, tensor)
-    return tensor.detach().numpy()
-
-
 def _same(a: np.ndarray | None, b: np.ndarray | None) -> bool:
     return a is b if a is None or b is None else np.array_equal(a, b)
-
-
-def _on_cpu(name: str, tensor: Any) -> None:
-    if tensor.device.type != "cpu":
-        raise ValueError(f"{name} is on {tensor.device}; it must be on the CPU, where these sums run")

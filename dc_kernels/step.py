@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 import os
 import threading
@@ -13,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from .arrays import Contacts, Joints, Model, State, uniform
-from .backend import Launch, bind, in_turn, kernel_table
+from .backend import Launch, bind, in_turn, kernel_table, recorded
 from .capacity import PADDING, Cache, Motion, Pairs, Rows, Storage
 from .solver import SCHEDULES, SolveStats, solver_scalars
 from .types import CAPACITY_FLAGS, BodyType, ShapeType, SolverConfig
@@ -198,14 +197,7 @@ class Simulation:
         phases = ("collide", "solve", "advance") if phase == "step" else (phase,)
         launches = [launch for name in phases for launch in self._phase_launches(name, first, count)]
         driven = self.schedule != "world" and "solve" in phases  # by the host, from values
-        if self.backend != "warp" or self.device != "cpu" or driven:
-            return in_turn(launches)
-        import warp as wp
-
-        with wp.ScopedCapture(device="cpu") as capture:
-            for launch in launches:
-                launch()
-        return functools.partial(wp.capture_launch, capture.graph)
+        return in_turn(launches) if driven else recorded(launches, self.backend, self.device)
 
     def bind(self, name: str, first: int, count: int) -> Launch:
         """A launch of a kernel over the worlds first .. first + count, one thread each."""

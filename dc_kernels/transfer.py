@@ -18,22 +18,19 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
 
-from .arrays import aligned_zeros, float_dtype, to_numpy
-from .backend import Launch, bind, check_backend, in_turn
+from .arrays import aligned_zeros, float_dtype, kernel_array, kernel_arrays, kernel_vectors, to_numpy
+from .backend import Launch, bind, check_backend, run_shards
 from .grid import Grid
-from .inputs import check_bins, check_floats, check_layout, check_points, check_start
+from .inputs import check_array, check_bins, check_layout, check_points, check_start, check_threads
 from .smoothing import KERNELS, STENCILS
-from .types import LANES, TILE_COLUMNS, TILE_ROWS
+from .types import BAND, CHUNK, LANES, TILE_COLUMNS, TILE_ROWS
 
 NORMALIZE = {"sum": 0, "particle": 1}
-BAND = 8  # rows of an image that are cleared and marked together
-CHUNK = 4096  # points that one thread index gathers
 SUPPORT = 2.0  # default h [spacing]
 TILED_BYTES = 2**23  # of a world's channels, beyond which tiles are faster: 6 MB took 49 and 71 ns, 64 MB 250 and 70
 
@@ -86,31 +83,9 @@ def shard_worlds(worlds: int, threads: int) -> list[tuple[int, int]]:
     return [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
 
 
-def run_shards(launches: Sequence[Launch], pool: ThreadPoolExecutor | None) -> None:
-    """Run launches that write disjoint memory, on the threads of a pool if there is one."""
-    if pool is None or len(launches) == 1:
-        in_turn(list(launches))()
-    else:
-        list(pool.map(lambda launch: launch(), launches))
-
-
-def kernel_array(array: np.ndarray, backend: str) -> Any:
-    """An array as the kernels of a backend take it, the same memory; (n, 2) floats under ``vectors`` become vec2."""
-    if backend == "numpy":
-        return array
-    import warp as wp
-
-    return wp.array(array, dtype=wp.dtype_from_numpy(array.dtype), device="cpu", copy=False)
-
-
-def kernel_vectors(array: np.ndarray, backend: str) -> Any:
-    """An array (n, 2) as the kernels of a backend take it: vec2 for Warp, the same memory."""
-    if backend == "numpy":
-        return array
-    import warp as wp
-
-    dtype = wp.types.vector(2, wp.dtype_from_numpy(array.dtype))
-    return wp.array(array, dtype=dtype, shape=(len(array),), device="cpu", copy=False)
+def first_and_count(offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First point and number of points of each world, int32, from their offsets."""
+    return offsets[:-1].astype(np.int32), np.diff(offsets).astype(np.int32)
 
 
 class Splat:
@@ -148,7 +123,7 @@ class Splat:
         if tiled is None:
             tiled = backend == "warp" and rows * columns * channels * item > TILED_BYTES
         self.tiled = bool(tiled) and columns >= window
-        self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self.threads = threads
         self.missed = np.zeros(worlds, np.int32)
         self.values = {**values, "missed": kernel_array(self.missed, backend)}
         if not self.tiled:
@@ -192,10 +167,10 @@ class Splat:
     def __call__(self) -> None:
         """Splat what the arrays hold now; ``missed`` then says how many points of each world reach no node."""
         if not self.tiled:
-            run_shards(self._launches, self.pool)
+            run_shards(self._launches, self.threads)
             return
         self.tile_slot.fill(0)
-        run_shards(self._count, self.pool)
+        run_shards(self._count, self.threads)
         # the entries of a tile: those of the first chunk, of the second, ...: ordered by index whatever the chunks
         ends = np.cumsum(self.tile_slot.T.ravel(), dtype=np.int64)
         total = int(ends[-1])
@@ -208,8 +183,8 @@ class Splat:
         self.tile_start[-1] = total
         if total > self.room:
             self._reserve(total + total // 8)
-        run_shards(self._list, self.pool)
-        run_shards(self._launches, self.pool)
+        run_shards(self._list, self.threads)
+        run_shards(self._launches, self.threads)
         self.missed[...] = self.tile_lost.reshape(len(self.missed), -1).sum(axis=1)
 
 
@@ -245,19 +220,16 @@ class Transfer:
         Raises:
             ValueError: naming field, index and limit, for input that is not as described.
         """
-        self.points = check_points(points)
+        self.points = check_points("points", points)
         self.grid = grid
         self.backend = check_backend(backend)
         self.dtype = self.points.dtype
-        if not isinstance(threads, int | np.integer) or threads < 1:
-            raise ValueError(f"threads is {threads!r}; it must be an integer of at least 1")
-        self.threads = int(threads)
+        self.threads = check_threads(threads)
         scalars = stencil_scalars(grid, kernel, h, normalize, nearest)
-        first, count = check_start(start, len(points))
+        first, count = first_and_count(check_start("start", start, len(points)))
         self.worlds = len(first)
         self.bins = bins
         self.chunks = max(-(-int(count.max(initial=0)) // CHUNK), 1)
-        self.pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         origin = np.tile(np.asarray(grid.origin, self.dtype), (self.worlds, 1))
         self.table = transfer_kernels(backend, self.dtype.name)
         self.values: dict[str, Any] = {
@@ -278,8 +250,8 @@ class Transfer:
             ValueError: for arrays of another shape, dtype or memory layout.
         """
         _check_channels(values, len(self.points), self.dtype)
-        check_floats(image, "image", (self.worlds, self.bins * values.shape[1], *self.grid.shape), self.dtype)
-        arrays = {"value": kernel_array(values, self.backend), "image": kernel_array(image, self.backend)}
+        check_array("image", image, (self.worlds, self.bins * values.shape[1], *self.grid.shape), self.dtype)
+        arrays = kernel_arrays({"value": values, "image": image}, self.backend)
         return Splat(self.table, {**self.values, **arrays}, backend=self.backend, threads=self.threads)
 
     def gather(self, image: np.ndarray, values: np.ndarray) -> Launch:
@@ -289,7 +261,7 @@ class Transfer:
             ValueError: for arrays of another shape, dtype or memory layout.
         """
         _check_channels(values, len(self.points), self.dtype)
-        check_floats(image, "image", (self.worlds, self.bins * values.shape[1], *self.grid.shape), self.dtype)
+        check_array("image", image, (self.worlds, self.bins * values.shape[1], *self.grid.shape), self.dtype)
         return self._bind("gather_points", self.chunks, image=image, value=values)
 
     def divide(self, image: np.ndarray, weight: np.ndarray) -> Launch:
@@ -304,10 +276,10 @@ class Transfer:
 
     def _bind(self, name: str, chunks: int, **arrays: np.ndarray) -> Launch:
         values = {**self.values, "chunks": chunks}
-        values.update({key: kernel_array(array, self.backend) for key, array in arrays.items()})
+        values.update(kernel_arrays(arrays, self.backend))
         shards = shard_worlds(self.worlds, self.threads)
         launches = [bind(self.table[name], n * chunks, {**values, "world_offset": w}, "cpu") for w, n in shards]
-        return functools.partial(run_shards, launches, self.pool)
+        return functools.partial(run_shards, launches, self.threads)
 
 
 def splat(
@@ -367,7 +339,7 @@ def splat(
     if out is None:
         out = aligned_zeros(shape, transfer.dtype)
     else:
-        check_layout(out, "out", shape, transfer.dtype).fill(0)
+        check_layout("out", out, shape, transfer.dtype).fill(0)
     transfer.splat(values, out)()
     if normalize == "shepard":
         transfer.divide(out, transfer.weights())()
@@ -423,13 +395,13 @@ def gather(
     if not isinstance(image, np.ndarray) or image.ndim != 4:
         raise ValueError(f"image has shape {getattr(image, 'shape', None)}; it must be (W, bins C, rows, columns)")
     channels = max(image.shape[1] // bins, 1)
-    check_floats(image, "image", (transfer.worlds, channels * bins, *grid.shape), transfer.dtype)
+    check_array("image", image, (transfer.worlds, channels * bins, *grid.shape), transfer.dtype)
     if reverse and normalize != "particle":
         raise ValueError(f"normalize is {normalize!r}; reverse needs 'particle'")
     if out is None:
         out = np.zeros((len(points), channels), transfer.dtype)
     else:
-        check_layout(out, "out", (len(points), channels), transfer.dtype)
+        check_layout("out", out, (len(points), channels), transfer.dtype)
     if reverse:
         image = image.copy()  # what the caller's image holds is not ours to change
         transfer.divide(image, transfer.weights())()
@@ -438,6 +410,7 @@ def gather(
 
 
 def _check_channels(values: Any, count: int, dtype: np.dtype) -> np.ndarray:
-    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.shape[1] < 1:
-        raise ValueError(f"values has shape {getattr(values, 'shape', None)}; it must be ({count}, C) with C >= 1")
-    return check_floats(values, "values", (count, values.shape[1]), dtype)
+    check_array("values", values, (count, None), dtype)
+    if values.shape[1] < 1:
+        raise ValueError(f"values has shape {values.shape}; it must have a channel")
+    return values

@@ -57,6 +57,8 @@ STOPS = {"change": 0, "residual": 1}
 COUNTERS = 6
 # change of this sweep, |step|^2 of the sweep before the period's last, of the period or sweep before, least so far
 NORMS = 4
+BAND = 8  # rows of an image that are cleared and marked together
+CHUNK = 4096  # points that one thread index gathers
 TILE_ROWS, TILE_COLUMNS = 64, 64  # nodes of a tile that a large image is splatted by: 80 KB for 4 channels
 KEY_SHAPE_BITS = 23  # contact key = shape A | shape B | feature, 23 + 23 + 16 bits, indices within the world
 KEY_FEATURE_BITS = 16

@@ -235,12 +235,12 @@ def test_bad_input_is_named():
     infinite[1, 2] = -np.inf
     for points, message in (
         ([[0.0, 0.0]], r"points is a list; it must be a numpy array"),
-        (good.astype(np.float16), r"points has dtype float16; it must be one of \('float32', 'float64'\)"),
+        (good.astype(np.float16), r"points has dtype float16; it must be float32 or float64"),
         (good.astype(int), r"points has dtype int64"),
         (np.zeros(4), r"points has shape \(4,\); it must be \(n, 2\) or \(n, 3\)"),
         (np.zeros((4, 4)), r"points has shape \(4, 4\)"),
-        (np.zeros((2, 4)).T, r"points has strides \(8, 32\); it must be C-contiguous"),
-        (np.zeros((4, 4))[:, :2], r"points has strides \(32, 8\); it must be C-contiguous"),
+        (np.zeros((2, 4)).T, r"points has strides \(8, 32\) for shape \(4, 2\); it must be contiguous"),
+        (np.zeros((4, 4))[:, :2], r"points has strides \(32, 8\) for shape \(4, 2\); it must be contiguous"),
         (bad, r"points\[3, 0\] is nan; it must be finite"),
         (infinite, r"points\[1, 2\] is -inf; it must be finite"),
         (np.broadcast_to(np.float32(0), (2**31, 2)), r"points has 2147483648 points; it may have 2147483647"),

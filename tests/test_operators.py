@@ -252,7 +252,10 @@ def test_bad_tensors_are_refused_by_name():
         ),
         (r"image has shape \(1, 2, 6, 5\)", lambda: gather_torch(numbers(1, 2, 6, 5), points, GRID, reverse=True)),
         (r"image has dtype torch.float32", lambda: gather_torch(image.float(), points, GRID)),
-        (r"start runs from 0 to 6; it must run from 0 to 7", lambda: splat_torch(points, values, GRID, start=[0, 6])),
+        (
+            r"start\[1\] is 6; it must be the number of points, 7",
+            lambda: splat_torch(points, values, GRID, start=[0, 6]),
+        ),
         (r"start has shape .* dtype float32; it must be", lambda: splat_torch(points, values, GRID, start=[0.0, 7.0])),
         (r"point_bin\[0\] is 2", lambda: splat_torch(points, values, GRID, bins=2, point_bin=[2] * 7)),
         (r"kernel is 'cone'", lambda: splat_torch(points, values, GRID, kernel="cone")),

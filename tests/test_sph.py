@@ -182,7 +182,10 @@ def put(value, *index):
         (bad("mass", lambda a: a.astype(np.float32)), "mass has dtype float32; it must be float64"),
         (bad("queries", lambda a: a.astype(np.float16)), "queries has dtype float16; it must be float32 or float64"),
         (bad("queries", lambda a: np.zeros((4, 3))), "dtype and dimension must agree"),
-        (bad("points", lambda a: np.asfortranarray(a)), r"points has strides \(8, 48\); it must be contiguous"),
+        (
+            bad("points", lambda a: np.asfortranarray(a)),
+            r"points has strides \(8, 48\) for shape \(6, 2\); it must be contiguous",
+        ),
         (bad("points", lambda a: a[:, :1].copy()), r"points has shape \(6, 1\); it must be \(n, 2\)"),
         (bad("values", lambda a: a.tolist()), "values is a list; it must be a numpy array"),
         (bad("density", put(1e-320, 4)), r"mass\[4\] / density\[4\]"),
@@ -341,4 +344,4 @@ def test_tensors_that_would_need_a_copy_are_refused(operators):
     refuse("mass has dtype float32; it must be float64", 3, lambda t: t.float())
     refuse(r"density\[1\] is -1.0", 4, lambda t: t.index_fill(0, torch.tensor([1]), -1.0))
     with pytest.raises(ValueError, match="queries is on"):
-        operators._array("queries", torch.zeros(3, 2, device="meta"))
+        operators.tensor_array("queries", torch.zeros(3, 2, device="meta"))

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..smoothing import STENCILS, smoothing, smoothing_gradient
-from ..transfer import BAND, CHUNK
+from ..types import BAND, CHUNK
 from .common import Array, Kernels
 
 _NAME = {code: name for name, code in STENCILS.items()}

@@ -73,7 +73,7 @@ if (begin == end) {{
 }}
 tile_touched.data[tile] = 1;
 // a window reaches into the tile from no farther away than its own width
-const int pad = ((int)(2 * hs) / L + 1) * L;
+const int pad = stencil > 4 ? L : ((int)(2 * hs) / L + 1) * L;
 const int left = col_lo - pad, row_stride = {TILE_COLUMNS} + 2 * pad;
 const size_t channel_stride = (size_t)row_stride * {TILE_ROWS};
 S* const buffer = scratch.data + (size_t)slot * scratch.shape[1];

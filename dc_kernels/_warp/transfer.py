@@ -9,12 +9,11 @@ from typing import Any
 
 import warp as wp
 
+from ..types import BAND, CHUNK
 from .common import kernel_module, scalar_types
 from .stencil import snippet
 
 _MODULES = ("splat", "gather", "gradient")  # apart: a stencil for each takes seconds to compile
-BAND = 8  # rows that are cleared and marked together
-CHUNK = 4096  # points that a thread gathers
 
 # Points item(k), k = begin .. end - 1, are added to rows row_lo .. row_hi - 1 of `base`, whose first column is `left`.
 # `lost`: how many reach no node, of those whose nearest node lies in these rows and columns col_lo .. col_hi - 1.
