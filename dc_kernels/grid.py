@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .inputs import check_start
 from .shapes import points as check_points
 
 
@@ -257,9 +258,4 @@ def _sides(lower: Any, upper: Any) -> np.ndarray:
 def _worlds_of(points: Any, start: Any) -> tuple[np.ndarray, np.ndarray]:
     """Checked points in float64, and the offsets of their worlds."""
     points = check_points(points, "points", 0)
-    start = np.array([0, len(points)]) if start is None else np.asarray(start)
-    if start.ndim != 1 or len(start) < 2 or start.dtype.kind not in "iu":
-        raise ValueError(f"start has shape {start.shape}, dtype {start.dtype}; it must be (worlds + 1,) integers")
-    if start[0] != 0 or start[-1] != len(points) or (np.diff(start) < 0).any():
-        raise ValueError(f"start is {start}; it must rise from 0 to the number of points, {len(points)}")
-    return points, start
+    return points, check_start("start", start, len(points))

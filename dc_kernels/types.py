@@ -46,7 +46,8 @@ class Flag(IntFlag):
 CAPACITY_FLAGS = Flag.PAIR_OVERFLOW | Flag.CONTACT_OVERFLOW | Flag.ROW_OVERFLOW
 
 MAX_VERTICES = 8  # of a polygon: a feature id of 4 bits an edge or vertex fits the key with room to spare
-LANES = 8  # contacts solved side by side; 16 gained under 5 % on AVX-512 and pads small worlds far more
+# contacts solved, nodes or neighbours weighed, side by side; 16 contacts gained under 5 % and pad small worlds far more
+LANES = 8
 COLORS = 64  # colours of the contact graph: bits of a mask; the last one is the serial overflow colour
 SERIAL_COLOR = COLORS - 1
 METHODS = {"pgs": 0, "jacobi": 1}  # how kernels know a choice of SolverConfig

@@ -5,8 +5,8 @@ Scalar ``wp.func`` versions, one neighbour after the other, took 7-15 ns a neigh
 """
 
 from ..smoothing import COINCIDENT, GAUSSIAN_CUT, KERNELS
+from ..types import LANES
 
-LANES = 8
 BLOCK = 64  # neighbours at a time, a multiple of LANES: their scratch stays in the L1 cache
 
 # exp(x), x in [-GAUSSIAN_CUT^2 / 2, 0], as (Taylor polynomial of exp(x / 16))^16 of a degree that errs below round-off
@@ -20,8 +20,8 @@ TERMS = {"w": 0, "f": 1, "laplacian": 2, "laplacian_slope": 3, "hessian": 4}
 _SPIKY = ("t * t * t", "-3 * t * t / p", "3 * t * (1 + q) / (p * p * p)", "3 * (q2 - 3) / (p * p * p * p * p)")
 
 
-def _functions(dtype: str) -> dict[str, tuple[str, str, str, str]]:
-    """By kernel: the bodies of w, f, g and k as functions of q2 = q^2 <= 1."""
+def radial_functions(dtype: str) -> dict[str, tuple[str, str, str, str]]:
+    """By kernel: the bodies of w, f, g and k as functions of a vector q2 = q^2 <= 1; they name S, V and zero."""
     root = "const V q = __builtin_elementwise_sqrt(q2), t = 1 - q;"
     divisor = f"const V p = __builtin_elementwise_max(q, zero + (S){COINCIDENT});"
     away = f"q < (S){COINCIDENT} ? zero : "  # what is singular at the place of the query counts as 0
@@ -79,7 +79,7 @@ def block_text(dtype: str) -> str:
     vectors)`` then fills ``s0`` with a term of each neighbour (``s1`` too for "hessian"), and with 0 from n on.
     """
     cases = []
-    for name, (w, f, g, k) in _functions(dtype).items():
+    for name, (w, f, g, k) in radial_functions(dtype).items():
         lambdas = ", ".join(f"[&](const V q2) -> V {{ {body} }}" for body in (w, f, g, k))
         cases.append(f"case {KERNELS[name]}: fill({lambdas}); break;")
     return f"""

@@ -6,46 +6,25 @@ its nodes beyond h get weight 0, so no column is tested. A separable stencil (bi
 nodes and fills the same window. Lengths are in spacings; q2 = r^2 / h^2; shape(q2) is W without its constant.
 """
 
-from ..smoothing import GAUSSIAN_CUT, STENCILS
-
-LANES = 8  # a support of 2 spacings needs 4 or 5 columns;
-
-# exp(x), x in [-GAUSSIAN_CUT^2 / 2, 0], as (Taylor polynomial of exp(x / 16))^16 of a degree that errs below round-off
-_TAYLOR = {"float32": 9, "float64": 17}
+from ..smoothing import STENCILS, constant
+from ..types import LANES
+from .smoothing import radial_functions
 
 
-def _shapes(dtype: str) -> dict[str, tuple[str, str, str]]:
-    """By kernel: shape(q2), its derivative by q2, and the constant of W h^2 in 2D."""
-    root = "auto q = __builtin_elementwise_sqrt(q2); auto t = __builtin_elementwise_max(1 - q, q2 * 0);"
-    # at r = 0 the gradient is 0, whatever finite number the derivative is
-    safe = "auto p = __builtin_elementwise_max(q, q2 * 0 + (S)1e-18);"
-    half = "auto s = __builtin_elementwise_max((S)0.5 - q, q2 * 0);"
-    flat = "auto t = __builtin_elementwise_max(1 - q2, q2 * 0);"
-    rate = 0.5 * GAUSSIAN_CUT**2
-    degree = _TAYLOR[dtype]
-    terms = " ".join(f"e = 1 + e * (x * (S)(1.0 / {n}));" for n in range(degree - 1, 0, -1))
-    exp = (
-        f"auto x = q2 * (S){-rate / 16}; auto e = 1 + x * (S)(1.0 / {degree}); {terms} e *= e; e *= e; e *= e; e *= e;"
-    )
-    return {
-        "poly6": (f"{flat} return t * t * t;", f"{flat} return -3 * t * t;", "4 / pi"),
-        "spiky": (f"{root} return t * t * t;", f"{root} {safe} return (S)-1.5 * t * t / p;", "10 / pi"),
-        "gaussian": (
-            f"{exp} return q2 <= 1 ? e : q2 * 0;",
-            f"{exp} return q2 <= 1 ? e * (S){-rate} : q2 * 0;",
-            f"{rate} / pi",
-        ),
-        "cubic": (
-            f"{root} {half} return 2 * t * t * t - 8 * s * s * s;",
-            f"{root} {half} {safe} return (12 * s * s - 3 * t * t) / p;",
-            "40 / (7 * pi)",
-        ),
-        "wendland": (
-            f"{root} t *= t; return t * t * (1 + 4 * q);",
-            f"{root} return -10 * t * t * t;",
-            "7 / pi",
-        ),
-    }
+def _radial_cases(dtype: str) -> list[str]:
+    """A case of the switch for each kernel: its shape w, 0 beyond q2 = 1, its slope f = w' / q, and its constant."""
+    cases = []
+    for name, (shape, slope, *_) in radial_functions(dtype).items():
+        # at q2 = 1 all but the Gaussian are 0 by themselves
+        end = "far <= 1 ? inside(V(__builtin_elementwise_min(far, zero + 1))) : zero"
+        if name != "gaussian":
+            end = "inside(V(__builtin_elementwise_min(far, zero + 1)))"
+        functions = ", ".join(
+            f"[&](const V far) -> V {{ auto inside = [&](const V q2) -> V {{ {body} }}; return {end}; }}"
+            for body in (shape, slope)
+        )
+        cases.append(f"case {STENCILS[name]}: radial({functions}, (S){constant(name, 2)!r}); break;")
+    return cases
 
 
 # Names that the snippets have before: image (4-D), spacing, h, world, grid_origin, point.
@@ -54,7 +33,6 @@ SETUP = f"""
 typedef S_TYPE S;
 typedef S V __attribute__((ext_vector_type({LANES}), aligned(sizeof(S))));
 const int L = {LANES};
-const S pi = (S)3.14159265358979323846;
 const int R = image.shape[2], K = image.shape[3];
 const S inv = 1 / spacing, hs = h * inv, inv_h2 = 1 / (hs * hs);
 const S ox = ((const S*)grid_origin.data)[2 * world], oy = ((const S*)grid_origin.data)[2 * world + 1];
@@ -139,7 +117,7 @@ auto radial = [&](auto shape, auto slope, S constant) {
     auto gradient = [&](int r, int v, V& gx, V& gy) {
         const V dx = offset(v);
         const S dy = r - y;
-        const V s = within(slope(dx * dx * inv_h2 + dy * dy * inv_h2), v) * (-2 * inv_h2);
+        const V s = within(slope(dx * dx * inv_h2 + dy * dy * inv_h2), v) * -inv_h2;
         gx = s * dx;
         gy = s * dy;
     };
@@ -221,10 +199,7 @@ def snippet(dtype: str, before: str, run: str, after: str = "", bilinear: str | 
         after: statements behind it.
         bilinear: statements instead of ``run`` for the bilinear stencil.
     """
-    cases = [
-        f"case {STENCILS[name]}: radial([](auto q2) {{ {shape} }}, [](auto q2) {{ {slope} }}, {constant}); break;"
-        for name, (shape, slope, constant) in _shapes(dtype).items()
-    ]
+    cases = _radial_cases(dtype)
     cases.append(f"case {STENCILS['bilinear']}: {{ {bilinear or 'separable(linear);'} }} break;")
     cases.append(f"case {STENCILS['bspline']}: separable(spline); break;")
     choice = "\n".join(cases)
