@@ -55,7 +55,7 @@ def test_nodes_and_corners():
         (lambda: Grid.from_box((0, 0), (1, np.inf), 1.0), "two finite numbers"),
         (lambda: Grid.from_box((0, 0), (1, 1), 1e-9), "cells of 1e-09 m"),
         (lambda: choose_grid([(0.0, np.nan)], **BOX), r"points\[0, 1\] is nan"),
-        (lambda: choose_grid([(0.0, 0.0)], start=[0, 2], **BOX), r"start\[1\] is 2; it must be the number of points, 1"),
+        (lambda: choose_grid([(0.0, 0.0)], start=[0, 2], **BOX), r"start\[1\] is 2; it must be the number"),
         (lambda: choose_grid([(0.0, 0.0)], start=[0.0, 1.0], **BOX), "start has shape .* float64"),
         (lambda: choose_grid([(0.0, 0.0)], max_nodes=3, **BOX), "max_nodes is 3; it must be an integer of at least 4"),
         (lambda: choose_grid([(0.0, 0.0)], max_spacing=0.0, **BOX), "max_spacing is 0.0"),
