@@ -51,6 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.name not in NAMES:
         print(f"there is no bench {options.name!r}; there are: {', '.join(NAMES)}", file=sys.stderr)
         return 2
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING  # its lines on loading modules would stand between ours
     bench = load(options.name)
     print(timing.machine_line(timing.machine(bench.THREADS)))
     values = bench.measure(options.quick)

@@ -175,25 +175,36 @@ class Images:
     # ------------------------------------------------------------------ back to the contacts
 
     def gather(
-        self, image: Any, *, kernel: Stencil | None = None, h: float | None = None, reverse: bool = False
+        self,
+        image: Any,
+        *,
+        at: Literal["contacts", "bodies"] = "contacts",
+        kernel: Stencil | None = None,
+        h: float | None = None,
+        reverse: bool = False,
     ) -> Any:
-        """An image at the present contacts.
+        """An image at the present contacts, or at the bodies' centres of mass.
 
         Args:
-            image: (W, C bins, rows, columns), for any C, of the simulation's dtype, contiguous, on the CPU: a torch
-                tensor, numpy array or ``wp.array``, read where it lies. Values that are not finite are passed on.
+            image: (W, C bins, rows, columns), or (W, C, rows, columns) at bodies, which have no bins; for any C, of the
+                simulation's dtype, contiguous, on the CPU: a torch tensor, numpy array or ``wp.array``, read where it
+                lies. Values that are not finite are passed on.
+            at: "contacts", or "bodies", static and kinematic ones too.
             kernel: stencil; None: "bilinear", or that of the splat with ``reverse``.
             h: support radius of a radial kernel [m]; None: that of the splat.
-            reverse: share what a node holds among the contacts that reach it (reverse SPH, see ``transfer.gather``).
+            reverse: share what a node holds among the points that reach it (reverse SPH, see ``transfer.gather``).
 
         Returns:
             (slots, C), a row for each slot of ``sim.contacts``: those of world w begin at contact_start[w], and
-            contact_count[w] of them are in use. The same memory each time, until the simulation's room grows.
+            contact_count[w] of them are in use; or (bodies, C). The same memory each time, until the simulation's
+            room grows.
 
         Raises:
             ValueError: for an image of another type, dtype, shape, layout or device, or an unknown kernel.
         """
-        return self._gather(image, None, kernel, h, reverse)
+        if at not in ("contacts", "bodies"):
+            raise ValueError(f"at is {at!r}; it must be 'contacts' or 'bodies'")
+        return self._gather(image, at, None, kernel, h, reverse)
 
     def start_from(
         self, image: Any, *, kernel: Stencil | None = None, h: float | None = None, reverse: bool = False
@@ -203,7 +214,7 @@ class Images:
         Raises:
             ValueError: see ``gather``.
         """
-        self._gather(image, len(IMPULSES), kernel, h, reverse)
+        self._gather(image, "contacts", len(IMPULSES), kernel, h, reverse)
 
     def starter(self, predict: Callable[[Images], Any], **options: Any) -> Start:
         """A start strategy for ``sim.step(dt, start=...)``: splat, predict, start from the answer.
@@ -221,17 +232,20 @@ class Images:
 
         return start
 
-    def _gather(self, image: Any, channels: int | None, kernel: Stencil | None, h: float | None, reverse: bool) -> Any:
+    def _gather(
+        self, image: Any, at: str, channels: int | None, kernel: Stencil | None, h: float | None, reverse: bool
+    ) -> Any:
         if self._bound is not self.sim.values:
             self._bind()
         pointer, shape = address(image, "image", self.sim.dtype)
-        count = channels or (shape[1] // self.bins if len(shape) > 1 else 0)
-        if count < 1 or shape != (self.worlds, count * self.bins, *self.grid.shape):
-            wanted = f"{channels * self.bins}" if channels else f"C * {self.bins}"
+        bins = self._points[at]["bins"]
+        count = channels or (shape[1] // bins if len(shape) > 1 else 0)
+        if count < 1 or shape != (self.worlds, count * bins, *self.grid.shape):
+            wanted = f"{channels * bins}" if channels else f"C * {bins}"
             raise ValueError(
                 f"image has shape {shape}; it must be ({self.worlds}, {wanted}, {self.grid.rows}, {self.grid.columns})"
             )
-        key = (count, channels is not None, kernel, h, reverse)
+        key = (at, count, channels is not None, kernel, h, reverse)
         if key not in self._gathers:
             self._gathers[key] = self._bind_gather(*key)
         run, value = self._gathers[key]
@@ -239,7 +253,7 @@ class Images:
         return value
 
     def _bind_gather(
-        self, channels: int, to_impulse: bool, kernel: Stencil | None, h: float | None, reverse: bool
+        self, at: str, channels: int, to_impulse: bool, kernel: Stencil | None, h: float | None, reverse: bool
     ) -> tuple[Callable[[Any, int], None], Any]:
         """What gathers from an image at an address, and where to."""
         if reverse and self.normalize != "particle":
@@ -247,19 +261,24 @@ class Images:
         if kernel is None:
             kernel = self.kernel if reverse else "bilinear"
         scalars = stencil_scalars(self.grid, kernel, self.h if h is None else h, self.normalize, self.nearest)
-        value = self._impulse if to_impulse else self._array(np.zeros((self._room, channels), self.sim.dtype))
-        chunks = max(-(-int(self.sim.storage.contact_room.max()) // CHUNK), 1)
-        values = {**self._contacts, **scalars, "value": value, "chunks": chunks, "channel_offset": 0}
+        points, bins = self._points[at], self._points[at]["bins"]
+        stages: list[Stage] = [self._contact_stage()] if at == "contacts" else []
+        room, most = self._room, int(self.sim.storage.contact_room.max())
+        if at == "bodies":
+            room, most = self.sim.model.body_count, int(to_numpy(points["point_count"]).max(initial=0))
+        value = self._impulse if to_impulse else self._array(np.zeros((room, channels), self.sim.dtype))
+        chunks = max(-(-most // CHUNK), 1)
+        values = {**points, **scalars, "value": value, "chunks": chunks, "channel_offset": 0}
         gather = Kernel(self._table["gather_points"], values, chunks)
         if reverse:
             # a copy, as what the caller's image holds is not ours to change
-            share = allocate_image(self.worlds, channels * self.bins, self.grid, self.sim.dtype)
-            weights = self._array(allocate_image(self.worlds, self.bins, self.grid, self.sim.dtype))
-            ones, shares = self._array(np.ones((self._room, 1), self.sim.dtype)), self._array(share)
+            share = allocate_image(self.worlds, channels * bins, self.grid, self.sim.dtype)
+            weights = self._array(allocate_image(self.worlds, bins, self.grid, self.sim.dtype))
+            ones, shares = self._array(np.ones((room, 1), self.sim.dtype)), self._array(share)
             shared = self._program(
                 [
-                    self._contact_stage(),
-                    self._splat_of({**self._contacts, **scalars}, ones, 0, self.bins, weights),
+                    *stages,
+                    self._splat_of({**points, **scalars}, ones, 0, bins, weights),
                     Kernel(self._table["divide_image"], {"weight": weights, "image": shares}),
                     gather._replace(values={**values, "image": shares}),
                 ]
@@ -270,7 +289,7 @@ class Images:
                 shared()
 
             return run_reverse, value
-        locate = self._program([self._contact_stage()])
+        locate = self._program(stages)
         known: dict[int, Program] = {}
 
         def run(image: Any, pointer: int) -> None:
@@ -323,6 +342,18 @@ class Images:
             "point_count": self._array(np.zeros(self.worlds, np.int32)),
             "point": kernel_vectors(np.zeros((room, 2), sim.dtype), sim.backend),
             "point_bin": self._array(np.zeros(room if self.bins > 1 else 1, np.int32)),
+        }
+        body_start = sim.model.numpy("body_start")
+        self._points = {
+            "contacts": self._contacts,
+            "bodies": {
+                **common,
+                "bins": 1,
+                "point_start": sim.model.body_start,
+                "point_count": self._array(np.diff(body_start).astype(np.int32)),
+                "point": sim.state.position,
+                "point_bin": self._array(np.zeros(1, np.int32)),
+            },
         }
         self._impulse = self._array(to_numpy(sim.contacts.impulse))
         self._gathers: dict[tuple[Any, ...], tuple[Callable[[Any, int], None], Any]] = {}

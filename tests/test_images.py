@@ -499,3 +499,19 @@ def test_impulses_keep_their_sum_there_and_back():
         back = dc.to_numpy(images.gather(label, reverse=True))[contact_slots(sim.contacts)[0], c]
         np.testing.assert_allclose(np.bincount(world, back, 3), np.bincount(world, table[name], 3), atol=2e-6 * scale)
     assert images.impulse_image().ptr == label.ptr
+
+
+def test_an_image_is_read_at_the_bodies_too():
+    """A linear field bilinearly; by reverse SPH the masses that were splatted. Static bodies have rows as well."""
+    sim = pile()
+    images = Images(sim, GRID, bodies=("mass",), contacts=(), walls=None, h=0.2)
+    moving = sim.model.numpy("body_type") == dc.BodyType.DYNAMIC
+    masses = images.gather(images.splat(), at="bodies", reverse=True).numpy()[:, 0]
+    assert masses[moving] == pytest.approx(sim.model.numpy("mass")[moving], rel=1e-5)
+    x, y = np.moveaxis(GRID.nodes(), -1, 0)
+    field = np.ascontiguousarray(np.broadcast_to(np.stack([x + 2 * y, 3 - x]), (2, 2, *GRID.shape)), np.float32)
+    place = sim.state.numpy("position")
+    expected = np.column_stack([place[:, 0] + 2 * place[:, 1], 3 - place[:, 0]])
+    assert images.gather(field, at="bodies").numpy() == pytest.approx(expected, abs=1e-4)
+    with pytest.raises(ValueError, match="at is 'joints'; it must be 'contacts' or 'bodies'"):
+        images.gather(field, at="joints")
