@@ -12,16 +12,18 @@ TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```(\w+)\n(.*?)```", TEXT, re.DOTALL)
 
 
-def test_the_python_example_runs(capsys):
+def test_the_python_examples_run(capsys):
     examples = [code for language, code in BLOCKS if language == "python"]
-    assert examples
-    for code in examples:
-        scope: dict = {}
+    assert len(examples) == 2
+    scope: dict = {}
+    for code in examples:  # the second goes on where the first ends
         exec(compile(code, "README.md", "exec"), scope)
-        sim = scope["sim"]
-        assert not sim.state.numpy("flags").any()
-        # 250 steps and the one in phases
-        assert sim.state.numpy("time") == pytest.approx(2.51)
+    sim = scope["sim"]
+    assert not sim.state.numpy("flags").any()
+    # 250 steps, the one in phases, and the one started from an image
+    assert sim.state.numpy("time") == pytest.approx(2.52)
+    assert scope["pixels"].shape == (64, 6, 61, 61) and scope["label"].shape == (64, 2, 61, 61)
+    assert float(scope["leaf"].grad.abs().max()) > 0
     assert "broadphase" in capsys.readouterr().out
 
 
