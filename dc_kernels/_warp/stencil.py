@@ -10,6 +10,8 @@ from ..smoothing import STENCILS, constant
 from ..types import LANES
 from .smoothing import radial_functions
 
+ROWS = 16  # of a window that is kept in registers and the first-level cache
+
 
 def _radial_cases(dtype: str) -> list[str]:
     """A case of the switch for each kernel: its shape w, 0 beyond q2 = 1, its slope f = w' / q, and its constant."""
@@ -32,6 +34,7 @@ SETUP = f"""
 #pragma clang fp contract(off)
 typedef S_TYPE S;
 typedef S V __attribute__((ext_vector_type({LANES}), aligned(sizeof(S))));
+typedef int I __attribute__((ext_vector_type({LANES}), aligned(4)));
 const int L = {LANES};
 const int R = image.shape[2], K = image.shape[3];
 const S inv = 1 / spacing, hs = h * inv, inv_h2 = 1 / (hs * hs);
@@ -50,13 +53,20 @@ auto clip = [](S v, S lo, S hi) {{ return v < lo ? lo : (v > hi ? hi : v); }};
 // the window of a point: rows r0..r1, nv vectors of columns from column a
 S x, y;
 int r0, r1, a, nv;
-bool one;  // a single vector, all of it in the row
+bool one;  // a single vector, all of it in the row, and few rows
 auto slide = [&](int c0, int c1) {{
     a = c0;
     nv = (c1 - c0) / L + 1;
     if (a + nv * L > K) a = K > nv * L ? K - nv * L : 0;
-    one = nv == 1 && a + L <= K;
+    one = nv == 1 && a + L <= K && r1 - r0 < {ROWS};
 }};
+// L points at a time: their coordinates, then in spacings, NaN and inf kept
+S xs[L] = {{0}}, ys[L] = {{0}};
+auto to_grid = [&]() {{
+    *(V*)xs = (*(const V*)xs - ox) * inv;
+    *(V*)ys = (*(const V*)ys - oy) * inv;
+}};
+auto is_finite = [](S u, S v) {{ return u - u == 0 && v - v == 0; }};
 // a grid narrower than the window: what lies beyond it has no weight and is not touched
 auto within = [&](V w, int v) {{
     const int n = K - (a + v * L);
@@ -78,50 +88,81 @@ auto store = [&](S* p, int v, V w) {{
 auto finite = [&](int i) {{
     x = (P[2 * (size_t)i] - ox) * inv;
     y = (P[2 * (size_t)i + 1] - oy) * inv;
-    return x - x == 0 && y - y == 0;
+    return is_finite(x, y);
 }};
 auto nearest_node = [&](S u, int nodes) {{ return (int)(clip(u, 0, nodes - 1) + (S)0.5); }};
-auto outside = [&]() {{ return x < 0 || y < 0 || x > (S)(K - 1) || y > (S)(R - 1); }};
+auto outside = [&](S u, S v) {{ return u < 0 || v < 0 || u > (S)(K - 1) || v > (S)(R - 1); }};
+const S steps[{ROWS}] = {{{", ".join(map(str, range(ROWS)))}}};
 // a sum of weights below it is no weight at all
 const S tiny = sizeof(S) == 4 ? (S)1e-37 : (S)1e-300;
 """
 
 _RADIAL = """
 auto radial = [&](auto shape, auto slope, S constant) {
+    // windows of L points in lanes: one by one their dependent steps took a fifth of a splat
+    int starts[L], vectors[L], lows[L], highs[L];
+    S away_x[L], away_y[L];
     V columns;
-    auto offset = [&](int v) { return (iota + (S)(a + v * L)) - x; };
-    auto place = [&]() {
-        x = clip(x, -hs - 2, K + hs + 1);
-        y = clip(y, -hs - 2, R + hs + 1);
-        int c0 = (int)__builtin_elementwise_ceil(x - hs), c1 = (int)__builtin_elementwise_floor(x + hs);
-        r0 = (int)__builtin_elementwise_ceil(y - hs), r1 = (int)__builtin_elementwise_floor(y + hs);
-        if (c0 < 0) c0 = 0;
-        if (r0 < 0) r0 = 0;
-        if (c1 > K - 1) c1 = K - 1;
-        if (r1 > R - 1) r1 = R - 1;
-        if (c1 < c0 || r1 < r0) return false;
-        slide(c0, c1);
-        const V dx = offset(0);
-        columns = dx * dx * inv_h2;
+    S to_column, to_row;  // from the point to the first column and row of its window
+    auto prepare = [&]() {
+        to_grid();
+        V u = *(const V*)xs, v = *(const V*)ys;
+        const auto valid = (u - u == 0) & (v - v == 0);
+        auto bound = [&](V w, S nodes) {
+            w = valid ? w : zero - hs - 2;
+            return __builtin_elementwise_min(__builtin_elementwise_max(w, zero - hs - 2), zero + nodes + hs + 1);
+        };
+        u = bound(u, K);
+        v = bound(v, R);
+        auto first = [&](V w) {
+            return __builtin_elementwise_max(__builtin_convertvector(__builtin_elementwise_ceil(w - hs), I), (I)0);
+        };
+        auto last = [&](V w, int nodes) {
+            const I end = __builtin_convertvector(__builtin_elementwise_floor(w + hs), I);
+            return __builtin_elementwise_min(end, (I)(nodes - 1));
+        };
+        const I c0 = first(u), c1 = last(u, K), low = first(v), high = last(v, R);
+        const I count = (c1 - c0 + L) / L;  // 0 or less where there is no column
+        const I right = __builtin_elementwise_max(K - count * L, (I)0);
+        const I start = __builtin_elementwise_min(c0, right);
+        *(I*)starts = start;
+        *(I*)vectors = count;
+        *(I*)lows = low;
+        *(I*)highs = high;
+        *(V*)away_x = __builtin_convertvector(start, V) - u;
+        *(V*)away_y = __builtin_convertvector(low, V) - v;
+    };
+    auto offset = [&](int v) { return iota + (to_column + (S)(v * L)); };
+    auto place = [&](int j) {
+        r0 = lows[j];
+        r1 = highs[j];
+        nv = vectors[j];
+        if (nv < 1 || r1 < r0) return false;
+        a = starts[j];
+        one = nv == 1 && a + L <= K && r1 - r0 < ROW_LIMIT;
+        to_column = away_x[j];
+        to_row = away_y[j];
+        columns = offset(0);
+        columns = columns * columns * inv_h2;
         return true;
     };
     auto first_weight = [&](int r) {
-        const S dy = r - y;
+        const S dy = to_row + steps[r - r0];
         return shape(columns + dy * dy * inv_h2);
     };
     auto weight = [&](int r, int v) {
         const V dx = offset(v);
-        const S dy = r - y;
+        const S dy = to_row + (S)(r - r0);
         return within(shape(dx * dx * inv_h2 + dy * dy * inv_h2), v);
     };
     auto gradient = [&](int r, int v, V& gx, V& gy) {
         const V dx = offset(v);
-        const S dy = r - y;
+        const S dy = to_row + (S)(r - r0);
         const V s = within(slope(dx * dx * inv_h2 + dy * dy * inv_h2), v) * -inv_h2;
         gx = s * dx;
         gy = s * dy;
     };
-    run(place, first_weight, weight, gradient, normalize == 0 ? constant / (h * h) : (S)0, false);
+    run(prepare, place, first_weight, weight, gradient, normalize == 0 ? constant / (h * h) : (S)0, false);
 };
 """
 
@@ -129,9 +170,13 @@ _SEPARABLE = """
 auto separable = [&](auto axis) {
     S wy[4], sy[4];
     V wx, sx;
-    auto place = [&]() {
+    auto prepare = to_grid;
+    auto place = [&](int j) {
         S w[4] = {0, 0, 0, 0}, s[4] = {0, 0, 0, 0};
         int c0, n;
+        x = xs[j];
+        y = ys[j];
+        if (!is_finite(x, y)) return false;
         axis(y, R, r0, n, wy, sy);
         r1 = r0 + n - 1;
         axis(x, K, c0, n, w, s);
@@ -147,7 +192,7 @@ auto separable = [&](auto axis) {
         gx = sx * wy[r - r0];
         gy = wx * sy[r - r0];
     };
-    run(place, first_weight, weight, gradient, (S)1, true);
+    run(prepare, place, first_weight, weight, gradient, (S)1, true);
 };
 // an axis of n nodes at coordinate u: first node, number of nodes, weights and their derivatives
 auto linear = [&](S u, int nodes, int& first, int& n, S* w, S* s) {
@@ -186,14 +231,34 @@ auto spline = [&](S u, int nodes, int& first, int& n, S* w, S* s) {
 """
 
 
+def each_point(body: str) -> str:
+    """``run`` with a body for each point j of at most LANES at a time: number i = at[j], coordinates xs[j], ys[j]."""
+    return f"""
+for (int k = begin; k < end; k += L) {{
+    const int together = end - k < L ? end - k : L;
+    int at[L];
+    for (int j = 0; j < together; ++j) {{
+        at[j] = item(k + j);
+        xs[j] = P[2 * (size_t)at[j]];
+        ys[j] = P[2 * (size_t)at[j] + 1];
+    }}
+    prepare();
+    for (int j = 0; j < together; ++j) {{
+{body}
+    }}
+}}
+"""
+
+
 def snippet(dtype: str, before: str, run: str, after: str = "", bilinear: str | None = None) -> str:
     """A native snippet that runs ``run`` with the weights of the stencil whose code is in ``stencil``.
 
     Args:
         dtype: "float32" or "float64".
         before: statements ahead of the loop.
-        run: the body of ``run(place, ..., separable)``: place() finds the window of the point (x, y), or says that it
-            has no nodes; weight(r, v) gives LANES weights, first_weight(r) the same where ``one`` vector holds the
+        run: the body of ``run(prepare, place, ..., separable)``, of ``each_point``: prepare() takes the coordinates of
+            LANES points from xs and ys and leaves them in spacings; place(j) finds the window of point j, or says that
+            it has no nodes; weight(r, v) gives LANES weights, first_weight(r) the same where ``one`` vector holds the
             window; gradient(r, v, gx, gy) their derivatives by the point's place in spacings; constant is what weights
             are multiplied with, 0 where they are to be divided by their sum.
         after: statements behind it.
@@ -207,7 +272,7 @@ def snippet(dtype: str, before: str, run: str, after: str = "", bilinear: str | 
 #if !defined(__CUDA_ARCH__)
 {SETUP}
 {before}
-auto run = [&](auto place, auto first_weight, auto weight, auto gradient, S constant, bool separable) {{
+auto run = [&](auto prepare, auto place, auto first_weight, auto weight, auto gradient, S constant, bool separable) {{
 {run}
 }};
 {_RADIAL}
@@ -218,4 +283,4 @@ switch (stencil) {{
 {after}
 #endif
 """
-    return text.replace("S_TYPE", {"float32": "float", "float64": "double"}[dtype])
+    return text.replace("ROW_LIMIT", str(ROWS)).replace("S_TYPE", {"float32": "float", "float64": "double"}[dtype])

@@ -11,80 +11,77 @@ import warp as wp
 
 from ..types import BAND, CHUNK
 from .common import kernel_module, scalar_types
-from .stencil import snippet
+from .stencil import each_point, snippet
 
 _MODULES = ("splat", "gather", "gradient")  # apart: a stencil for each takes seconds to compile
 
 # Points item(k), k = begin .. end - 1, are added to rows row_lo .. row_hi - 1 of `base`, whose first column is `left`.
 # `lost`: how many reach no node, of those whose nearest node lies in these rows and columns col_lo .. col_hi - 1.
-ADD_RUN = """
-for (int k = begin; k < end; ++k) {
-    const int i = item(k);
-    const bool valid = finite(i);
-    const bool out = separable && outside();
-    const S* A = value.data + (size_t)i * C;
-    S* to = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * C : 0)) * channel_stride;
-    const S px = x, py = y;
-    if (valid && place()) {
-        const int from = r0 < row_lo ? row_lo : r0, until = r1 < row_hi ? r1 : row_hi - 1;
-        if (one && r1 - r0 < 16) {
-            V kept[16], sum = zero;
-            for (int r = r0; r <= r1; ++r) {
-                kept[r - r0] = first_weight(r);
-                sum += kept[r - r0];
-            }
-            const S t = separable ? 1 : total(sum);
-            if (t > tiny) {
-                const S factor = constant == 0 ? 1 / t : constant;
-                S* row = to + (size_t)(from - row_lo) * row_stride + (a - left);
-                if (C == 4) {
-                    const V a0 = A[0] * factor, a1 = A[1] * factor, a2 = A[2] * factor, a3 = A[3] * factor;
-                    for (int r = from; r <= until; ++r, row += row_stride) {
-                        const V w = kept[r - r0];
-                        S *p0 = row, *p1 = row + channel_stride, *p2 = p1 + channel_stride, *p3 = p2 + channel_stride;
-                        *(V*)p0 += w * a0; *(V*)p1 += w * a1; *(V*)p2 += w * a2; *(V*)p3 += w * a3;
-                    }
-                } else {
-                    for (int c = 0; c < C; ++c) {
-                        const V scaled = A[c] * factor;
-                        S* p = row + c * channel_stride;
-                        for (int r = from; r <= until; ++r, p += row_stride) *(V*)p += kept[r - r0] * scaled;
-                    }
+ADD_RUN = each_point("""
+const int i = at[j];
+const S px = xs[j], py = ys[j];
+const bool out = separable && outside(px, py);
+const S* A = value.data + (size_t)i * C;
+S* to = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * C : 0)) * channel_stride;
+if (place(j)) {
+    const int from = r0 < row_lo ? row_lo : r0, until = r1 < row_hi ? r1 : row_hi - 1;
+    if (one) {
+        V kept[ROW_LIMIT], sum = zero;
+        for (int r = r0; r <= r1; ++r) {
+            kept[r - r0] = first_weight(r);
+            sum += kept[r - r0];
+        }
+        const S t = separable ? 1 : total(sum);
+        if (t > tiny) {
+            const S factor = constant == 0 ? 1 / t : constant;
+            S* row = to + (size_t)(from - row_lo) * row_stride + (a - left);
+            if (C == 4) {
+                const V a0 = A[0] * factor, a1 = A[1] * factor, a2 = A[2] * factor, a3 = A[3] * factor;
+                for (int r = from; r <= until; ++r, row += row_stride) {
+                    const V w = kept[r - r0];
+                    S *p0 = row, *p1 = row + channel_stride, *p2 = p1 + channel_stride, *p3 = p2 + channel_stride;
+                    *(V*)p0 += w * a0; *(V*)p1 += w * a1; *(V*)p2 += w * a2; *(V*)p3 += w * a3;
                 }
-                mark(r0, r1);
-                if (out) lost += home(px, py);
-                continue;
+            } else {
+                for (int c = 0; c < C; ++c) {
+                    const V scaled = A[c] * factor;
+                    S* p = row + c * channel_stride;
+                    for (int r = from; r <= until; ++r, p += row_stride) *(V*)p += kept[r - r0] * scaled;
+                }
             }
-        } else {
-            V sum = zero;
-            if (!separable)
-                for (int r = r0; r <= r1; ++r)
-                    for (int v = 0; v < nv; ++v) sum += weight(r, v);
-            const S t = separable ? 1 : total(sum);
-            if (t > tiny) {
-                const S factor = constant == 0 ? 1 / t : constant;
-                for (int r = from; r <= until; ++r)
-                    for (int v = 0; v < nv; ++v) {
-                        const V w = weight(r, v);
-                        S* p = to + (size_t)(r - row_lo) * row_stride + (a - left) + v * L;
-                        for (int c = 0; c < C; ++c, p += channel_stride) store(p, v, load(p, v) + w * (A[c] * factor));
-                    }
-                mark(r0, r1);
-                if (out) lost += home(px, py);
-                continue;
-            }
+            mark(r0, r1);
+            if (out) lost += home(px, py);
+            continue;
+        }
+    } else {
+        V sum = zero;
+        if (!separable)
+            for (int r = r0; r <= r1; ++r)
+                for (int v = 0; v < nv; ++v) sum += weight(r, v);
+        const S t = separable ? 1 : total(sum);
+        if (t > tiny) {
+            const S factor = constant == 0 ? 1 / t : constant;
+            for (int r = from; r <= until; ++r)
+                for (int v = 0; v < nv; ++v) {
+                    const V w = weight(r, v);
+                    S* p = to + (size_t)(r - row_lo) * row_stride + (a - left) + v * L;
+                    for (int c = 0; c < C; ++c, p += channel_stride) store(p, v, load(p, v) + w * (A[c] * factor));
+                }
+            mark(r0, r1);
+            if (out) lost += home(px, py);
+            continue;
         }
     }
-    if (!home(px, py)) continue;
-    ++lost;
-    if (valid && nearest && normalize) {
-        const int r = nearest_node(py, R);
-        S* p = to + (size_t)(r - row_lo) * row_stride + (nearest_node(px, K) - left);
-        for (int c = 0; c < C; ++c, p += channel_stride) *p += A[c];
-        mark(r, r);
-    }
 }
-"""
+if (!home(px, py)) continue;
+++lost;
+if (is_finite(px, py) && nearest && normalize) {
+    const int r = nearest_node(py, R);
+    S* p = to + (size_t)(r - row_lo) * row_stride + (nearest_node(px, K) - left);
+    for (int c = 0; c < C; ++c, p += channel_stride) *p += A[c];
+    mark(r, r);
+}
+""")
 
 LOST = """
 const int C = value.shape[1];
@@ -92,7 +89,7 @@ int lost = 0;
 """
 HOME = """
 auto home = [&](S px, S py) {
-    const bool valid = px - px == 0 && py - py == 0;
+    const bool valid = is_finite(px, py);
     const int c = valid ? nearest_node(px, K) : 0, r = valid ? nearest_node(py, R) : 0;
     return r >= row_lo && r < row_hi && c >= col_lo && c < col_hi;
 };
@@ -122,60 +119,60 @@ const size_t row_stride = K, channel_stride = (size_t)R * K;
 const S* const base = image.data + (size_t)world * image.shape[1] * channel_stride;
 const int first = point_start.data[world] + chunk * {CHUNK};
 const int last = point_start.data[world] + point_count.data[world];
+auto item = [](int k) {{ return k; }};
 const int begin = first, end = first + {CHUNK} < last ? first + {CHUNK} : last;
 """
-_GATHER_RUN = """
-for (int i = begin; i < end; ++i) {
-    const bool valid = finite(i);
-    S* A = value.data + (size_t)i * C;
-    const S* from = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * C : 0)) * channel_stride;
-    const S px = x, py = y;
-    bool hit = valid && place();
-    if (hit && one) {
-        V sum = zero, f0 = zero, f1 = zero, f2 = zero, f3 = zero;
-        const S* row = from + (size_t)r0 * K + a;
-        const int d1 = C > 1, d2 = C > 2 ? 2 : 0, d3 = C > 3 ? 3 : 0;
-        for (int r = r0; r <= r1; ++r, row += K) {
-            const V w = first_weight(r);
-            sum += w;
-            f0 += w * *(const V*)row;
-            f1 += w * *(const V*)(row + d1 * channel_stride);
-            f2 += w * *(const V*)(row + d2 * channel_stride);
-            f3 += w * *(const V*)(row + d3 * channel_stride);
-        }
+_GATHER_RUN = each_point("""
+const int i = at[j];
+S* A = value.data + (size_t)i * C;
+const S* from = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * C : 0)) * channel_stride;
+bool hit = place(j);
+if (hit && one) {
+    V sum = zero, f0 = zero, f1 = zero, f2 = zero, f3 = zero;
+    const S* row = from + (size_t)r0 * K + a;
+    const int d1 = C > 1, d2 = C > 2 ? 2 : 0, d3 = C > 3 ? 3 : 0;
+    for (int r = r0; r <= r1; ++r, row += K) {
+        const V w = first_weight(r);
+        sum += w;
+        f0 += w * *(const V*)row;
+        f1 += w * *(const V*)(row + d1 * channel_stride);
+        f2 += w * *(const V*)(row + d2 * channel_stride);
+        f3 += w * *(const V*)(row + d3 * channel_stride);
+    }
+    const S t = separable ? 1 : total(sum);
+    hit = t > tiny;
+    const S factor = hit ? (constant == 0 ? 1 / t : constant) : 0;
+    A[0] = total(f0) * factor;
+    if (C > 1) A[1] = total(f1) * factor;
+    if (C > 2) A[2] = total(f2) * factor;
+    if (C > 3) A[3] = total(f3) * factor;
+    for (int c = 4; c < C; ++c) {
+        V f = zero;
+        const S* p = from + c * channel_stride + (size_t)r0 * K + a;
+        for (int r = r0; r <= r1; ++r, p += K) f += first_weight(r) * *(const V*)p;
+        A[c] = total(f) * factor;
+    }
+} else if (hit) {
+    for (int c = 0; c < C; ++c) {
+        V sum = zero, f = zero;
+        for (int r = r0; r <= r1; ++r)
+            for (int v = 0; v < nv; ++v) {
+                const V w = weight(r, v);
+                sum += w;
+                f += w * load(from + c * channel_stride + (size_t)r * K + a + v * L, v);
+            }
         const S t = separable ? 1 : total(sum);
         hit = t > tiny;
-        const S factor = hit ? (constant == 0 ? 1 / t : constant) : 0;
-        A[0] = total(f0) * factor;
-        if (C > 1) A[1] = total(f1) * factor;
-        if (C > 2) A[2] = total(f2) * factor;
-        if (C > 3) A[3] = total(f3) * factor;
-        for (int c = 4; c < C; ++c) {
-            V f = zero;
-            const S* p = from + c * channel_stride + (size_t)r0 * K + a;
-            for (int r = r0; r <= r1; ++r, p += K) f += first_weight(r) * *(const V*)p;
-            A[c] = total(f) * factor;
-        }
-    } else if (hit) {
-        for (int c = 0; c < C; ++c) {
-            V sum = zero, f = zero;
-            for (int r = r0; r <= r1; ++r)
-                for (int v = 0; v < nv; ++v) {
-                    const V w = weight(r, v);
-                    sum += w;
-                    f += w * load(from + c * channel_stride + (size_t)r * K + a + v * L, v);
-                }
-            const S t = separable ? 1 : total(sum);
-            hit = t > tiny;
-            A[c] = hit ? total(f) * (constant == 0 ? 1 / t : constant) : 0;
-        }
-    }
-    if (!hit) {
-        const S* p = from + (valid ? (size_t)nearest_node(py, R) * K + nearest_node(px, K) : 0);
-        for (int c = 0; c < C; ++c) A[c] = valid && nearest && normalize ? p[c * channel_stride] : 0;
+        A[c] = hit ? total(f) * (constant == 0 ? 1 / t : constant) : 0;
     }
 }
-"""
+if (!hit) {
+    const S px = xs[j], py = ys[j];
+    const bool valid = is_finite(px, py);
+    const S* p = from + (valid ? (size_t)nearest_node(py, R) * K + nearest_node(px, K) : 0);
+    for (int c = 0; c < C; ++c) A[c] = valid && nearest && normalize ? p[c * channel_stride] : 0;
+}
+""")
 # Bilinear alone: places and weights of LANES points at once, then four nodes of each, two channels at a time. On large
 # images the nodes are fetched while the points before them are at work: 1e6 points on 64 MB took 21 and take 12 ns by
 # place, 103 and 73 in random order, where every node is a cache line of its own.
@@ -242,43 +239,41 @@ for (int i = begin, k = 0; i < end + L; i += L, k ^= 1) {
 """
 
 # S = w / sum w:  sum_i dS_i a_i = (sum dw a - (sum w a) (sum dw) / sum w) / sum w, with a_i = sum_c value_c image_ci
-_GRADIENT_RUN = """
-S* G = (S*)gradient_out.data;
-for (int i = begin; i < end; ++i) {
-    const bool valid = finite(i);
-    const S* A = value.data + (size_t)i * C;
-    S gx = 0, gy = 0;
-    if (valid && place()) {
-        const S* from = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * C : 0)) * channel_stride;
-        V sum = zero, wa = zero, dx = zero, dy = zero, dxa = zero, dya = zero;
-        for (int r = r0; r <= r1; ++r) {
-            for (int v = 0; v < nv; ++v) {
-                V field = zero, wx, wy;
-                const S* row = from + (size_t)r * K + a + v * L;
-                for (int c = 0; c < C; ++c) field += load(row + c * channel_stride, v) * A[c];
-                const V w = weight(r, v);
-                gradient(r, v, wx, wy);
-                sum += w; wa += w * field;
-                dx += wx; dy += wy;
-                dxa += wx * field; dya += wy * field;
-            }
-        }
-        const S t = separable ? 1 : total(sum);
-        if (t > tiny) {
-            if (constant == 0) {
-                const S mean = total(wa) / t;
-                gx = (total(dxa) - mean * total(dx)) / t;
-                gy = (total(dya) - mean * total(dy)) / t;
-            } else {
-                gx = total(dxa) * constant;
-                gy = total(dya) * constant;
-            }
+_GRADIENT_RUN = each_point("""
+const int i = at[j];
+const S* A = value.data + (size_t)i * C;
+S gx = 0, gy = 0;
+if (place(j)) {
+    const S* from = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * C : 0)) * channel_stride;
+    V sum = zero, wa = zero, dx = zero, dy = zero, dxa = zero, dya = zero;
+    for (int r = r0; r <= r1; ++r) {
+        for (int v = 0; v < nv; ++v) {
+            V field = zero, wx, wy;
+            const S* row = from + (size_t)r * K + a + v * L;
+            for (int c = 0; c < C; ++c) field += load(row + c * channel_stride, v) * A[c];
+            const V w = weight(r, v);
+            gradient(r, v, wx, wy);
+            sum += w; wa += w * field;
+            dx += wx; dy += wy;
+            dxa += wx * field; dya += wy * field;
         }
     }
-    G[2 * (size_t)i] = gx * inv;
-    G[2 * (size_t)i + 1] = gy * inv;
+    const S t = separable ? 1 : total(sum);
+    if (t > tiny) {
+        if (constant == 0) {
+            const S mean = total(wa) / t;
+            gx = (total(dxa) - mean * total(dx)) / t;
+            gy = (total(dya) - mean * total(dy)) / t;
+        } else {
+            gx = total(dxa) * constant;
+            gy = total(dya) * constant;
+        }
+    }
 }
-"""
+S* G = (S*)gradient_out.data + 2 * (size_t)i;
+G[0] = gx * inv;
+G[1] = gy * inv;
+""")
 
 _DIVIDE = """
 #if !defined(__CUDA_ARCH__)
