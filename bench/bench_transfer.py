@@ -205,7 +205,7 @@ def world(rounds: int) -> dict[str, Any]:
         "falling_splat": falling_images.splat,
     }
     # a call of a few us is timed many at once
-    repeats = {name: 1 if "theses" in name else 20 if "batch" in name else 200 for name in functions}
+    repeats = {name: 1 if "theses" in name else 200 for name in functions}
 
     def clock(call: Callable[[], Any]) -> float:
         name = next(n for n, function in functions.items() if function is call)
