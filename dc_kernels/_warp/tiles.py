@@ -14,8 +14,8 @@ import warp as wp
 
 from ..types import TILE_COLUMNS, TILE_ROWS
 from .common import kernel_module, scalar_types
+from .loops import ADD_RUN, HOME, LOST
 from .stencil import SETUP, snippet
-from .transfer import ADD_RUN, HOME, LOST
 
 AHEAD = 12  # points that are fetched ahead of their use; 8 to 24 cost the same
 
