@@ -7,24 +7,26 @@ from typing import Any
 import numpy as np
 
 from .arrays import FLOATS, check_values
+from .interop import host_view
 
 MAX_INDEX = 2**31 - 1  # of a point: kernels count in int32
 
 
 def check_layout(name: str, array: Any, shape: tuple[int | None, ...], dtype: Any = None) -> np.ndarray:
-    """A contiguous numpy array of the CPU, whatever it holds.
+    """A contiguous array in the CPU's memory as numpy, whatever it holds.
 
     Args:
         name: of the argument.
-        array: to check.
+        array: to check: numpy, ``wp.array`` or torch tensor, which are seen as numpy without a copy.
         shape: as it must be, None where any length will do.
         dtype: as it must be; None for float32 or float64.
 
     Raises:
         ValueError: naming the argument, and what it is and must be.
     """
+    array = host_view(name, array)
     if not isinstance(array, np.ndarray):
-        raise ValueError(f"{name} is a {type(array).__name__}; it must be a numpy array on the CPU")
+        raise ValueError(f"{name} is a {type(array).__name__}; it must be a numpy array, wp.array or torch tensor")
     if array.dtype not in FLOATS.values() if dtype is None else array.dtype != dtype:
         raise ValueError(f"{name} has dtype {array.dtype}; it must be {dtype or ' or '.join(FLOATS)}")
     if array.ndim != len(shape) or any(b not in (None, a) for a, b in zip(array.shape, shape)):
@@ -45,7 +47,7 @@ def check_array(
     closed: bool = True,
 ) -> np.ndarray:
     """The same, without NaN or inf, and nothing below ``low``, which itself is allowed if ``closed``."""
-    check_layout(name, array, shape, dtype)
+    array = check_layout(name, array, shape, dtype)
     # a finite sum has finite terms, one that is not may have overflowed; looking at each takes ten times as long
     with np.errstate(over="ignore", invalid="ignore"):
         good = bool(np.isfinite(array.sum()))
@@ -70,6 +72,7 @@ def check_points(name: str, points: Any, dims: tuple[int, ...] = (2,)) -> np.nda
     Raises:
         ValueError: naming the argument and the first bad index.
     """
+    points = host_view(name, points)
     if isinstance(points, np.ndarray):
         if points.ndim != 2 or points.shape[1] not in dims:
             raise ValueError(f"{name} has shape {points.shape}; it must be {' or '.join(f'(n, {d})' for d in dims)}")

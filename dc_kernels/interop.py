@@ -45,6 +45,26 @@ def address(array: Any, name: str, dtype: np.dtype) -> tuple[int, tuple[int, ...
     return array.ptr, tuple(array.shape)
 
 
+def host_view(name: str, array: Any) -> Any:
+    """A torch tensor or ``wp.array`` as numpy, the same memory; anything else as it is.
+
+    Raises:
+        ValueError: for one on a GPU, or a tensor that requires a gradient, which would be lost.
+    """
+    if isinstance(array, np.ndarray):
+        return array
+    if hasattr(array, "data_ptr"):
+        _check_device(name, array)
+        if array.requires_grad:
+            raise ValueError(f"{name} requires a gradient, which would be lost; the torch operators keep it")
+        return array.numpy()
+    if hasattr(array, "ptr") and hasattr(array, "is_contiguous"):
+        if str(array.device) != "cpu":
+            raise ValueError(f"{name} is on {array.device}; it must be on the CPU, where these kernels run")
+        return array.numpy()
+    return array
+
+
 def tensor_array(name: str, tensor: Any) -> np.ndarray:
     """The memory of a tensor of float32 or float64 as a numpy array.
 

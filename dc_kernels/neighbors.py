@@ -61,7 +61,7 @@ def neighbor_pairs(
         ValueError: naming the argument, the index and the limit.
         ImportError: for "kdtree" without SciPy.
     """
-    check_points("points", points, (2, 3))
+    points = check_points("points", points, (2, 3))
     starts = check_start("start", start, len(points))
     limit = _square("radius", radius, points.dtype)
     search = _search(method, backend)
@@ -108,8 +108,8 @@ def neighbor_lists(
         ValueError: naming the argument, the index and the limit.
         ImportError: for "kdtree" without SciPy.
     """
-    check_points("queries", queries, (2, 3))
-    check_points("points", points, (2, 3))
+    queries = check_points("queries", queries, (2, 3))
+    points = check_points("points", points, (2, 3))
     for what in ("dtype", "shape"):
         a, b = (getattr(array, what) for array in (queries, points))
         if (a[1:], b[1:]) != (b[1:], a[1:]) if what == "shape" else a != b:

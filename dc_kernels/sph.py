@@ -71,7 +71,7 @@ def sph_sum(
     Raises:
         ValueError: naming the argument, the index and the limit.
     """
-    check_particles(queries, points, values, mass, density)
+    queries, points, values, mass, density = check_particles(queries, points, values, mass, density)
     check_options(quantity, threads, backend)
     factor = scale(kernel, h, points.shape[1], ORDERS[quantity], points.dtype)
     weighted = values * volume(mass, density)[:, None]
@@ -108,8 +108,8 @@ def sph_density(
     Raises:
         ValueError: naming the argument, the index and the limit.
     """
-    check_points("points", points, (2, 3))
-    check_array("mass", mass, (len(points),), points.dtype, low=0.0)
+    points = check_points("points", points, (2, 3))
+    mass = check_array("mass", mass, (len(points),), points.dtype, low=0.0)
     check_options("value", threads, backend)
     factor = scale(kernel, h, points.shape[1], 0, points.dtype)
     lists = neighbor_lists(points, points, h, method=method, query_start=start, point_start=start, threads=threads)
@@ -225,18 +225,18 @@ def _kernels(backend: str, dtype: str) -> dict[str, Any]:
 # ------------------------------------------------------------------ checks
 
 
-def check_particles(queries: Any, points: Any, values: Any, mass: Any, density: Any) -> None:
-    """Raise ValueError, naming argument, index and limit, for particles or queries that cannot be summed."""
-    check_points("queries", queries, (2, 3))
-    check_points("points", points, (2, 3))
+def check_particles(queries: Any, points: Any, values: Any, mass: Any, density: Any) -> tuple[np.ndarray, ...]:
+    """The arrays as numpy; ValueError, naming argument, index and limit, for what cannot be summed."""
+    queries, points = (check_points(n, a, (2, 3)) for n, a in (("queries", queries), ("points", points)))
     if queries.dtype != points.dtype or queries.shape[1] != points.shape[1]:
         raise ValueError(
             f"queries are {queries.dtype} {queries.shape}, points are {points.dtype} {points.shape}; dtype and "
             "dimension must agree"
         )
-    check_array("values", values, (len(points), None), points.dtype)
-    check_array("mass", mass, (len(points),), points.dtype, low=0.0)
-    check_array("density", density, (len(points),), points.dtype, low=0.0, closed=False)
+    values = check_array("values", values, (len(points), None), points.dtype)
+    mass = check_array("mass", mass, (len(points),), points.dtype, low=0.0)
+    density = check_array("density", density, (len(points),), points.dtype, low=0.0, closed=False)
+    return queries, points, values, mass, density
 
 
 def check_options(quantity: str, threads: int, backend: str) -> None:

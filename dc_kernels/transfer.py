@@ -27,6 +27,7 @@ from .arrays import aligned_zeros, float_dtype, kernel_array, kernel_arrays, ker
 from .backend import Launch, bind, check_backend, run_shards
 from .grid import Grid
 from .inputs import check_array, check_bins, check_layout, check_points, check_start, check_threads
+from .interop import host_view
 from .smoothing import KERNELS, STENCILS
 from .types import BAND, CHUNK, LANES, TILE_COLUMNS, TILE_ROWS
 
@@ -226,7 +227,7 @@ class Transfer:
         self.dtype = self.points.dtype
         self.threads = check_threads(threads)
         scalars = stencil_scalars(grid, kernel, h, normalize, nearest)
-        first, count = first_and_count(check_start("start", start, len(points)))
+        first, count = first_and_count(check_start("start", start, len(self.points)))
         self.worlds = len(first)
         self.bins = bins
         self.chunks = max(-(-int(count.max(initial=0)) // CHUNK), 1)
@@ -240,7 +241,7 @@ class Transfer:
             "point_start": kernel_array(first, backend),
             "point_count": kernel_array(count, backend),
             "point": kernel_vectors(self.points, backend),
-            "point_bin": kernel_array(check_bins(bins, point_bin, len(points)), backend),
+            "point_bin": kernel_array(check_bins(bins, point_bin, len(self.points)), backend),
         }
 
     def splat(self, values: np.ndarray, image: np.ndarray) -> Splat:
@@ -249,8 +250,8 @@ class Transfer:
         Raises:
             ValueError: for arrays of another shape, dtype or memory layout.
         """
-        _check_channels(values, len(self.points), self.dtype)
-        check_array("image", image, (self.worlds, self.bins * values.shape[1], *self.grid.shape), self.dtype)
+        values = _check_channels(values, len(self.points), self.dtype)
+        image = check_array("image", image, (self.worlds, self.bins * values.shape[1], *self.grid.shape), self.dtype)
         arrays = kernel_arrays({"value": values, "image": image}, self.backend)
         return Splat(self.table, {**self.values, **arrays}, backend=self.backend, threads=self.threads)
 
@@ -260,8 +261,8 @@ class Transfer:
         Raises:
             ValueError: for arrays of another shape, dtype or memory layout.
         """
-        _check_channels(values, len(self.points), self.dtype)
-        check_array("image", image, (self.worlds, self.bins * values.shape[1], *self.grid.shape), self.dtype)
+        values = _check_channels(values, len(self.points), self.dtype)
+        image = check_array("image", image, (self.worlds, self.bins * values.shape[1], *self.grid.shape), self.dtype)
         return self._bind("gather_points", self.chunks, image=image, value=values)
 
     def divide(self, image: np.ndarray, weight: np.ndarray) -> Launch:
@@ -301,7 +302,8 @@ def splat(
     """Values at points as an image.
 
     Args:
-        points: places relative to the worlds' origins, (n, 2), float32 or float64 [m].
+        points: places relative to the worlds' origins, (n, 2), float32 or float64 [m]; like all arrays numpy,
+            ``wp.array`` or a torch tensor on the CPU, contiguous, read where it lies.
         values: (n, C), of the same dtype.
         grid: where the nodes lie.
         h: support radius of a radial kernel [m]; None: 2 spacings.
@@ -334,12 +336,13 @@ def splat(
         threads=threads,
         backend=backend,
     )
-    values = _check_channels(values, len(points), transfer.dtype)
+    values = _check_channels(values, len(transfer.points), transfer.dtype)
     shape = (transfer.worlds, bins * values.shape[1], *grid.shape)
     if out is None:
         out = aligned_zeros(shape, transfer.dtype)
     else:
-        check_layout("out", out, shape, transfer.dtype).fill(0)
+        out = check_layout("out", out, shape, transfer.dtype)
+        out.fill(0)
     transfer.splat(values, out)()
     if normalize == "shepard":
         transfer.divide(out, transfer.weights())()
@@ -392,6 +395,7 @@ def gather(
         threads=threads,
         backend=backend,
     )
+    image = host_view("image", image)
     if not isinstance(image, np.ndarray) or image.ndim != 4:
         raise ValueError(f"image has shape {getattr(image, 'shape', None)}; it must be (W, bins C, rows, columns)")
     channels = max(image.shape[1] // bins, 1)
@@ -399,9 +403,9 @@ def gather(
     if reverse and normalize != "particle":
         raise ValueError(f"normalize is {normalize!r}; reverse needs 'particle'")
     if out is None:
-        out = np.zeros((len(points), channels), transfer.dtype)
+        out = np.zeros((len(transfer.points), channels), transfer.dtype)
     else:
-        check_layout("out", out, (len(points), channels), transfer.dtype)
+        out = check_layout("out", out, (len(transfer.points), channels), transfer.dtype)
     if reverse:
         image = image.copy()  # what the caller's image holds is not ours to change
         transfer.divide(image, transfer.weights())()
@@ -410,7 +414,7 @@ def gather(
 
 
 def _check_channels(values: Any, count: int, dtype: np.dtype) -> np.ndarray:
-    check_array("values", values, (count, None), dtype)
+    values = check_array("values", values, (count, None), dtype)
     if values.shape[1] < 1:
         raise ValueError(f"values has shape {values.shape}; it must have a channel")
     return values
