@@ -18,14 +18,15 @@ from .area import area_points, center_points, wall_nodes
 from .arrays import kernel_array, kernel_vectors, to_numpy, to_torch
 from .channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES, Channel
 from .grid import Grid
-from .interop import address, as_kernel_array, as_numpy
+from .inputs import check_count
+from .interop import address, as_kernel_array
 from .program import Kernel, Program, Stage
 from .transfer import (
     BAND,
-    CHUNK,
     Splat,
     Stencil,
     allocate_image,
+    chunks_of,
     stencil_scalars,
     transfer_kernels,
 )
@@ -93,10 +94,8 @@ class Images:
         """
         if sim.device != "cpu":
             raise ValueError(f"sim.device is {sim.device!r}; Images runs on the CPU")
-        if threads is not None and (not isinstance(threads, int) or threads < 1):
-            raise ValueError(f"threads is {threads!r}; it must be an integer of at least 1")
-        if not isinstance(bins, int) or bins < 1:
-            raise ValueError(f"bins is {bins!r}; it must be an integer of at least 1")
+        threads = sim.threads if threads is None else check_count("threads", threads)
+        bins = check_count("bins", bins)
         if walls is not None and not 0.0 <= walls < float("inf"):
             raise ValueError(f"walls is {walls!r}; it must be None, or finite and not negative [kg]")
         self.sim, self.grid, self.bins, self.h, self.nearest = sim, grid, bins, h, nearest
@@ -110,7 +109,7 @@ class Images:
         binned = [f"{name}/{b}" for b in range(bins) for name in contacts] if bins > 1 else contacts
         self.channels = (*bodies, *binned)
         self.worlds = sim.model.world_count
-        self.threads = max(1, min(threads or sim.threads, self.worlds))
+        self.threads = max(1, min(threads, self.worlds))
         self._table = {**transfer_kernels(sim.backend, sim.dtype.name), **_feature_kernels(sim.backend, sim.dtype.name)}
         self._image = allocate_image(self.worlds, len(self.channels), grid, sim.dtype)
         self._impulses: Any = None
@@ -267,7 +266,7 @@ class Images:
         if at == "bodies":
             room, most = self.sim.model.body_count, int(to_numpy(points["point_count"]).max(initial=0))
         value = self._impulse if to_impulse else self._array(np.zeros((room, channels), self.sim.dtype))
-        chunks = max(-(-most // CHUNK), 1)
+        chunks = chunks_of(most)
         values = {**points, **scalars, "value": value, "chunks": chunks, "channel_offset": 0}
         gather = Kernel(self._table["gather_points"], values, chunks)
         if reverse:
@@ -285,7 +284,7 @@ class Images:
             )
 
             def run_reverse(image: Any, pointer: int) -> None:
-                np.copyto(share, as_numpy(image))
+                np.copyto(share, to_numpy(image))
                 shared()
 
             return run_reverse, value

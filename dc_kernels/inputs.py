@@ -109,8 +109,7 @@ def check_bins(bins: Any, point_bin: Any, count: int) -> np.ndarray:
     Raises:
         ValueError: for bins < 1, another shape, or a bin out of range.
     """
-    if not isinstance(bins, int | np.integer) or bins < 1:
-        raise ValueError(f"bins is {bins!r}; it must be an integer of at least 1")
+    check_count("bins", bins)
     if point_bin is None:
         if bins > 1:
             raise ValueError(f"bins is {bins}, so point_bin must say which one each point belongs to")
@@ -122,12 +121,12 @@ def check_bins(bins: Any, point_bin: Any, count: int) -> np.ndarray:
     return array if bins > 1 else np.zeros(1, np.int32)
 
 
-def check_threads(threads: Any) -> int:
-    """A number of threads.
+def check_count(name: str, count: Any) -> int:
+    """A number of threads or bins.
 
     Raises:
-        ValueError: for one that is not an integer of at least 1.
+        ValueError: naming it, for one that is not an integer of at least 1.
     """
-    if not isinstance(threads, int | np.integer) or isinstance(threads, bool) or threads < 1:
-        raise ValueError(f"threads is {threads!r}; it must be an integer of at least 1")
-    return int(threads)
+    if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 1:
+        raise ValueError(f"{name} is {count!r}; it must be an integer of at least 1")
+    return int(count)

@@ -16,7 +16,7 @@ import numpy as np
 from .arrays import kernel_arrays, require
 from .backend import bind, check_backend
 from .cell_search import allowed, each, hash_lists, hash_pairs
-from .inputs import check_points, check_start, check_threads
+from .inputs import check_count, check_points, check_start
 
 METHODS = ("hash", "kdtree", "tree", "all")
 BLOCK = 1 << 20  # distances at a time in the method "all"
@@ -65,7 +65,7 @@ def neighbor_pairs(
     starts = check_start("start", start, len(points))
     limit = _square("radius", radius, points.dtype)
     search = _search(method, backend)
-    check_threads(threads)
+    check_count("threads", threads)
     if search is None:
         return hash_pairs(points, radius, limit, starts, threads, backend)
 
@@ -122,7 +122,7 @@ def neighbor_lists(
         )
     limit = _square("radius", radius, points.dtype)
     search = _search(method, backend)
-    check_threads(threads)
+    check_count("threads", threads)
     if search is None:
         return Neighbors(*hash_lists(queries, points, radius, limit, first_query, first_point, threads, backend))
 

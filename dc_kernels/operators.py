@@ -28,14 +28,14 @@ import warp as wp
 from .arrays import require
 from .backend import run_shards
 from .grid import Grid
-from .inputs import check_bins, check_points, check_start
+from .inputs import check_bins, check_count, check_points, check_start
 from .interop import tensor_array, tensor_integers
 from .transfer import (
     BAND,
-    CHUNK,
     TILED_BYTES,
     Splat,
     Stencil,
+    chunks_of,
     first_and_count,
     shard_worlds,
     stencil_scalars,
@@ -142,10 +142,6 @@ def _settings(
 ) -> tuple[Any, ...]:
     """The arguments of ``_COMMON``."""
     scalars = stencil_scalars(grid, kernel, h, normalize, nearest)
-    if not isinstance(threads, int) or threads < 1:
-        raise ValueError(f"threads is {threads!r}; it must be an integer of at least 1")
-    if not isinstance(bins, int) or bins < 1:
-        raise ValueError(f"bins is {bins!r}; it must be an integer of at least 1")
     codes = (scalars[name] for name in ("stencil", "normalize", "nearest", "h"))
     return (
         None if start is None else torch.as_tensor(start),
@@ -155,8 +151,8 @@ def _settings(
         grid.spacing,
         *grid.origin,
         *codes,
-        bins,
-        threads,
+        check_count("bins", bins),
+        check_count("threads", threads),
     )
 
 
@@ -293,7 +289,7 @@ class _Call:
             "h": h,
             "bins": bins,
             "channel_offset": 0,
-            "chunks": max(-(-most // CHUNK), 1),
+            "chunks": chunks_of(most),
             "grid_origin": _origins(self.worlds, x, y, points.dtype),
             "point_start": first,
             "point_count": counts,

@@ -18,7 +18,7 @@ import numpy as np
 
 from .arrays import kernel_arrays
 from .backend import bind, check_backend, run_shards
-from .inputs import check_array, check_points, check_threads
+from .inputs import check_array, check_count, check_points
 from .neighbors import Neighbors, neighbor_lists
 from .smoothing import KERNELS, scale
 
@@ -243,5 +243,5 @@ def check_options(quantity: str, threads: int, backend: str) -> None:
     """Raise ValueError for an unknown quantity or backend, or a number of threads below 1."""
     if quantity not in PUBLIC:
         raise ValueError(f"quantity is {quantity!r}; it must be one of {PUBLIC}")
-    check_threads(threads)
+    check_count("threads", threads)
     check_backend(backend)

@@ -14,6 +14,7 @@ import numpy as np
 from .arrays import Contacts, Joints, Model, State, uniform
 from .backend import Launch, bind, in_turn, kernel_table, recorded
 from .capacity import PADDING, Cache, Motion, Pairs, Rows, Storage
+from .inputs import check_count
 from .solver import SCHEDULES, SolveStats, solver_scalars
 from .types import CAPACITY_FLAGS, BodyType, ShapeType, SolverConfig
 
@@ -73,8 +74,7 @@ class Simulation:
         Raises:
             ValueError: for settings out of range, or arrays of another model, dtype, device or backend.
         """
-        if not isinstance(threads, int) or threads < 1:
-            raise ValueError(f"threads is {threads!r}; it must be an integer of at least 1")
+        threads = check_count("threads", threads)
         if schedule not in SCHEDULES:
             raise ValueError(f"schedule is {schedule!r}; it must be one of {tuple(SCHEDULES)}")
         if on_overflow not in ("grow", "raise"):

@@ -26,9 +26,9 @@ import numpy as np
 from .arrays import aligned_zeros, float_dtype, kernel_array, kernel_arrays, kernel_vectors, to_numpy
 from .backend import Launch, bind, check_backend, run_shards
 from .grid import Grid
-from .inputs import check_array, check_bins, check_layout, check_points, check_start, check_threads
+from .inputs import check_array, check_bins, check_count, check_layout, check_points, check_start
 from .interop import host_view
-from .smoothing import KERNELS, STENCILS
+from .smoothing import KERNELS, STENCILS, check_support
 from .types import BAND, CHUNK, LANES, TILE_COLUMNS, TILE_ROWS
 
 NORMALIZE = {"sum": 0, "particle": 1}
@@ -64,9 +64,7 @@ def stencil_scalars(grid: Grid, kernel: str, h: float | None, normalize: str, ne
         raise ValueError(f"kernel is {kernel!r}; it must be one of {tuple(STENCILS)}")
     if normalize not in NORMALIZE:
         raise ValueError(f"normalize is {normalize!r}; it must be one of {tuple(NORMALIZE)}")
-    support = SUPPORT * grid.spacing if h is None else float(h)
-    if not (0.0 < support < float("inf")):
-        raise ValueError(f"h is {h!r}; it must be finite and > 0 [m]")
+    support = SUPPORT * grid.spacing if h is None else check_support(h)
     if kernel in KERNELS and support > grid.spacing * 2**20:
         raise ValueError(f"h is {h!r} m, {support / grid.spacing:.3g} spacings; it must be at most 2^20 of them")
     return {
@@ -82,6 +80,11 @@ def shard_worlds(worlds: int, threads: int) -> list[tuple[int, int]]:
     """First world and number of worlds of each thread's share."""
     edges = np.linspace(0, worlds, min(max(threads, 1), max(worlds, 1)) + 1).astype(int)
     return [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
+
+
+def chunks_of(most: int) -> int:
+    """Thread indices for each world, where none has more than ``most`` points."""
+    return max(-(-most // CHUNK), 1)
 
 
 def first_and_count(offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -119,10 +122,10 @@ class Splat:
         worlds, _, rows, columns = values["image"].shape
         count, channels = values["value"].shape
         channels *= values["bins"]
-        item = 8 if "64" in str(to_numpy(values["value"]).dtype) else 4
+        real = to_numpy(values["value"]).dtype
         window = lanes_window(values["stencil"], values["h"] / values["spacing"])
         if tiled is None:
-            tiled = backend == "warp" and rows * columns * channels * item > TILED_BYTES
+            tiled = backend == "warp" and rows * columns * channels * real.itemsize > TILED_BYTES
         self.tiled = bool(tiled) and columns >= window
         self.threads = threads
         self.missed = np.zeros(worlds, np.int32)
@@ -136,7 +139,7 @@ class Splat:
         self.tile_slot = np.zeros((threads, worlds * tiles), np.int32)
         self.tile_start = np.zeros(worlds * tiles + 1, np.int32)
         self.tile_lost = np.zeros(worlds * tiles, np.int32)
-        scratch = aligned_zeros((threads, channels * TILE_ROWS * (TILE_COLUMNS + 2 * window)), np.dtype(f"f{item}"))
+        scratch = aligned_zeros((threads, channels * TILE_ROWS * (TILE_COLUMNS + 2 * window)), real)
         self.values.update(
             tiles=tiles,
             chunks=threads,
@@ -157,7 +160,7 @@ class Splat:
         self.room = entries
         order = np.zeros(entries + TILE_ROWS, np.int32)
         self.values["order"] = kernel_array(order, self.backend)
-        threads = len(self._count)
+        threads = self.threads
         self._list = [self._bind("list_tiles", self.values["image"].shape[0], chunk=chunk) for chunk in range(threads)]
         # more shards than threads would need more buffers; tiles are many, and those of a shard lie side by side
         self._launches = [
@@ -177,8 +180,7 @@ class Splat:
         total = int(ends[-1])
         if total > 2**31 - 1 - TILE_ROWS:
             raise ValueError(f"the points reach {total} tiles in all; there may be 2^31: splat fewer worlds at once")
-        chunks = len(self.tile_slot)
-        starts = np.concatenate([[0], ends[:-1]]).reshape(-1, chunks)
+        starts = np.concatenate([[0], ends[:-1]]).reshape(-1, self.threads)
         self.tile_slot[...] = starts.T
         self.tile_start[:-1] = starts[:, 0]
         self.tile_start[-1] = total
@@ -225,12 +227,12 @@ class Transfer:
         self.grid = grid
         self.backend = check_backend(backend)
         self.dtype = self.points.dtype
-        self.threads = check_threads(threads)
+        self.threads = check_count("threads", threads)
         scalars = stencil_scalars(grid, kernel, h, normalize, nearest)
         first, count = first_and_count(check_start("start", start, len(self.points)))
         self.worlds = len(first)
         self.bins = bins
-        self.chunks = max(-(-int(count.max(initial=0)) // CHUNK), 1)
+        self.chunks = chunks_of(int(count.max(initial=0)))
         origin = np.tile(np.asarray(grid.origin, self.dtype), (self.worlds, 1))
         self.table = transfer_kernels(backend, self.dtype.name)
         self.values: dict[str, Any] = {
@@ -251,7 +253,10 @@ class Transfer:
             ValueError: for arrays of another shape, dtype or memory layout.
         """
         values = _check_channels(values, len(self.points), self.dtype)
-        image = check_array("image", image, (self.worlds, self.bins * values.shape[1], *self.grid.shape), self.dtype)
+        image = check_layout("image", image, self._shape(values.shape[1]), self.dtype)
+        return self._bind_splat(values, image)
+
+    def _bind_splat(self, values: np.ndarray, image: np.ndarray) -> Splat:
         arrays = kernel_arrays({"value": values, "image": image}, self.backend)
         return Splat(self.table, {**self.values, **arrays}, backend=self.backend, threads=self.threads)
 
@@ -261,8 +266,8 @@ class Transfer:
         Raises:
             ValueError: for arrays of another shape, dtype or memory layout.
         """
-        values = _check_channels(values, len(self.points), self.dtype)
-        image = check_array("image", image, (self.worlds, self.bins * values.shape[1], *self.grid.shape), self.dtype)
+        values = check_layout("values", values, (len(self.points), None), self.dtype)
+        image = check_array("image", image, self._shape(values.shape[1]), self.dtype)
         return self._bind("gather_points", self.chunks, image=image, value=values)
 
     def divide(self, image: np.ndarray, weight: np.ndarray) -> Launch:
@@ -271,9 +276,13 @@ class Transfer:
 
     def weights(self) -> np.ndarray:
         """The sum of the points' weights at each node, (W, bins, rows, columns)."""
-        image = aligned_zeros((self.worlds, self.bins, *self.grid.shape), self.dtype)
-        self.splat(np.ones((len(self.points), 1), self.dtype), image)()
+        image = allocate_image(self.worlds, self.bins, self.grid, self.dtype)
+        self._bind_splat(np.ones((len(self.points), 1), self.dtype), image)()
         return image
+
+    def _shape(self, channels: int) -> tuple[int, ...]:
+        """Of an image of so many channels a bin."""
+        return (self.worlds, self.bins * channels, *self.grid.shape)
 
     def _bind(self, name: str, chunks: int, **arrays: np.ndarray) -> Launch:
         values = {**self.values, "chunks": chunks}
@@ -337,13 +346,12 @@ def splat(
         backend=backend,
     )
     values = _check_channels(values, len(transfer.points), transfer.dtype)
-    shape = (transfer.worlds, bins * values.shape[1], *grid.shape)
     if out is None:
-        out = aligned_zeros(shape, transfer.dtype)
+        out = allocate_image(transfer.worlds, bins * values.shape[1], grid, transfer.dtype)
     else:
-        out = check_layout("out", out, shape, transfer.dtype)
+        out = check_layout("out", out, transfer._shape(values.shape[1]), transfer.dtype)
         out.fill(0)
-    transfer.splat(values, out)()
+    transfer._bind_splat(values, out)()  # what is checked already is not looked at again
     if normalize == "shepard":
         transfer.divide(out, transfer.weights())()
     return out
@@ -399,7 +407,7 @@ def gather(
     if not isinstance(image, np.ndarray) or image.ndim != 4:
         raise ValueError(f"image has shape {getattr(image, 'shape', None)}; it must be (W, bins C, rows, columns)")
     channels = max(image.shape[1] // bins, 1)
-    check_array("image", image, (transfer.worlds, channels * bins, *grid.shape), transfer.dtype)
+    check_array("image", image, transfer._shape(channels), transfer.dtype)
     if reverse and normalize != "particle":
         raise ValueError(f"normalize is {normalize!r}; reverse needs 'particle'")
     if out is None:
@@ -409,7 +417,7 @@ def gather(
     if reverse:
         image = image.copy()  # what the caller's image holds is not ours to change
         transfer.divide(image, transfer.weights())()
-    transfer.gather(image, out)()
+    transfer._bind("gather_points", transfer.chunks, image=image, value=out)()
     return out
 
 

@@ -31,3 +31,13 @@ def test_arrays_of_warp_and_torch_are_read_where_they_lie():
         splat(points, torch.from_numpy(values).requires_grad_(), grid)
     with pytest.raises(ValueError, match=r"points has strides .* it must be contiguous"):
         splat(torch.from_numpy(points)[::2], values[::2], grid)
+
+
+def test_what_an_output_held_does_not_matter():
+    grid = Grid.thesis()
+    points = np.random.default_rng(4).uniform(0, 15, (20, 2))
+    values = np.ones((20, 2))
+    image = splat(points, values, grid)
+    np.testing.assert_array_equal(splat(points, values, grid, out=np.full_like(image, np.nan)), image)
+    found = gather(image, points, grid)
+    np.testing.assert_array_equal(gather(image, points, grid, out=np.full_like(found, np.nan)), found)
