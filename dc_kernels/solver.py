@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .arrays import ArrayGroup
 from .backend import Launch, bind
-from .types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, SERIAL_COLOR, STATS, STOPS, SolverConfig
+from .types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, NEVER, SERIAL_COLOR, STATS, STOPS, SolverConfig
 
 if TYPE_CHECKING:
     from .step import Simulation
@@ -48,21 +48,54 @@ def solver_scalars(config: SolverConfig) -> dict[str, Any]:
         "cap": config.aitken_cap,
         "threshold": config.aitken_threshold,
         "patience": config.aitken_patience,
+        "resume": 0,
+        "pause": NEVER,
     }
 
 
-def world_schedule(sim: Simulation, first: int, count: int) -> list[Launch]:
+# settings of the iteration alone: rows, contacts and the room reserved do not depend on them
+ITERATION = (
+    "acceleration",
+    "max_sweeps",
+    "tolerance",
+    "stop",
+    "residual_every",
+    "omega",
+    "aitken_period",
+    "aitken_period_max",
+    "aitken_cap",
+    "aitken_threshold",
+    "aitken_patience",
+)
+
+
+def check_iteration(config: SolverConfig, own: SolverConfig) -> None:
+    """Raise ValueError, naming the setting, where ``config`` differs from the simulation's ``own`` in others."""
+    for name, value in own.to_dict().items():
+        if name not in ITERATION and getattr(config, name) != value:
+            raise ValueError(
+                f"config.{name} is {getattr(config, name)!r}, the simulation's is {value!r}; one solve may differ in "
+                f"{', '.join(ITERATION)} only"
+            )
+    if own.history and config.max_sweeps > own.max_sweeps:
+        raise ValueError(
+            f"config.max_sweeps is {config.max_sweeps}; the simulation keeps the history of {own.max_sweeps} sweeps"
+        )
+
+
+def world_schedule(sim: Simulation, first: int, count: int, values: Mapping[str, Any]) -> list[Launch]:
     """One launch a solve: a thread runs a world's sweeps to the end. For many worlds, and on a CPU."""
-    return [sim.bind("solve_world", first, count), sim.bind("unpack_impulses", first, count)]
+    return [sim.bind("solve_world", first, count, values), sim.bind("unpack_impulses", first, count)]
 
 
-def color_schedule(sim: Simulation, first: int, count: int) -> list[Launch]:
+def color_schedule(sim: Simulation, first: int, count: int, values: Mapping[str, Any]) -> list[Launch]:
     """A launch a colour, a thread a row, driven from the host. For large worlds on a GPU."""
-    begin = sim.bind("begin", first, count)
-    before = sim.bind("before_sweep", first, count)
-    after = sim.bind("after_sweep", first, count)
-    finish = sim.bind("finish", first, count)
+    begin = sim.bind("begin", first, count, values)
+    before = sim.bind("before_sweep", first, count, values)
+    after = sim.bind("after_sweep", first, count, values)
+    finish = sim.bind("finish", first, count, values)
     unpack = sim.bind("unpack_impulses", first, count)
+    max_sweeps = {**sim.values, **values}["max_sweeps"]
     sweep_color = sim.kernels["sweep_color"]
 
     def run() -> None:
@@ -74,7 +107,7 @@ def color_schedule(sim: Simulation, first: int, count: int) -> list[Launch]:
             bind(
                 sweep_color,
                 (count, 1 if color == SERIAL_COLOR else int(widest[color])),
-                {**sim.values, "world_offset": first, "color": color},
+                {**sim.values, **values, "world_offset": first, "color": color},
                 sim.device,
             )
             for color in np.flatnonzero(widest)
@@ -83,7 +116,7 @@ def color_schedule(sim: Simulation, first: int, count: int) -> list[Launch]:
         stride = 1 if sim.device == "cpu" else 8
         done = 0
         while not _all_done(sim, first, count):
-            for _ in range(min(stride, sim.config.max_sweeps - done)):
+            for _ in range(min(stride, max_sweeps - done)):
                 before()
                 for sweep in sweeps:
                     sweep()

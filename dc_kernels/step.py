@@ -15,8 +15,8 @@ from .arrays import Contacts, Joints, Model, State, uniform
 from .backend import Launch, bind, in_turn, kernel_table, recorded
 from .capacity import PADDING, Cache, Motion, Pairs, Rows, Storage
 from .inputs import check_count
-from .solver import SCHEDULES, SolveStats, solver_scalars
-from .types import CAPACITY_FLAGS, BodyType, ShapeType, SolverConfig
+from .solver import SCHEDULES, SolveStats, check_iteration, solver_scalars
+from .types import CAPACITY_FLAGS, COUNTERS, NEVER, BodyType, ShapeType, SolverConfig
 
 Start = Callable[["Simulation"], None]
 _COLLIDE = ("predict", "update_pairs", "narrowphase", "match_contacts", "color_constraints", "pack_rows")
@@ -113,6 +113,7 @@ class Simulation:
         self._left: list[int] = []
         self._busy: set[int] = set()
         self._commands: dict[str, list[Launch]] = {}
+        self._solves: dict[tuple[SolverConfig | None, int | None, bool], list[Launch]] = {}
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._bind_all()
 
@@ -179,6 +180,7 @@ class Simulation:
         if config.position_correction == "ngs" and config.position_iterations:
             self._advance.insert(1, "correct_positions")
         self._commands.clear()
+        self._solves.clear()
 
     def _launches(self, phase: str) -> list[Launch]:
         """A phase, or the whole "step", as one call for each shard; recorded when first wanted."""
@@ -186,25 +188,27 @@ class Simulation:
             self._commands[phase] = [self._record(phase, *shard) for shard in self._shards]
         return self._commands[phase]
 
-    def _phase_launches(self, phase: str, first: int, count: int) -> list[Launch]:
+    def _phase_launches(
+        self, phase: str, first: int, count: int, changed: Mapping[str, Any] | None = None
+    ) -> list[Launch]:
         if phase == "solve":
-            return SCHEDULES[self.schedule](self, first, count)
+            return SCHEDULES[self.schedule](self, first, count, changed or {})
         names = _COLLIDE if phase == "collide" else self._advance
         return [self.bind(name, first, count) for name in names]
 
-    def _record(self, phase: str, first: int, count: int) -> Launch:
+    def _record(self, phase: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
         """One call for several launches: on a CPU a graph, with which a world's step takes 61 us instead of 142."""
         phases = ("collide", "solve", "advance") if phase == "step" else (phase,)
-        launches = [launch for name in phases for launch in self._phase_launches(name, first, count)]
+        launches = [launch for name in phases for launch in self._phase_launches(name, first, count, changed)]
         driven = self.schedule != "world" and "solve" in phases  # by the host, from values
         return in_turn(launches) if driven else recorded(launches, self.backend, self.device)
 
-    def bind(self, name: str, first: int, count: int) -> Launch:
-        """A launch of a kernel over the worlds first .. first + count, one thread each."""
+    def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
+        """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
         # empty lanes write zeros to a padding body: one for each shard, or threads would share its cache line
         shard = next((i for i, (a, n) in enumerate(self._shards) if a <= first < a + n), 0)
         padding = self.model.body_count + PADDING * shard
-        values = {**self.values, "world_offset": first, "padding_body": padding}
+        values = {**self.values, **(changed or {}), "world_offset": first, "padding_body": padding}
         return bind(self.kernels[name], count, values, self.device)
 
     @property
@@ -286,11 +290,63 @@ class Simulation:
         self._set_dt(dt)
         self._collide()
 
-    def solve(self) -> None:
-        """Solve from ``contacts.impulse`` and the predicted velocities; the impulses then hold the solution."""
+    def solve(self, config: SolverConfig | None = None, *, pause: int | None = None) -> None:
+        """Solve from ``contacts.impulse`` and the predicted velocities; the impulses then hold the solution.
+
+        Args:
+            config: settings of this one solve, which may differ from the simulation's in those of the iteration
+                (``solver.ITERATION``); None: the simulation's.
+            pause: stop after about so many sweeps in each world, 0 before the first, with ``resume`` to go on; with
+                acceleration "aitken" at the end of a period. Impulses, ``motion.solved`` and ``stats`` are then those
+                of a solve in flight; ``running`` tells which worlds have not finished.
+
+        Raises:
+            ValueError: out of turn, or for another setting or a pause out of range.
+        """
         if self._phase == "advance":
             raise ValueError("solve() needs collide(dt) first: the contacts are those of a finished step")
-        self._launch("solve")
+        self._solve(config, pause, resume=False)
+
+    def resume(self, config: SolverConfig | None = None, *, pause: int | None = None) -> None:
+        """Go on with a solve that paused: worlds that finished are left alone.
+
+        Where ``stats.replaced`` is 1 a world goes on from ``contacts.impulse``, which may have been changed; the others
+        end with the bits of a solve that never paused.
+
+        Args:
+            config: as in ``solve``; that of the solve in flight.
+            pause: sweeps until the next pause; None: to the end.
+
+        Raises:
+            ValueError: see ``solve``.
+        """
+        if self._phase != "solve":
+            raise ValueError("resume() needs solve(pause=...) first: no solve is in flight")
+        self._solve(config, pause, resume=True)
+
+    @property
+    def running(self) -> np.ndarray:
+        """Worlds whose solve is paused, bool (W,)."""
+        done = self.stats.numpy("counters").reshape(-1, COUNTERS)[:, 3] != 0
+        return ~done & (self.state.numpy("flags") == 0)
+
+    def _solve(self, config: SolverConfig | None, pause: int | None, resume: bool) -> None:
+        if pause is not None or resume:
+            if self.schedule != "world":
+                raise ValueError(f"schedule is {self.schedule!r}; only 'world' can pause a solve")
+            if pause is not None and not 0 <= pause < NEVER:
+                raise ValueError(f"pause is {pause}; it must lie in [0, {NEVER})")
+        if config is None and pause is None and not resume:
+            self._launch("solve")
+        else:
+            key = (config, pause, resume)
+            if key not in self._solves:
+                if config is not None:
+                    check_iteration(config, self._config)
+                changed = solver_scalars(config or self._config)
+                changed.update(resume=int(resume), pause=NEVER if pause is None else pause)
+                self._solves[key] = [self._record("solve", *shard, changed) for shard in self._shards]
+            self._run_launches(self._solves[key])
         self._phase = "solve"
 
     def advance(self) -> None:
@@ -320,7 +376,9 @@ class Simulation:
         self._phase = "collide"
 
     def _launch(self, phase: str) -> None:
-        shards = self._launches(phase)
+        self._run_launches(self._launches(phase))
+
+    def _run_launches(self, shards: list[Launch]) -> None:
         if self._pool is None:
             shards[0]()
         else:

@@ -54,10 +54,12 @@ METHODS = {"pgs": 0, "jacobi": 1}  # how kernels know a choice of SolverConfig
 ACCELERATIONS = {"none": 0, "sor": 1, "aitken": 2, "nncg": 3}
 STOPS = {"change": 0, "residual": 1}
 # a world's iteration in flight: sweeps done, sweeps into the Aitken period, its length, finished, periods without
-# progress, plain sweeps to follow them
-COUNTERS = 6
-# change of this sweep, |step|^2 of the sweep before the period's last, of the period or sweep before, least so far
-NORMS = 4
+# progress, plain sweeps to follow them, a period's end put off by a pause, sweep whose step was measured for a pause
+COUNTERS = 8
+# change of this sweep, |step|^2 of the sweep before the period's last, of the period or sweep before, least so far, of
+# the last two sweeps before a pause
+NORMS = 6
+NEVER = 2**30  # sweeps until a pause, where there is none
 BAND = 8  # rows of an image that are cleared and marked together
 CHUNK = 4096  # points that one thread index gathers
 TILE_ROWS, TILE_COLUMNS = 64, 64  # nodes of a tile that a large image is splatted by: 80 KB for 4 channels
@@ -212,6 +214,7 @@ STATS = _table(
     ("colors", "world", "int32", "1", "highest colour of the step's constraints, plus one"),
     ("counters", "world counter", "int32", "1", "iteration in flight: sweeps, sweeps into the period, period, done"),
     ("norms", "world norm", "real", "N s", "iteration in flight: change, squared steps"),
+    ("replaced", "world", "int32", "1", "1: a resumed solve takes contacts.impulse anew"),
 )
 
 

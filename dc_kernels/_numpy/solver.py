@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, NORMS, SERIAL_COLOR, STOPS
+from ..types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, NEVER, NORMS, SERIAL_COLOR, STOPS
 from .common import Array, Kernels
 from .row import Row, by_lane, jacobi_row, natural_map_row, push_row, read_row, sweep_row
 
@@ -37,6 +37,34 @@ def kernels(dtype: str, variant: str) -> Kernels:
         total = np.sqrt(sum(natural_map_row(row, bodies, row_impulse) for row in world))
         return total / scale if scale > TINY else total
 
+    def load_impulses(
+        w: int,
+        world: list[Row],
+        body_start: Array,
+        joint_start: Array,
+        joint_slot: Array,
+        joint_impulse: Array,
+        contact_start: Array,
+        contact_count: Array,
+        slot: Array,
+        impulse: Array,
+        predicted: Array,
+        color_block: Array,
+        solved: Array,
+        row_impulse: Array,
+    ) -> None:
+        """Impulses of contacts and joints to the rows; predicted velocities plus what they add."""
+        bodies = slice(body_start[w], body_start[w + 1])
+        solved[bodies] = predicted[bodies]
+        by_lane(row_impulse)[blocks_of(w, color_block)] = 0.0
+        contacts = slice(contact_start[w], contact_start[w] + contact_count[w])
+        row_impulse[slot[contacts]] = impulse[contacts, 0]
+        row_impulse[slot[contacts] + LANES] = impulse[contacts, 1]
+        joints = slice(joint_start[w], joint_start[w + 1])
+        row_impulse[joint_slot[joints]] = joint_impulse[joints]
+        for row in world:
+            row.change(solved, by_lane(row_impulse)[row.at])
+
     def start_world(
         w: int,
         period: int,
@@ -57,25 +85,67 @@ def kernels(dtype: str, variant: str) -> Kernels:
         counters: Array,
         norms: Array,
     ) -> None:
-        """Warm start: predicted velocities plus those of the start impulses."""
-        bodies = slice(body_start[w], body_start[w + 1])
-        solved[bodies] = predicted[bodies]
-        by_lane(row_impulse)[blocks_of(w, color_block)] = 0.0
-        contacts = slice(contact_start[w], contact_start[w] + contact_count[w])
-        row_impulse[slot[contacts]] = impulse[contacts, 0]
-        row_impulse[slot[contacts] + LANES] = impulse[contacts, 1]
-        joints = slice(joint_start[w], joint_start[w + 1])
-        row_impulse[joint_slot[joints]] = joint_impulse[joints]
-        for row in world:
-            row.change(solved, by_lane(row_impulse)[row.at])
-        counters[w * COUNTERS : (w + 1) * COUNTERS] = 0, 0, period, 0, 0, 2 * period_max
-        norms[w * NORMS : (w + 1) * NORMS] = 0.0, HUGE, HUGE, HUGE
+        """Warm start: the iteration from the beginning."""
+        load_impulses(
+            w, world, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count, slot, impulse,
+            predicted, color_block, solved, row_impulse,
+        )  # fmt: skip
+        counters[w * COUNTERS : (w + 1) * COUNTERS] = 0, 0, period, 0, 0, 2 * period_max, 0, -1
+        norms[w * NORMS : (w + 1) * NORMS] = 0.0, *(HUGE,) * (NORMS - 1)
 
     def prepare_sweep(w: int, method: int, body_start: Array, solved: Array, summed: Array) -> None:
         """A place to sum up Jacobi's changes."""
         if method == JACOBI:
             bodies = slice(body_start[w], body_start[w + 1])
             summed[bodies] = solved[bodies]
+
+    def end_period(
+        w: int,
+        world: list[Row],
+        period_min: int,
+        period_max: int,
+        cap: float,
+        threshold: float,
+        patience: int,
+        color_block: Array,
+        solved: Array,
+        row_impulse: Array,
+        row_change: Array,
+        counters: Array,
+        norms: Array,
+        move: bool,
+    ) -> None:
+        """The end of an Aitken period: extrapolate, unless ``move`` is false, and choose the length of the next."""
+        counter = counters[w * COUNTERS : (w + 1) * COUNTERS]
+        norm = norms[w * NORMS : (w + 1) * NORMS]
+        now = np.sum(by_lane(row_change)[blocks_of(w, color_block)] ** 2)
+        if now < norm[1] and move:
+            ratio = np.sqrt(now / norm[1])
+            # the limit of the geometric series, if it is not too far away
+            alpha = ratio / (1.0 - ratio) if ratio < cap * (1.0 - ratio) else cap
+            for row in world:
+                impulse, step = by_lane(row_impulse)[row.at], by_lane(row_change)[row.at]
+                new = impulse + alpha * step
+                new[0] = max(new[0], row.low)
+                limit = row.friction * new[0]
+                new[1] = min(max(new[1], -limit), limit)
+                step[:] = new - impulse
+                impulse[:] = new
+                row.change(solved, step)
+        if now > threshold * threshold * norm[2]:
+            counter[2] = min(2 * counter[2], period_max)
+        else:
+            counter[2] = max(period_min, counter[2] // 2)
+        norm[2] = now
+        counter[1] = 0
+        counter[4] += 1
+        if now < norm[3]:
+            norm[3] = now
+            counter[4] = 0
+        if counter[4] >= patience:  # the extrapolation cycles: plain sweeps, each time twice as many
+            counter[1] = -counter[5]
+            counter[5] *= 2
+            counter[4] = 0
 
     def conclude_sweep(
         w: int,
@@ -92,6 +162,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         cap: float,
         threshold: float,
         patience: int,
+        pause_at: int,
         body_start: Array,
         color_block: Array,
         row_scale: Array,
@@ -103,8 +174,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
         counters: Array,
         norms: Array,
         history: Array,
-    ) -> None:
-        """Stop (counter 3 then is 1), or accelerate."""
+    ) -> bool:
+        """Stop (counter 3 then is 1), pause (true), or accelerate; see the Warp kernel."""
         if method == JACOBI:
             bodies = slice(body_start[w], body_start[w + 1])
             solved[bodies] = summed[bodies]
@@ -122,42 +193,23 @@ def kernels(dtype: str, variant: str) -> Kernels:
             converged = largest < tolerance
         counter[3] = int(last or converged)
         if counter[3]:
-            return
+            return False
         used = blocks_of(w, color_block)
         x, change = by_lane(row_impulse)[used], by_lane(row_change)[used]
+        inside = counter[1] + 1
         if acceleration == AITKEN:
-            counter[1] += 1
+            counter[1] = inside
             if counter[1] == counter[2] - 1:
                 norm[1] = np.sum(change**2)
             if counter[1] >= counter[2]:
-                now = np.sum(change**2)
-                if now < norm[1]:
-                    ratio = np.sqrt(now / norm[1])
-                    # the limit of the geometric series, if it is not too far away
-                    alpha = ratio / (1.0 - ratio) if ratio < cap * (1.0 - ratio) else cap
-                    for row in world:
-                        impulse, move = by_lane(row_impulse)[row.at], by_lane(row_change)[row.at]
-                        new = impulse + alpha * move
-                        new[0] = max(new[0], row.low)
-                        limit = row.friction * new[0]
-                        new[1] = min(max(new[1], -limit), limit)
-                        move[:] = new - impulse
-                        impulse[:] = new
-                        row.change(solved, move)
-                if now > threshold * threshold * norm[2]:
-                    counter[2] = min(2 * counter[2], period_max)
-                else:
-                    counter[2] = max(period_min, counter[2] // 2)
-                norm[2] = now
-                counter[1] = 0
-                counter[4] += 1
-                if now < norm[3]:
-                    norm[3] = now
-                    counter[4] = 0
-                if counter[4] >= patience:  # the extrapolation cycles: plain sweeps, each time twice as many
-                    counter[1] = -counter[5]
-                    counter[5] *= 2
-                    counter[4] = 0
+                if counter[0] >= pause_at:  # the extrapolation waits: it is made when the solve goes on
+                    counter[6] = 1
+                    norm[4:6] = norm[1], np.sum(change**2)
+                    return True
+                end_period(
+                    w, world, period_min, period_max, cap, threshold, patience, color_block, solved, row_impulse,
+                    row_change, counters, norms, True,
+                )  # fmt: skip
         if acceleration == NNCG:
             now = np.sum(change**2)
             beta = x.dtype.type(0)
@@ -172,6 +224,12 @@ def kernels(dtype: str, variant: str) -> Kernels:
             if beta > 0:
                 for row in world:
                     row.change(solved, by_lane(row_change)[row.at])
+        if counter[0] >= pause_at - 1 and (acceleration != AITKEN or inside < 0):
+            norm[4:6] = norm[5], np.sum(change**2)
+            if counter[0] >= pause_at and counter[7] == counter[0] - 1:
+                return True
+            counter[7] = counter[0]
+        return False
 
     def solve_world(
         tid: int,
@@ -188,6 +246,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
         cap: float,
         threshold: float,
         patience: int,
+        resume: int,
+        pause: int,
         body_start: Array,
         flags: Array,
         joint_start: Array,
@@ -198,6 +258,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         slot: Array,
         impulse: Array,
         predicted: Array,
+        replaced: Array,
         color_block: Array,
         rows: Array,
         row_body: Array,
@@ -215,17 +276,39 @@ def kernels(dtype: str, variant: str) -> Kernels:
         change: Array,
         residual: Array,
     ) -> None:
-        """The whole solve of a world."""
+        """The solve of a world, to its end or to a pause, or on from there."""
         w = tid + world_offset
         if flags[w]:
             return
         world = world_rows(w, color_block, rows, row_body, predicted)
-        start_world(
-            w, period_min, period_max, world, body_start, joint_start, joint_slot, joint_impulse, contact_start,
-            contact_count, slot, impulse, predicted, color_block, solved, row_impulse, counters, norms,
-        )  # fmt: skip
-        done = max_sweeps == 0 or not world
-        while not done:
+        counter = counters[w * COUNTERS : (w + 1) * COUNTERS]
+        if not resume:
+            start_world(
+                w, period_min, period_max, world, body_start, joint_start, joint_slot, joint_impulse, contact_start,
+                contact_count, slot, impulse, predicted, color_block, solved, row_impulse, counters, norms,
+            )  # fmt: skip
+            counter[3] = int(max_sweeps == 0 or not world)
+        elif counter[3]:
+            return
+        else:
+            anew = bool(replaced[w])
+            replaced[w] = 0
+            if anew:
+                load_impulses(
+                    w, world, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count, slot,
+                    impulse, predicted, color_block, solved, row_impulse,
+                )  # fmt: skip
+                if acceleration == NNCG:
+                    norms[w * NORMS + 2] = 0.0
+            if counter[6]:
+                counter[6] = 0
+                end_period(
+                    w, world, period_min, period_max, cap, threshold, patience, color_block, solved, row_impulse,
+                    row_change, counters, norms, not anew,
+                )  # fmt: skip
+        pause_at = counter[0] + pause if pause < NEVER else NEVER
+        paused = pause == 0
+        while not (counter[3] or paused):
             prepare_sweep(w, method, body_start, solved, summed)
             by_lane(row_change)[blocks_of(w, color_block)] = 0.0  # of empty lanes too
             if method == JACOBI:
@@ -233,16 +316,16 @@ def kernels(dtype: str, variant: str) -> Kernels:
             else:
                 changes = (sweep_row(row, solved, row_impulse, row_change, omega) for row in world)
             largest = max(changes)
-            conclude_sweep(
+            paused = conclude_sweep(
                 w, largest, world, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
-                period_max, cap, threshold, patience, body_start, color_block, row_scale, solved, summed, row_impulse,
-                row_change, row_direction, counters, norms, history,
+                period_max, cap, threshold, patience, pause_at, body_start, color_block, row_scale, solved, summed,
+                row_impulse, row_change, row_direction, counters, norms, history,
             )  # fmt: skip
-            done = counters[w * COUNTERS + 3] != 0
-        sweeps[w] = counters[w * COUNTERS]
-        history[w, sweeps[w] :] = 0.0
+        sweeps[w] = counter[0]
         change[w] = norms[w * NORMS]
-        residual[w] = natural_map(world, solved, row_impulse, row_scale[w])
+        if counter[3]:
+            history[w, sweeps[w] :] = 0.0
+            residual[w] = natural_map(world, solved, row_impulse, row_scale[w])
 
     def begin(
         tid: int,
@@ -373,8 +456,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
         world = world_rows(w, color_block, rows, row_body, solved)
         conclude_sweep(
             w, norms[w * NORMS], world, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
-            period_max, cap, threshold, patience, body_start, color_block, row_scale, solved, summed, row_impulse,
-            row_change, row_direction, counters, norms, history,
+            period_max, cap, threshold, patience, NEVER, body_start, color_block, row_scale, solved, summed,
+            row_impulse, row_change, row_direction, counters, norms, history,
         )  # fmt: skip
 
     def finish(

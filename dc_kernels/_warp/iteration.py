@@ -25,7 +25,7 @@ N_NORMS = wp.constant(NORMS)
 
 @cache
 def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
-    """``start_world``, ``prepare_sweep``, ``sweep_world``, ``conclude_sweep`` and ``natural_map``."""
+    """The parts of a solve: start, sweep, the end of a period and of a sweep, the residual."""
     t = scalar_types(dtype)
     real, vec2, vec4 = t.real, t.vec2, t.vec4
     module = kernel_module("solver", dtype, variant)
@@ -119,6 +119,42 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         return total
 
     @wp.func(module=module)
+    def load_impulses(
+        w: int,
+        # Model, joints, contacts:
+        body_start: wp.array(dtype=wp.int32),
+        joint_start: wp.array(dtype=wp.int32),
+        joint_slot: wp.array(dtype=wp.int32),
+        joint_impulse: wp.array(dtype=real),
+        contact_start: wp.array(dtype=wp.int32),
+        contact_count: wp.array(dtype=wp.int32),
+        slot: wp.array(dtype=wp.int32),
+        impulse: wp.array(dtype=vec2),
+        predicted: wp.array(dtype=vec4),
+        # rows:
+        color_block: wp.array(dtype=wp.int32),
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        # out:
+        solved: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+    ):
+        """Impulses of contacts and joints to the rows; predicted velocities plus what they add."""
+        for b in range(body_start[w], body_start[w + 1]):
+            solved[b] = predicted[b]
+        for i in range(color_block[w * ENDS] * 2 * N_LANES, color_block[w * ENDS + N_COLORS] * 2 * N_LANES):
+            row_impulse[i] = real(0.0)
+        start = contact_start[w]
+        for c in range(start, start + contact_count[w]):
+            i = slot[c]
+            row_impulse[i] = impulse[c][0]
+            row_impulse[i + N_LANES] = impulse[c][1]
+        if wp.static(joints):
+            for j in range(joint_start[w], joint_start[w + 1]):
+                row_impulse[joint_slot[j]] = joint_impulse[j]
+        apply_world(w, color_block, rows, row_body, solved, row_impulse)
+
+    @wp.func(module=module)
     def start_world(
         w: int,
         period: int,
@@ -143,20 +179,11 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         counters: wp.array(dtype=wp.int32),
         norms: wp.array(dtype=real),
     ):
-        """Warm start: predicted velocities plus those of the start impulses."""
-        for b in range(body_start[w], body_start[w + 1]):
-            solved[b] = predicted[b]
-        for i in range(color_block[w * ENDS] * 2 * N_LANES, color_block[w * ENDS + N_COLORS] * 2 * N_LANES):
-            row_impulse[i] = real(0.0)
-        start = contact_start[w]
-        for c in range(start, start + contact_count[w]):
-            i = slot[c]
-            row_impulse[i] = impulse[c][0]
-            row_impulse[i + N_LANES] = impulse[c][1]
-        if wp.static(joints):
-            for j in range(joint_start[w], joint_start[w + 1]):
-                row_impulse[joint_slot[j]] = joint_impulse[j]
-        apply_world(w, color_block, rows, row_body, solved, row_impulse)
+        """Warm start: the iteration from the beginning."""
+        load_impulses(
+            w, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count, slot, impulse,
+            predicted, color_block, rows, row_body, solved, row_impulse,
+        )  # fmt: skip
         q = w * N_COUNTERS
         counters[q] = 0
         counters[q + 1] = 0
@@ -164,11 +191,12 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         counters[q + 3] = 0
         counters[q + 4] = 0
         counters[q + 5] = 2 * period_max
+        counters[q + 6] = 0
+        counters[q + 7] = -1
         p = w * N_NORMS
         norms[p] = real(0.0)
-        norms[p + 1] = huge
-        norms[p + 2] = huge
-        norms[p + 3] = huge
+        for i in range(1, N_NORMS):
+            norms[p + i] = huge
 
     @wp.func(module=module)
     def prepare_sweep(
@@ -182,6 +210,57 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         if method == JACOBI:
             for b in range(body_start[w], body_start[w + 1]):
                 summed[b] = solved[b]
+
+    @wp.func(module=module)
+    def end_period(
+        w: int,
+        period_min: int,
+        period_max: int,
+        cap: real,
+        threshold: real,
+        patience: int,
+        color_block: wp.array(dtype=wp.int32),
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        solved: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+        row_change: wp.array(dtype=real),
+        counters: wp.array(dtype=wp.int32),
+        norms: wp.array(dtype=real),
+        move: int,
+    ):
+        """The end of an Aitken period: extrapolate, unless ``move`` is 0, and choose the length of the next."""
+        q = w * N_COUNTERS
+        p = w * N_NORMS
+        i0 = color_block[w * ENDS] * 2 * N_LANES
+        i1 = color_block[w * ENDS + N_COLORS] * 2 * N_LANES
+        before = norms[p + 1]
+        now = squares(row_change, i0, i1)
+        if now < before and move == 1:
+            ratio = wp.sqrt(now / before)
+            alpha = cap
+            if ratio < cap * (real(1.0) - ratio):
+                alpha = ratio / (real(1.0) - ratio)
+            extrapolate(rows, row_impulse, row_change, color_block[w * ENDS], color_block[w * ENDS + N_COLORS], alpha)
+            apply_world(w, color_block, rows, row_body, solved, row_change)
+        period = counters[q + 2]
+        if now > threshold * threshold * norms[p + 2]:
+            period = wp.min(2 * period, period_max)
+        else:
+            period = wp.max(period_min, period / 2)
+        norms[p + 2] = now
+        counters[q + 2] = period
+        inside = int(0)
+        stalled = counters[q + 4] + 1
+        if now < norms[p + 3]:
+            norms[p + 3] = now
+            stalled = 0
+        if stalled >= patience:
+            inside = -counters[q + 5]
+            counters[q + 5] = 2 * counters[q + 5]
+            stalled = 0
+        counters[q + 4] = stalled
+        counters[q + 1] = inside
 
     @wp.func(module=module)
     def conclude_sweep(
@@ -198,6 +277,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         cap: real,
         threshold: real,
         patience: int,
+        pause_at: int,
         body_start: wp.array(dtype=wp.int32),
         color_block: wp.array(dtype=wp.int32),
         rows: wp.array(dtype=real),
@@ -212,7 +292,11 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         norms: wp.array(dtype=real),
         history: wp.array2d(dtype=real),
     ):
-        """Stop, or accelerate; 1 when the world is done."""
+        """Stop, pause or accelerate; 1 when the world is done, 2 where it pauses.
+
+        A pause is due from ``pause_at`` sweeps on, where the steps of the last two are known: with Aitken at the end of
+        a period.
+        """
         q = w * N_COUNTERS
         p = w * N_NORMS
         if method == JACOBI:
@@ -238,40 +322,22 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             return 1
         i0 = color_block[w * ENDS] * 2 * N_LANES
         i1 = color_block[w * ENDS + N_COLORS] * 2 * N_LANES
+        inside = counters[q + 1] + 1
         if acceleration == AITKEN:
-            inside = counters[q + 1] + 1
+            counters[q + 1] = inside
             period = counters[q + 2]
             if inside == period - 1:
                 norms[p + 1] = squares(row_change, i0, i1)
             if inside >= period:
-                before = norms[p + 1]
-                now = squares(row_change, i0, i1)
-                if now < before:
-                    ratio = wp.sqrt(now / before)
-                    alpha = cap
-                    if ratio < cap * (real(1.0) - ratio):
-                        alpha = ratio / (real(1.0) - ratio)
-                    extrapolate(
-                        rows, row_impulse, row_change, color_block[w * ENDS], color_block[w * ENDS + N_COLORS], alpha
-                    )
-                    apply_world(w, color_block, rows, row_body, solved, row_change)
-                if now > threshold * threshold * norms[p + 2]:
-                    period = wp.min(2 * period, period_max)
-                else:
-                    period = wp.max(period_min, period / 2)
-                norms[p + 2] = now
-                counters[q + 2] = period
-                inside = 0
-                stalled = counters[q + 4] + 1
-                if now < norms[p + 3]:
-                    norms[p + 3] = now
-                    stalled = 0
-                if stalled >= patience:
-                    inside = -counters[q + 5]
-                    counters[q + 5] = 2 * counters[q + 5]
-                    stalled = 0
-                counters[q + 4] = stalled
-            counters[q + 1] = inside
+                if sweeps >= pause_at:  # the extrapolation waits: it is made when the solve goes on
+                    counters[q + 6] = 1
+                    norms[p + 4] = norms[p + 1]
+                    norms[p + 5] = squares(row_change, i0, i1)
+                    return 2
+                end_period(
+                    w, period_min, period_max, cap, threshold, patience, color_block, rows, row_body, solved,
+                    row_impulse, row_change, counters, norms, 1,
+                )  # fmt: skip
         if acceleration == NNCG:
             now = squares(row_change, i0, i1)
             beta = real(0.0)
@@ -281,12 +347,20 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             conjugate(row_impulse, row_change, row_direction, i0, i1, beta)
             if beta > real(0.0):
                 apply_world(w, color_block, rows, row_body, solved, row_change)
+        if sweeps >= pause_at - 1 and (acceleration != AITKEN or inside < 0):
+            norms[p + 4] = norms[p + 5]
+            norms[p + 5] = squares(row_change, i0, i1)
+            if sweeps >= pause_at and counters[q + 7] == sweeps - 1:
+                return 2
+            counters[q + 7] = sweeps
         return 0
 
     return SimpleNamespace(
+        load_impulses=load_impulses,
         start_world=start_world,
         prepare_sweep=prepare_sweep,
         sweep_world=sweep_world,
+        end_period=end_period,
         conclude_sweep=conclude_sweep,
         natural_map=natural_map,
     )

@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from ..rows import COLUMNS
-from ..types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, NORMS, SERIAL_COLOR, STOPS
+from ..types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, NEVER, NORMS, SERIAL_COLOR
 from .common import kernel_module, scalar_types
 from .iteration import iteration_functions
 from .lanes import has_lanes, lane_functions
@@ -21,9 +21,8 @@ N_COLORS = wp.constant(COLORS)
 N_LANES = wp.constant(LANES)
 SERIAL = wp.constant(SERIAL_COLOR)
 JACOBI = wp.constant(METHODS["jacobi"])
-AITKEN = wp.constant(ACCELERATIONS["aitken"])
 NNCG = wp.constant(ACCELERATIONS["nncg"])
-BY_RESIDUAL = wp.constant(STOPS["residual"])
+NO_PAUSE = wp.constant(NEVER)
 N_COUNTERS = wp.constant(COUNTERS)
 N_NORMS = wp.constant(NORMS)
 
@@ -35,7 +34,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     real, vec2, vec4 = t.real, t.vec2, t.vec4
     module = kernel_module("solver", dtype, variant)
     iteration = iteration_functions(dtype, variant)
-    start_world, natural_map = iteration.start_world, iteration.natural_map
+    load_impulses, start_world, natural_map = iteration.load_impulses, iteration.start_world, iteration.natural_map
+    end_period = iteration.end_period
     prepare_sweep, sweep_world, conclude_sweep = (
         iteration.prepare_sweep,
         iteration.sweep_world,
@@ -61,6 +61,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         cap: real,
         threshold: real,
         patience: int,
+        resume: int,
+        pause: int,
         # Model, state, joints, contacts:
         body_start: wp.array(dtype=wp.int32),
         flags: wp.array(dtype=wp.int32),
@@ -72,6 +74,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         slot: wp.array(dtype=wp.int32),
         impulse: wp.array(dtype=vec2),
         predicted: wp.array(dtype=vec4),
+        replaced: wp.array(dtype=wp.int32),
         # rows:
         color_block: wp.array(dtype=wp.int32),
         rows: wp.array(dtype=real),
@@ -92,17 +95,46 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         change: wp.array(dtype=real),
         residual: wp.array(dtype=real),
     ):
-        """The whole solve of a world."""
+        """The solve of a world, to its end or to a pause after some ``pause`` sweeps; ``resume`` goes on from there.
+
+        Without ``replaced`` a solve that pauses ends with the bits of one that does not.
+        """
         w = wp.tid() + world_offset
         if flags[w] != 0:
             return
-        start_world(
-            w, period_min, period_max, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count,
-            slot, impulse, predicted, color_block, rows, row_body, solved, row_impulse, counters, norms,
-        )  # fmt: skip
         done = int(0)
-        if max_sweeps == 0 or color_block[w * ENDS] == color_block[w * ENDS + N_COLORS]:
-            done = 1
+        if resume == 0:
+            start_world(
+                w, period_min, period_max, body_start, joint_start, joint_slot, joint_impulse, contact_start,
+                contact_count, slot, impulse, predicted, color_block, rows, row_body, solved, row_impulse, counters,
+                norms,
+            )  # fmt: skip
+            if max_sweeps == 0 or color_block[w * ENDS] == color_block[w * ENDS + N_COLORS]:
+                counters[w * N_COUNTERS + 3] = 1
+                done = 1
+        else:
+            if counters[w * N_COUNTERS + 3] == 1:
+                return
+            anew = replaced[w]
+            if anew == 1:
+                replaced[w] = 0
+                load_impulses(
+                    w, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count, slot, impulse,
+                    predicted, color_block, rows, row_body, solved, row_impulse,
+                )  # fmt: skip
+                if acceleration == NNCG:
+                    norms[w * N_NORMS + 2] = real(0.0)  # the direction belongs to the impulses before
+            if counters[w * N_COUNTERS + 6] == 1:
+                counters[w * N_COUNTERS + 6] = 0
+                end_period(
+                    w, period_min, period_max, cap, threshold, patience, color_block, rows, row_body, solved,
+                    row_impulse, row_change, counters, norms, 1 - anew,
+                )  # fmt: skip
+        pause_at = NO_PAUSE
+        if pause < NO_PAUSE:
+            pause_at = counters[w * N_COUNTERS] + pause
+            if pause == 0 and done == 0:
+                done = 2
         while done == 0:
             prepare_sweep(w, method, body_start, solved, summed)
             largest = sweep_world(
@@ -110,15 +142,16 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             )
             done = conclude_sweep(
                 w, largest, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min, period_max,
-                cap, threshold, patience, body_start, color_block, rows, row_body, row_scale, solved, summed,
+                cap, threshold, patience, pause_at, body_start, color_block, rows, row_body, row_scale, solved, summed,
                 row_impulse, row_change, row_direction, counters, norms, history,
             )  # fmt: skip
         done_sweeps = counters[w * N_COUNTERS]
         sweeps[w] = done_sweeps
-        for k in range(done_sweeps, history.shape[1]):
-            history[w, k] = real(0.0)
         change[w] = norms[w * N_NORMS]
-        residual[w] = natural_map(w, color_block, rows, row_body, solved, row_impulse, row_scale[w])
+        if done == 1:
+            for k in range(done_sweeps, history.shape[1]):
+                history[w, k] = real(0.0)
+            residual[w] = natural_map(w, color_block, rows, row_body, solved, row_impulse, row_scale[w])
 
     @wp.kernel(module=module, enable_backward=False)
     def begin(
@@ -253,8 +286,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             return
         conclude_sweep(
             w, norms[w * N_NORMS], method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
-            period_max, cap, threshold, patience, body_start, color_block, rows, row_body, row_scale, solved, summed,
-            row_impulse, row_change, row_direction, counters, norms, history,
+            period_max, cap, threshold, patience, NO_PAUSE, body_start, color_block, rows, row_body, row_scale, solved,
+            summed, row_impulse, row_change, row_direction, counters, norms, history,
         )  # fmt: skip
 
     @wp.kernel(module=module, enable_backward=False)
