@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 from dc_kernels.arrays import require
 from dc_kernels.grid import Grid
@@ -24,9 +24,10 @@ from dc_kernels.sweep_operators import ContactProblem, sweeps_torch
 from dc_kernels.transfer import Stencil
 from dc_kernels.types import COLORS, SolverConfig
 
+from .train import LossName
+
 torch = require("torch", "pipeline")
 
-LossName = Literal["grid_mse", "grid_mae", "contact_mse", "energy", "sweeps"]
 Loss = Callable[[Any, Any, Any], tuple[Any, Any]]  # answer, image of the labels, batch -> total, weight
 
 DEFAULT = SolverConfig()

@@ -39,7 +39,7 @@ class Entry(NamedTuple):
     """A network as ``build`` knows it."""
 
     config: type
-    """A frozen dataclass whose values are plain: numbers, strings, booleans, lists of them."""
+    """A frozen dataclass whose values are plain: numbers, strings, booleans, tuples of them."""
     module: Callable[[Any], Any]
     """Config -> ``torch.nn.Module``."""
 
@@ -76,7 +76,8 @@ def build(name: str, config: Any = None) -> Any:
 
     Args:
         name: convfc, pressure, peak, unet, or another one that is registered.
-        config: its configuration, or a mapping of its fields; None: the defaults.
+        config: its configuration, or a mapping of its fields, in which a list stands for a tuple, as JSON knows none;
+            None: the defaults.
 
     Returns:
         The module, with the attributes ``network_name`` and ``config``, from which a checkpoint builds it again.
@@ -92,7 +93,7 @@ def build(name: str, config: Any = None) -> Any:
         for key in config:
             if key not in known:
                 raise ValueError(f"config of {name} has the field {key!r}; it has {tuple(known)} only")
-        config = kind(**config)
+        config = kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in config.items()})
     elif type(config) is not kind:
         raise ValueError(f"config of {name} is a {type(config).__name__}; it must be a {kind.__name__}")
     network = module(config)

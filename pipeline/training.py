@@ -19,18 +19,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 
 from dc_kernels.arrays import require
 
 from .simulate import atomic_path
+from .train import OptimizerName, ScheduleName
 
 torch = require("torch", "pipeline")
-
-OptimizerName = Literal["sgd", "adamw"]
-ScheduleName = Literal["constant", "decay", "onecycle"]
 
 MOMENTUM = 0.9  # of SGD (Wu)
 DECAY = 1e-6  # of the rate, a step (Wu)
@@ -81,10 +79,13 @@ class Processes:
             for tensor in module.state_dict().values():
                 torch.distributed.broadcast(tensor, 0)
 
-    def wait(self) -> None:
-        """Until all processes are here."""
-        if self.size > 1:
-            torch.distributed.barrier()
+    def gather(self, value: Any) -> Any:
+        """The tensors of all processes, stacked (size, ...)."""
+        if self.size == 1:
+            return value[None]
+        parts = [torch.empty_like(value) for _ in range(self.size)]
+        torch.distributed.all_gather(parts, value)
+        return torch.stack(parts)
 
 
 @contextmanager
