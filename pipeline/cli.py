@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 from dc_kernels.arrays import require
 from dc_kernels.grid import Grid
 
-from . import evaluate, figures, grid_plots, plots
+from . import evaluate, figures, grid_plots, plots, run_plots
 from .scenes import AnyScene, Thesis
 from .simulate import Output, RunOptions, SolverOptions, atomic_path, simulate, write_json
 
@@ -82,7 +82,7 @@ class Demo(Common):
         )
         title = f"{self.bodies} discs fall into a box: {self.worlds} worlds, {self.steps} steps of {options.dt:g} s"
         with atomic_path(self.out / "demo.png") as partial:
-            plots.save(plots.demo_figure(sim, runs, title), partial)
+            plots.save(run_plots.demo_figure(sim, runs, title), partial)
         side = Thesis(bodies=self.bodies).side
         grid = Grid.from_box((0.0, 0.0), (side, side), Grid.thesis().spacing)
         with atomic_path(self.out / "grids.png") as partial:
@@ -104,6 +104,18 @@ class Protocol(Common):
 
     def __call__(self) -> dict[str, Any]:
         return run_protocol(self.protocol, None, self.out, self.json)[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(Common):
+    """Compare start strategies and trained networks on held-out worlds: tables, all plots of the theses."""
+
+    evaluation: evaluate.EvaluationOptions = field(default_factory=evaluate.EvaluationOptions)
+    out: Path = Path("out/evaluate")
+    """Folder of evaluate.json and a figure for each loop and solver."""
+
+    def __call__(self) -> dict[str, Any]:
+        return run_evaluation(self.evaluation, self.out, self.json)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +150,7 @@ class Figures(Common):
         return {"figure": self.figure, "path": str(path)}
 
 
-Command = Simulate | Demo | Protocol | Explain | Figures
+Command = Simulate | Demo | Protocol | Evaluate | Explain | Figures
 
 
 def run_protocol(
@@ -153,10 +165,28 @@ def run_protocol(
     write_json(out / "protocol.json", result)
     title = f"thesis protocol: {options.worlds} worlds of {options.bodies} discs, start and solver"
     with atomic_path(out / "protocol.png") as partial:
-        plots.save(plots.protocol_figure(runs, title), partial)
+        plots.save(run_plots.protocol_figure(runs, title), partial)
     if not quiet:
         print(f"\n{evaluate.table(runs)}\n\n{out / 'protocol.png'}: the plots of the theses")
     return runs, result
+
+
+def run_evaluation(options: evaluate.EvaluationOptions, out: Path, quiet: bool) -> dict[str, Any]:
+    """Evaluate, write evaluate.json and the figures, and print the tables unless ``quiet``."""
+    runs = evaluate.evaluation(options, progress=not quiet)
+    result = {**evaluate.report(options, runs), "out": str(out), "figures": []}
+    for loop in dict.fromkeys(run.loop for run in runs):
+        for solver in dict.fromkeys(run.solver for run in runs):
+            chosen = [run for run in runs if (run.loop, run.solver) == (loop, solver)]
+            path = out / f"{loop}-{solver.lower().replace(' + ', '-')}.png"
+            worlds = f"{options.worlds} worlds of {options.bodies} discs, {options.steps} steps of {options.dt:g} s"
+            with atomic_path(path) as partial:
+                plots.save(run_plots.evaluation_figure(chosen, f"{solver}, {loop} loop: {worlds}"), partial)
+            result["figures"].append(path.name)
+            if not quiet:
+                print(f"\n{loop} loop, {run_plots.PATHS[loop]}\n{evaluate.table(chosen, evaluate.EVALUATION)}\n{path}")
+    write_json(out / "evaluate.json", result)
+    return result
 
 
 def describe(summary: dict[str, Any]) -> str:

@@ -1,17 +1,22 @@
-"""The thesis protocol: how many sweeps the solver needs from each start strategy, in closed loop.
+"""How many sweeps the solver needs from each start strategy and with each network: the thesis protocol and more.
 
 Worlds, seeds and settings are those of the theses: 100 discs that fall into a box, 250 steps of 0.01 s, sweeps until
-the largest impulse change is below 1e-4 N s, at most 1000. Each strategy runs the same worlds on a trajectory of its
-own, all worlds in one batch. The theses' engine left overlaps of 5 mm alone and looked no further ahead than a step's
-own motion; so does the protocol, unlike the solver's defaults. Statistics are over the states (steps of a world) in
-which a contact presses or overlaps.
+the largest impulse change is below 1e-4 N s, at most 1000; all worlds in one batch. The theses' engine left overlaps of
+5 mm alone and looked no further ahead than a step's own motion; so does the protocol, unlike the solver's defaults.
+Statistics are over the states (steps of a world) in which a contact presses or overlaps.
+
+In closed loop each strategy runs the worlds on a trajectory of its own. In open loop all are given the same states,
+those of the trajectory of Builtin on plain Gauss-Seidel: of each step a strategy's solve is kept for the record only.
 """
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -21,13 +26,31 @@ from dc_kernels.arrays import require
 from dc_kernels.measure import contact_slots
 
 from . import warmstart
+from .runs import COLUMNS, EVALUATION, PARTS, Column, Run, against, cells, summaries, table
 from .scenes import THESIS_BODIES, Thesis
 from .simulate import RunOptions, SolverOptions, pressing
 
+__all__ = [
+    "COLUMNS",
+    "EVALUATION",
+    "Column",
+    "EvaluationOptions",
+    "ProtocolOptions",
+    "Run",
+    "against",
+    "cells",
+    "evaluation",
+    "protocol",
+    "report",
+    "run_strategy",
+    "table",
+]
+
 HELD_OUT_SEED = 100_000  # of the first test world: no training uses seeds from here on
-DONE_IN = (10, 50, 100, 200, 1000)  # sweeps of the table's shares
 
 Acceleration = Literal["none", "sor", "aitken", "nncg"]
+Loop = Literal["closed", "open"]
+TRAJECTORY: Acceleration = "none"  # of the open loop's Builtin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +58,8 @@ class ProtocolOptions:
     """The thesis protocol; the defaults are the theses'."""
 
     starts: tuple[str, ...] = ("none", "builtin", "copy")
-    """Start strategies: none, builtin, random, bad, copy, copyN (rounded to N decimals)."""
+    """Start strategies: none, builtin, random, bad, copy, copyN (rounded to N decimals), grid, grid-bilinear (copy
+    through splat and gather), or a trained network: PATH.safetensors or LABEL=PATH.safetensors."""
     accelerations: tuple[Acceleration, ...] = ("none",)
     """Accelerations of the solver; each runs with every start strategy."""
     method: Literal["pgs", "jacobi"] = "pgs"
@@ -73,171 +97,107 @@ class ProtocolOptions:
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be >= 1")
 
+    def simulation(self, acceleration: Acceleration) -> dc.Simulation:
+        """The worlds, ready to step; compiling is done."""
+        solver = SolverOptions(
+            method=self.method,
+            acceleration=acceleration,
+            tolerance=self.tolerance,
+            max_sweeps=self.max_sweeps,
+        )
+        run = RunOptions(worlds=self.worlds, seed=self.seed, dt=self.dt, threads=self.threads, dtype=self.dtype)
+        config = replace(
+            solver.config(self.history),
+            slop=self.slop,
+            speculative=self.speculative,
+            speculative_max=self.speculative,
+        )
+        sim = run.simulation(Thesis(bodies=self.bodies), config)
+        sim.warmup()
+        return sim
+
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
-    """What one strategy did, in arrays (steps, worlds)."""
+class EvaluationOptions(ProtocolOptions):
+    """All strategies and networks on the same held-out worlds."""
 
-    start: str
-    solver: str
-    max_sweeps: int
-    tolerance: float
-    sweeps: np.ndarray
-    change: np.ndarray
-    contacts: np.ndarray
-    """Contacts that press or overlap."""
-    start_error: tuple[float, float]
-    """Mean squared difference of start and final impulse over all contacts, normal and tangential [N^2 s^2]."""
-    wall_s: float
-    """Wall time of all steps, without that of the strategy [s]."""
-    strategy_s: float
-    """Wall time in the strategy, for Copy that of the solve in advance [s]."""
-    decay: np.ndarray | None = field(default=None, repr=False)
-    """Largest impulse change of sweep n, median over the states with contacts, (max_sweeps,) [N s]."""
+    starts: tuple[str, ...] = ("none", "builtin", "copy", "copy2", "copy0", "grid", "grid-bilinear", "random", "bad")
+    """Start strategies: none, builtin, random, bad, copy, copyN (rounded to N decimals), grid, grid-bilinear (copy
+    through splat and gather), or a trained network: PATH.safetensors or LABEL=PATH.safetensors."""
+    loops: tuple[Loop, ...] = ("closed", "open")
+    """Each strategy on a trajectory of its own, or all on that of Builtin."""
 
-    @property
-    def label(self) -> str:
-        """For legends and tables."""
-        return f"{self.start.capitalize()}, {self.solver}"
-
-    @property
-    def with_contacts(self) -> np.ndarray:
-        """The states that the statistics count, bool (steps, worlds)."""
-        return self.contacts > 0
-
-    @property
-    def converged(self) -> np.ndarray:
-        """Whether the solve ended below the tolerance, bool (steps, worlds)."""
-        return (self.sweeps < self.max_sweeps) | (self.change <= self.tolerance)
-
-    def summary(self) -> dict[str, Any]:
-        """The row of the table, over the states with contacts."""
-        states = self.with_contacts
-        sweeps, converged = self.sweeps[states], self.converged[states]
-        count = max(len(sweeps), 1)
-        return {
-            "label": self.label,
-            "start": self.start,
-            "solver": self.solver,
-            "states": len(sweeps),
-            "mean_sweeps": float(sweeps.sum() / count),
-            "median_sweeps": float(np.median(sweeps)) if len(sweeps) else 0.0,
-            "done_in": {str(n): float(((sweeps <= n) & converged).sum() / count) for n in DONE_IN},
-            "contacts": float(self.contacts[states].sum() / count),
-            "start_error_normal": self.start_error[0],
-            "start_error_tangent": self.start_error[1],
-            "wall_s": self.wall_s,
-            "strategy_s": self.strategy_s,
-        }
+    def check(self) -> None:
+        """Raise a ``ValueError`` that names the option which is out of its range."""
+        super().check()
+        if not self.loops:
+            raise ValueError("loops must name at least one")
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of the table."""
-
-    title: str
-    text: Callable[[dict[str, Any]], str]
+# ------------------------------------------------------------------ one run
 
 
-def _share(sweeps: int) -> Callable[[dict[str, Any]], str]:
-    return lambda row: f"{100.0 * row['done_in'][str(sweeps)]:.0f} %"
-
-
-COLUMNS = (
-    Column("start, solver", lambda row: row["label"]),
-    Column("mean", lambda row: f"{row['mean_sweeps']:.0f}"),
-    Column("median", lambda row: f"{row['median_sweeps']:.0f}"),
-    *(Column(f"<={n}", _share(n)) for n in DONE_IN),
-    Column("contacts", lambda row: f"{row['contacts']:.0f}"),
-    Column("wall [s]", lambda row: f"{row['wall_s']:.2f}"),
-)
-
-
-def cells(run: Run) -> list[str]:
-    """The table's row of a run as text."""
-    row = run.summary()
-    return [column.text(row) for column in COLUMNS]
-
-
-def table(runs: Sequence[Run]) -> str:
-    """The table for people: mean and median sweeps, share of steps done in so many, contacts, wall time."""
-    rows = [[column.title for column in COLUMNS], *(cells(run) for run in runs)]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
-    lines = []
-    for row in rows:
-        first = row[0].ljust(widths[0])
-        lines.append("  ".join([first, *(text.rjust(width) for text, width in zip(row[1:], widths[1:]))]))
-    lines.insert(1, "-" * len(lines[0]))
-    worlds = runs[0].sweeps.shape[1]
-    total = runs[0].sweeps.size
-    counted = ", ".join(str(int(run.with_contacts.sum())) for run in runs)
-    lines.append(f"sweeps per step over the states in which a contact presses ({counted} of {total}, {worlds} worlds);")
-    lines.append(f"<=n: share of them that reached the tolerance of {runs[0].tolerance:g} N s in n sweeps.")
-    lines.append("wall: all steps without the strategy itself (for Copy, without the solve in advance)")
-    return "\n".join(lines)
-
-
-def run_strategy(options: ProtocolOptions, start: str, acceleration: Acceleration, bar: Any = None) -> Run:
+def run_strategy(
+    options: ProtocolOptions,
+    start: str,
+    acceleration: Acceleration,
+    bar: Any = None,
+    *,
+    loop: Loop = "closed",
+    make: warmstart.Maker | None = None,
+) -> Run:
     """Run the worlds with one strategy.
 
     Args:
         options: of the protocol.
-        start: name of a strategy.
+        start: name of a strategy or network.
         acceleration: of the solver.
         bar: progress bar, updated after each step.
+        loop: whose trajectory the states are of.
+        make: makes the strategy or driver; None: that of the name.
 
     Raises:
         ValueError: for an option out of its range.
     """
-    strategy = warmstart.parse(start, options.seed)
-    solver = SolverOptions(
-        method=options.method,
-        acceleration=acceleration,
-        tolerance=options.tolerance,
-        max_sweeps=options.max_sweeps,
-    )
-    run = RunOptions(
-        worlds=options.worlds, seed=options.seed, dt=options.dt, threads=options.threads, dtype=options.dtype
-    )
-    config = replace(
-        solver.config(options.history),
-        slop=options.slop,
-        speculative=options.speculative,
-        speculative_max=options.speculative,
-    )
-    sim = run.simulation(Thesis(bodies=options.bodies), config)
-    sim.warmup()  # compiling is not in the wall time
-    started = np.zeros((0, 2))
-    strategy_s = 0.0
-
-    def supply(sim: dc.Simulation) -> None:
-        nonlocal started, strategy_s
-        before = time.perf_counter()
-        strategy(sim)
-        started = sim.contacts.numpy("impulse")[contact_slots(sim.contacts)[0]].astype(np.float64)
-        strategy_s += time.perf_counter() - before
-
+    label, name = split_label(start)
+    make = make or warmstart.maker(name, options.seed)
+    sim = options.simulation(acceleration)
+    phase = SolvePhase(sim, make(sim))
+    trajectory = replace(sim.config, acceleration=TRAJECTORY)
     shape = (options.steps, options.worlds)
     sweeps, contacts, change = np.zeros(shape, np.int32), np.zeros(shape, np.int32), np.zeros(shape)
-    error, count, wall = np.zeros(2), 0, 0.0
+    errors, squares, count = np.full((*shape, 2), np.nan), np.zeros(2), 0
     histories = []
     for step in range(options.steps):
-        before = time.perf_counter()
-        sim.step(options.dt, start=supply)
-        wall += time.perf_counter() - before
+        with phase.timed("collide"):
+            sim.collide(options.dt)
+        given = sim.contacts.numpy("impulse").copy()
+        phase.run()
         sweeps[step], change[step] = sim.stats.numpy("sweeps"), sim.stats.numpy("change")
+        slots, world = contact_slots(sim.contacts)
+        square = (phase.started - sim.contacts.numpy("impulse")[slots]) ** 2
+        squares += square.sum(axis=0)
+        count += len(square)
+        of_world = np.bincount(world, minlength=options.worlds)
+        for k in range(2):
+            total = np.bincount(world, square[:, k], options.worlds)
+            np.divide(total, of_world, out=errors[step, :, k], where=of_world > 0)
+        history = _filled(dc.to_numpy(sim.stats.history), sweeps[step]) if options.history else None
+        if loop == "open":
+            sim.contacts.numpy("impulse")[...] = given
+            sim.solve(trajectory)
+        with phase.timed("advance"):
+            sim.advance()
         contacts[step] = pressing(sim)
-        final = sim.contacts.numpy("impulse")[contact_slots(sim.contacts)[0]]
-        error += ((started - final) ** 2).sum(axis=0)
-        count += len(final)
-        if options.history:
-            histories.append(_filled(dc.to_numpy(sim.stats.history), sweeps[step])[contacts[step] > 0])
+        if history is not None:
+            histories.append(history[contacts[step] > 0])
         if bar is not None:
             bar.update()
-    mean = error / max(count, 1)
+    mean = squares / max(count, 1)
     changes = np.concatenate(histories) if histories else np.zeros((0, 0))
+    strategy_s = phase.strategy_s
     return Run(
-        start=start,
+        start=label,
         solver=options.method.upper() if acceleration == "none" else f"{options.method.upper()} + {acceleration}",
         max_sweeps=options.max_sweeps,
         tolerance=options.tolerance,
@@ -245,10 +205,87 @@ def run_strategy(options: ProtocolOptions, start: str, acceleration: Acceleratio
         change=change,
         contacts=contacts,
         start_error=(float(mean[0]), float(mean[1])),
-        wall_s=wall - strategy_s,
+        wall_s=sum(phase.parts.values()) - (0.0 if phase.is_network else strategy_s),
         strategy_s=strategy_s,
         decay=np.median(changes, axis=0) if len(changes) else None,
+        loop=loop,
+        errors=errors,
+        parts=dict(phase.parts),
+        counts=phase.counts(int(np.prod(shape))),
     )
+
+
+class SolvePhase:
+    """The solve phase with a strategy or driver, timed by parts; it keeps what the solver began with.
+
+    Attributes:
+        parts: wall time of each of ``PARTS`` so far [s].
+        started: start impulses of the present contacts, (contacts, 2), float64 [N s].
+        is_network: whether the strategy is part of the method, so that its time counts.
+    """
+
+    def __init__(self, sim: dc.Simulation, made: warmstart.Strategy | warmstart.Driver) -> None:
+        """Time what the strategy is known to consist of."""
+        self.sim, self.made = sim, made
+        self.parts = dict.fromkeys(PARTS, 0.0)
+        self.started = np.zeros((0, 2))
+        self.is_network = hasattr(made, "model")
+        images = made.bind(sim) if isinstance(made, warmstart.Transfer) else getattr(made, "images", None)
+        if images is not None:
+            self._time(images, "splat", "splat")
+            self._time(images, "impulse_image", "splat")
+            self._time(images, "start_from", "gather")
+        if hasattr(made, "model"):
+            self._time(made, "model", "network")
+
+    def run(self) -> None:
+        """Start and solve."""
+        named = sum(self.parts.values())
+        before = time.perf_counter()
+        self.made(self.sim)  # type: ignore[operator]
+        self.started = self.sim.contacts.numpy("impulse")[contact_slots(self.sim.contacts)[0]].astype(np.float64)
+        self.sim.storage.check_start()
+        spent = time.perf_counter() - before
+        self.parts["start"] += spent - (sum(self.parts.values()) - named)
+        with self.timed("solve"):
+            self.sim.solve()
+
+    @property
+    def strategy_s(self) -> float:
+        """Wall time in the strategy [s]."""
+        return sum(self.parts[name] for name in ("start", "features", "splat", "network", "gather"))
+
+    def counts(self, states: int) -> dict[str, float]:
+        """Calls of a network, worlds times steps in which it was skipped, and whose answer was dropped."""
+        if not self.is_network:
+            return {}
+        made: Any = self.made
+        return {"calls": states - made.skipped, "skipped": made.skipped, "dropped": made.dropped}
+
+    @contextmanager
+    def timed(self, part: str) -> Iterator[None]:
+        """Add the time of a block to a part."""
+        before = time.perf_counter()
+        yield
+        self.parts[part] += time.perf_counter() - before
+
+    def _time(self, owner: Any, name: str, part: str) -> None:
+        """Add the time of an object's method to a part from now on."""
+        call: Callable[..., Any] = getattr(owner, name)
+
+        def run(*arguments: Any, **options: Any) -> Any:
+            with self.timed(part):
+                return call(*arguments, **options)
+
+        setattr(owner, name, run)
+
+
+def split_label(start: str) -> tuple[str, str]:
+    """Label and name of a start: "peak=out/best.safetensors"; a file without a label is called by its stem."""
+    label, separator, name = start.rpartition("=")
+    if separator:
+        return label, name
+    return (Path(start).stem if start.lower().endswith(warmstart.CHECKPOINT) else start), start
 
 
 def _filled(history: np.ndarray, sweeps: np.ndarray) -> np.ndarray:
@@ -257,12 +294,15 @@ def _filled(history: np.ndarray, sweeps: np.ndarray) -> np.ndarray:
     return np.take_along_axis(history, np.minimum(np.arange(history.shape[1]), last), axis=1)
 
 
+# ------------------------------------------------------------------ many runs
+
+
 def protocol(
     options: ProtocolOptions | None = None,
     pairs: Sequence[tuple[str, Acceleration]] | None = None,
     progress: bool = True,
 ) -> list[Run]:
-    """Run the thesis protocol.
+    """Run the thesis protocol, in closed loop.
 
     Args:
         options: of the protocol; the theses' if None.
@@ -273,22 +313,67 @@ def protocol(
         One ``Run`` for each pair, in order.
 
     Raises:
+        OSError: a network's file cannot be read.
         ValueError: for an option out of its range.
     """
     options = options or ProtocolOptions()
+    return _run_all(options, pairs, ("closed",), progress)
+
+
+def evaluation(
+    options: EvaluationOptions | None = None,
+    pairs: Sequence[tuple[str, Acceleration]] | None = None,
+    progress: bool = True,
+) -> list[Run]:
+    """All strategies and networks on the same worlds, in each of the loops; arguments as for ``protocol``.
+
+    Returns:
+        One ``Run`` for each loop and pair: the loops in order, the pairs in order in each.
+    """
+    options = options or EvaluationOptions()
+    return _run_all(options, pairs, options.loops, progress)
+
+
+def _run_all(
+    options: ProtocolOptions,
+    pairs: Sequence[tuple[str, Acceleration]] | None,
+    loops: Sequence[Loop],
+    progress: bool,
+) -> list[Run]:
     options.check()
     pairs = pairs or [(start, acceleration) for acceleration in options.accelerations for start in options.starts]
-    for start, _ in pairs:
-        warmstart.parse(start)  # before anything is computed
+    makers = {}
+    for start, _ in pairs:  # before anything is computed
+        name = split_label(start)[1]
+        if name.lower().endswith(warmstart.CHECKPOINT) and options.dtype != "float32":
+            raise ValueError(f"dtype is {options.dtype!r}; the network {name} answers in float32")
+        makers[start] = warmstart.maker(name, options.seed)
     runs = []
     tqdm = require("tqdm", "pipeline").tqdm
-    with tqdm(total=len(pairs) * options.steps, desc="protocol", unit="step", disable=not progress) as bar:
-        for start, acceleration in pairs:
-            bar.set_postfix_str(f"{start}, {acceleration}")
-            runs.append(run_strategy(options, start, acceleration, bar))
+    total = len(loops) * len(pairs) * options.steps
+    with _torch_threads(options.threads), tqdm(total=total, unit="step", disable=not progress) as bar:
+        for loop in loops:
+            for start, acceleration in pairs:
+                bar.set_description(f"{split_label(start)[0]}, {acceleration}, {loop} loop")
+                runs.append(run_strategy(options, start, acceleration, bar, loop=loop, make=makers[start]))
     return runs
 
 
+@contextmanager
+def _torch_threads(threads: int) -> Iterator[None]:
+    """As many threads for networks as for worlds, where torch is loaded."""
+    torch: Any = sys.modules.get("torch")
+    if torch is None:
+        yield
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def report(options: ProtocolOptions, runs: Sequence[Run]) -> dict[str, Any]:
-    """What ``--json`` prints and ``protocol.json`` holds."""
-    return {"options": asdict(options), "runs": [run.summary() for run in runs]}
+    """What ``--json`` prints and the JSON file holds."""
+    return {"options": asdict(options), "runs": summaries(runs)}

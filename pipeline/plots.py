@@ -1,4 +1,4 @@
-"""Pictures: a world with its contact forces, a run over time, the plots of the theses, animations.
+"""Pictures: a world with its contact forces, a run over time, animations.
 
 Figures are made without pyplot, so nothing global changes and no display is needed.
 """
@@ -9,15 +9,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from dc_kernels.arrays import require
 from dc_kernels.types import BodyType, ShapeType
-
-if TYPE_CHECKING:
-    from .evaluate import Run
 
 INK = "#1f2933"
 MUTED = "#66788a"
@@ -311,111 +308,6 @@ def summary_figure(sim: Any, series: Mapping[str, np.ndarray], dt: float, title:
             panel.set_xlabel("time [s]")
         for panel in (sweeps, contacts, overlap):
             panel.set_ylim(bottom=0.0)
-    return fig
-
-
-def line_styles(runs: Sequence[Run]) -> list[dict[str, str]]:
-    """A colour for each start strategy, a line style for each solver, and the label."""
-    starts, solvers = (list(dict.fromkeys(getattr(run, name) for run in runs)) for name in ("start", "solver"))
-    return [
-        {
-            "color": CYCLE[starts.index(run.start) % len(CYCLE)],
-            "linestyle": LINES[solvers.index(run.solver) % len(LINES)],
-            "label": run.label,
-        }
-        for run in runs
-    ]
-
-
-def _count_axis(axes: Any, runs: Sequence[Run]) -> None:
-    """Sweeps on a logarithmic x axis."""
-    axes.set_xscale("log")
-    axes.set_xlim(1, max(run.max_sweeps for run in runs))
-    axes.xaxis.set_major_formatter(require("matplotlib.ticker", "pipeline").FormatStrFormatter("%d"))
-
-
-def draw_steps_left(axes: Any, runs: Sequence[Run]) -> None:
-    """Share of steps still iterating after n sweeps, one line for each run."""
-    for run, style in zip(runs, line_styles(runs), strict=True):
-        sweeps = np.arange(1, run.max_sweeps + 1)
-        taken = np.sort(np.where(run.converged, run.sweeps, run.max_sweeps + 1)[run.with_contacts])
-        left = 1.0 - np.searchsorted(taken, sweeps, side="right") / max(len(taken), 1)
-        axes.plot(sweeps, 100.0 * left, **style)
-    _count_axis(axes, runs)
-    axes.set(ylim=(0, 100), xlabel="sweeps n", ylabel="steps [%]", title="steps still iterating after n sweeps")
-    axes.legend(fontsize=8.5)
-
-
-def draw_change(axes: Any, runs: Sequence[Run]) -> None:
-    """Largest impulse change of sweep n, median over the steps with contacts."""
-    for run, style in zip(runs, line_styles(runs), strict=True):
-        if run.decay is not None:
-            axes.plot(np.arange(1, len(run.decay) + 1), run.decay, **style)
-    _count_axis(axes, runs)
-    axes.set_yscale("log")
-    axes.axhline(runs[0].tolerance, color=MUTED, linewidth=1.0, linestyle="--")
-    axes.set(xlabel="sweep n", ylabel="impulse change [N s]", title="largest impulse change of sweep n (median)")
-
-
-def draw_over_steps(axes: Any, runs: Sequence[Run], name: str, title: str) -> None:
-    """A quantity (steps, worlds) of each run over the steps, median over the worlds."""
-    for run, style in zip(runs, line_styles(runs), strict=True):
-        values = getattr(run, name)
-        axes.plot(np.arange(1, len(values) + 1), np.median(values, axis=1), linewidth=1.2, **style)
-    axes.set(xlabel="step", title=f"{title} (median of {runs[0].sweeps.shape[1]} worlds)")
-    axes.set_xlim(1, len(runs[0].sweeps))
-    axes.set_ylim(bottom=0)
-
-
-def protocol_figure(runs: Sequence[Run], title: str) -> Any:
-    """The theses' plots: steps left and impulse change per sweep, contacts and sweeps per step."""
-    with figure(12.0, 8.0) as fig:
-        fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
-        axes = fig.subplots(2, 2)
-        draw_steps_left(axes[0, 0], runs)
-        if any(run.decay is not None for run in runs):
-            draw_change(axes[0, 1], runs)
-        else:
-            axes[0, 1].axis("off")
-            draw_table(axes[0, 1], runs)
-        draw_over_steps(axes[1, 0], runs, "contacts", "contacts per step")
-        draw_over_steps(axes[1, 1], runs, "sweeps", "sweeps per step")
-    return fig
-
-
-def draw_table(axes: Any, runs: Sequence[Run]) -> None:
-    """The table of ``evaluate.table`` as text, the label of each row in the colour of its line."""
-    from .evaluate import COLUMNS, cells
-
-    axes.axis("off")
-    rows, styles = [cells(run) for run in runs], line_styles(runs)
-    table = axes.table(rows, colLabels=[c.title for c in COLUMNS], cellLoc="right", loc="center", bbox=(0, 0, 1, 1))
-    table.auto_set_font_size(False)
-    table.set_fontsize(8.5)
-    table.auto_set_column_width(list(range(len(COLUMNS))))
-    for (row, column), cell in table.get_celld().items():
-        cell.visible_edges = "B"
-        cell.set_edgecolor("#e6ebf0")
-        cell.get_text().set_color(MUTED if row == 0 else INK)
-        if column == 0:
-            cell.get_text().set_horizontalalignment("left")
-            if row:
-                cell.get_text().set_color(styles[row - 1]["color"])
-
-
-def demo_figure(sim: Any, runs: Sequence[Run], title: str) -> Any:
-    """One picture of it all: a world at its end with its forces, sweeps per step, steps left per sweep, the table."""
-    with figure(15.0, 8.4) as fig:
-        fig.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
-        grid = fig.add_gridspec(2, 2, height_ratios=(1.75, 1.0))
-        axes = fig.add_subplot(grid[0, 0])
-        draw_world(axes, sim)
-        axes.set_title(f"one world after {float(sim.state.numpy('time')[0]):.2f} s: how its bodies press on each other")
-        draw_over_steps(fig.add_subplot(grid[1, 0]), runs, "sweeps", "sweeps per step")
-        draw_steps_left(fig.add_subplot(grid[0, 1]), runs)
-        table = fig.add_subplot(grid[1, 1])
-        draw_table(table, runs)
-        table.set_title("sweeps: mean, median, and share of steps done in n")
     return fig
 
 

@@ -1,25 +1,41 @@
-"""Start strategies of the thesis protocol: what the contact solver starts from.
+"""Start strategies of the thesis protocol: what the contact solver starts from, and networks by name.
 
 A strategy is a callable ``sim -> None`` for ``Simulation.step(dt, start=...)``: it runs between collide
 and solve and writes ``sim.contacts.impulse``. Start impulses outside the friction cone are meant: the
-solver clamps them.
+solver clamps them. What goes further, such as a network that is called in mid-solve, is a ``Driver``: its ``solve()``
+stands between collide and advance in place of the simulation's. ``maker`` knows both by name.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
 import dc_kernels as dc
+from dc_kernels.grid import Grid
 from dc_kernels.measure import contact_slots
+from dc_kernels.types import BodyType
 
 Strategy = Callable[["dc.Simulation"], None]
+
+
+class Driver(Protocol):
+    """What runs the whole solve of a simulation it was made for."""
+
+    def solve(self) -> None:
+        """The solve phase, in place of ``sim.solve()``."""
+
+
+Maker = Callable[["dc.Simulation"], "Strategy | Driver"]
 
 RANDOM_NORMAL = (0.0, 5.0)  # [N s], uniform
 RANDOM_TANGENT = (-2.0, 2.0)  # [N s], uniform
 BAD_IMPULSE = (50.0, 50.0)  # [N s], normal and tangential
+GRID_SPACING, GRID_SUPPORT = 0.25, 0.5  # [m], of the theses' grids and kernel
+CHECKPOINT = ".safetensors"  # ends the names of trained networks
 
 
 def set_impulses(sim: dc.Simulation, values: np.ndarray | tuple[float, float]) -> None:
@@ -86,6 +102,46 @@ class Copy:
             set_impulses(sim, np.round(sim.contacts.numpy("impulse")[slots], self.decimals))
 
 
+class Transfer:
+    """Copy sent to a grid and back: what the transfer alone costs (Engedal, 2018).
+
+    Poly6 of h = 0.5 m to nodes 0.25 m apart, weights normalised; the grid covers the static shapes, or all bodies where
+    there are none, as they are at the first call.
+    """
+
+    def __init__(self, reverse: bool = True) -> None:
+        """Back by the reverse SPH sum (Engedal), or bilinearly (Wu, Tirca)."""
+        self.reverse = reverse
+        self.images: dc.Images | None = None
+
+    def bind(self, sim: dc.Simulation) -> dc.Images:
+        """The images of a simulation."""
+        if self.images is None or self.images.sim is not sim:
+            self.images = dc.Images(sim, thesis_grid(sim), bodies=(), h=GRID_SUPPORT)
+        return self.images
+
+    def __call__(self, sim: dc.Simulation) -> None:
+        """Solve, splat the solution, and start from what comes back."""
+        images = self.bind(sim)
+        sim.solve()
+        images.start_from(images.impulse_image(), reverse=self.reverse)
+
+
+def thesis_grid(sim: dc.Simulation) -> Grid:
+    """Nodes 0.25 m apart from corner to corner of the static shapes, in the thesis scene 61 x 61; see ``Transfer``."""
+    model, position, angle = sim.model, sim.state.numpy("position"), sim.state.numpy("angle")
+    body = np.repeat(model.numpy("shape_body"), np.diff(model.numpy("vertex_start")))
+    places = position[body].astype(np.float64)
+    static = model.numpy("body_type")[body] == BodyType.STATIC
+    if static.any():
+        body, places = body[static], places[static]
+        x, y = model.numpy("vertices")[static].T.astype(np.float64)
+        cosine, sine = np.cos(angle[body]), np.sin(angle[body])
+        places += np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)
+    low, high = places.min(axis=0), places.max(axis=0)
+    return Grid.from_box(low, np.maximum(high, low + GRID_SPACING), GRID_SPACING)
+
+
 # name: seed -> strategy; "copyN" for any number of decimals N is understood by ``parse``
 STRATEGIES: dict[str, Callable[[int], Strategy]] = {
     "none": lambda seed: none,
@@ -93,14 +149,16 @@ STRATEGIES: dict[str, Callable[[int], Strategy]] = {
     "random": Random,
     "bad": lambda seed: bad,
     "copy": lambda seed: Copy(),
+    "grid": lambda seed: Transfer(),
+    "grid-bilinear": lambda seed: Transfer(reverse=False),
 }
 
 
 def parse(name: str, seed: int = 0) -> Strategy:
-    """The strategy of a name: none, builtin, random, bad, copy, or copyN with N decimals (copy0, copy2); any case.
+    """The strategy of a name, or copyN with N decimals (copy0, copy2); any case.
 
     Args:
-        name: of the strategy.
+        name: of the strategy: none, builtin, random, bad, copy, copyN, grid, grid-bilinear.
         seed: of the random one.
 
     Raises:
@@ -113,3 +171,24 @@ def parse(name: str, seed: int = 0) -> Strategy:
     if match is None:
         raise ValueError(f"start is {name!r}; it must be one of {tuple(STRATEGIES)} or copyN with N decimals")
     return Copy(int(match[1]))
+
+
+def maker(name: str, seed: int = 0) -> Maker:
+    """What makes the strategy or driver of a name for a simulation; files are read here, before anything runs.
+
+    Args:
+        name: as for ``parse``, or the path of a trained network (.safetensors).
+        seed: of the random strategy.
+
+    Raises:
+        OSError: a network's file cannot be read.
+        ValueError: for an unknown name, or a file that holds no network.
+    """
+    if not name.lower().endswith(CHECKPOINT):
+        parse(name, seed)
+        return lambda sim: parse(name, seed)
+    from .checkpoint import load_checkpoint
+    from .grid_start import GridStart
+
+    model, manifest = load_checkpoint(name)
+    return lambda sim: GridStart(model, manifest, sim)

@@ -142,7 +142,7 @@ def test_every_strategy_reaches_the_same_velocities():
         np.testing.assert_allclose(end, ends[0], atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["", "copy-1", "copy2.5", "grid", "copyN", "nonee"])
+@pytest.mark.parametrize("name", ["", "copy-1", "copy2.5", "grid2", "copyN", "nonee"])
 def test_unknown_names_raise(name):
     with pytest.raises(ValueError, match=r"it must be one of .* or copyN"):
         warmstart.parse(name)
