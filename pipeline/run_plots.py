@@ -179,10 +179,9 @@ def draw_wall(axes: Any, runs: Sequence[Run]) -> None:
             axes.barh(range(len(runs)), spent, left=left, height=0.62, color=PART_COLORS[part], label=part, linewidth=0)
             left += spent
     _rows(axes, runs)
-    axes.set(
-        xlabel="wall time of a world's step [us]", title="where the time goes (without the oracles' solve in advance)"
-    )
-    axes.legend(fontsize=8, ncols=2)
+    axes.set(xlabel="wall time of a world's step [us]", title="where the time goes (without solves in advance)")
+    if left.any():
+        axes.legend(fontsize=8, ncols=2)
 
 
 def evaluation_figure(runs: Sequence[Run], title: str) -> Any:
