@@ -230,6 +230,10 @@ class SolvePhase:
         self.parts = dict.fromkeys(PARTS, 0.0)
         self.started = np.zeros((0, 2))
         self.is_network = hasattr(made, "model")
+        self.is_driver = hasattr(made, "solve")
+        if self.is_driver:
+            self._watch()
+            return
         images = made.bind(sim) if isinstance(made, warmstart.Transfer) else getattr(made, "images", None)
         if images is not None:
             self._time(images, "splat", "splat")
@@ -240,10 +244,23 @@ class SolvePhase:
 
     def run(self) -> None:
         """Start and solve."""
+        made: Any = self.made
+        if self.is_driver:
+            known = dict(made.stats.totals()["seconds"])
+            before = time.perf_counter()
+            made.solve()
+            rest = time.perf_counter() - before
+            for part, total in made.stats.totals()["seconds"].items():
+                self.parts[part] += total - known[part]
+                rest -= total - known[part]
+            self.parts["start"] += rest
+            if self._waiting:  # nothing to sweep
+                self._note_start()
+            return
         named = sum(self.parts.values())
         before = time.perf_counter()
-        self.made(self.sim)  # type: ignore[operator]
-        self.started = self.sim.contacts.numpy("impulse")[contact_slots(self.sim.contacts)[0]].astype(np.float64)
+        made(self.sim)
+        self._note_start()
         self.sim.storage.check_start()
         spent = time.perf_counter() - before
         self.parts["start"] += spent - (sum(self.parts.values()) - named)
@@ -260,7 +277,11 @@ class SolvePhase:
         if not self.is_network:
             return {}
         made: Any = self.made
-        return {"calls": states - made.skipped, "skipped": made.skipped, "dropped": made.dropped}
+        if not self.is_driver:
+            return {"calls": states - made.skipped, "skipped": made.skipped, "dropped": made.dropped}
+        totals = {name: value for name, value in made.stats.totals().items() if name != "seconds"}
+        skipped, dropped = totals["empty"] + totals["early"], totals["refused"] + totals["undone"]
+        return {**totals, "skipped": skipped, "dropped": dropped}
 
     @contextmanager
     def timed(self, part: str) -> Iterator[None]:
@@ -268,6 +289,30 @@ class SolvePhase:
         before = time.perf_counter()
         yield
         self.parts[part] += time.perf_counter() - before
+
+    def _note_start(self) -> None:
+        """Keep the present impulses as those that the sweeps begin with."""
+        self.started = self.sim.contacts.numpy("impulse")[contact_slots(self.sim.contacts)[0]].astype(np.float64)
+
+    def _watch(self) -> None:
+        """Note the start when a driver lets the first sweep run: a solve that pauses before it may be given another."""
+        sim: Any = self.sim
+        solve, resume = sim.solve, sim.resume
+        self._waiting = False
+
+        def watched_solve(*arguments: Any, pause: int | None = None, **options: Any) -> None:
+            self._waiting = pause == 0
+            if not self._waiting:
+                self._note_start()
+            solve(*arguments, pause=pause, **options)
+
+        def watched_resume(*arguments: Any, **options: Any) -> None:
+            if self._waiting:
+                self._note_start()
+                self._waiting = False
+            resume(*arguments, **options)
+
+        sim.solve, sim.resume = watched_solve, watched_resume
 
     def _time(self, owner: Any, name: str, part: str) -> None:
         """Add the time of an object's method to a part from now on."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -23,7 +23,10 @@ Strategy = Callable[["dc.Simulation"], None]
 
 
 class Driver(Protocol):
-    """What runs the whole solve of a simulation it was made for."""
+    """What runs the whole solve of a simulation it was made for (``learned.LearnedSolve``)."""
+
+    stats: Any
+    """What it did; ``stats.totals()`` gives numbers by name, and wall times by part as "seconds"."""
 
     def solve(self) -> None:
         """The solve phase, in place of ``sim.solve()``."""

@@ -176,6 +176,52 @@ def test_threads_of_torch_are_the_options_and_come_back(network, monkeypatch):
         torch.set_num_threads(1)
 
 
+class Halved:
+    """A driver that halves the cache before the first sweep, and pauses in between."""
+
+    model = None
+
+    def __init__(self, sim: dc.Simulation, early: bool) -> None:
+        self.sim, self.stats, self.early = sim, self, early
+        self.given: list[np.ndarray] = []
+        self.seconds = {"solve": 0.0, "network": 0.0}
+
+    def totals(self) -> dict[str, Any]:
+        return {"calls": 7, "empty": 2, "early": 3, "refused": 1, "undone": 4, "seconds": self.seconds}
+
+    def solve(self) -> None:
+        impulse = self.sim.contacts.numpy("impulse")
+        if self.early:
+            impulse *= 0.5
+            self.sim.solve(pause=2)
+        else:
+            self.sim.solve(pause=0)
+            impulse *= 0.5
+            self.sim.stats.numpy("replaced")[...] = 1
+        self.seconds["network"] += 0.25
+        if self.sim.running.any():
+            self.sim.resume(pause=3)
+            self.sim.resume()
+
+
+@pytest.mark.parametrize("early", [True, False])
+@pytest.mark.parametrize("loop", ["closed", "open"])
+def test_a_driver_runs_the_whole_solve(loop, early):
+    """Its start is what the first sweep saw, whether it paused before that or not."""
+
+    class Half(warmstart.Copy):
+        def __call__(self, sim: dc.Simulation) -> None:
+            sim.contacts.numpy("impulse")[...] *= 0.5
+
+    driven = evaluate.run_strategy(options(), "half", "none", loop=loop, make=lambda sim: Halved(sim, early))
+    plain = evaluate.run_strategy(options(), "half", "none", loop=loop, make=lambda sim: Half())
+    for name in ("sweeps", "change", "contacts", "errors", "decay"):
+        np.testing.assert_array_equal(getattr(driven, name), getattr(plain, name))
+    assert driven.parts["network"] == 0.25 * SMALL["steps"] and driven.parts["start"] < 0.0 < driven.parts["collide"]
+    assert driven.wall_s == pytest.approx(sum(driven.parts.values()))
+    assert driven.counts["calls"] == 7 and driven.counts["skipped"] == driven.counts["dropped"] == 5
+
+
 # ---------------------------------------------------------------------- tables and files
 
 
