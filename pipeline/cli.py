@@ -1,22 +1,27 @@
-"""The command line ``deep-contact``: simulate, demo, protocol, explain, figures.
+"""The command line ``deep-contact``: simulate, demo, protocol, evaluate, explain, figures, generate.
 
 Options are the fields of the dataclasses below, which tyro turns into flags.
 """
 
 from __future__ import annotations
 
+import functools
+import itertools
 import json
+import operator
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast, get_args
 
 from dc_kernels.arrays import require
 from dc_kernels.grid import Grid
+from dc_kernels.types import SolverConfig
 
-from . import evaluate, figures, grid_plots, plots, run_plots
+from . import evaluate, figures, generate, grid_plots, plots, run_plots
+from .recipe import GenerateOptions, Recipe, load_recipe
 from .scenes import AnyScene, Thesis
 from .simulate import Output, RunOptions, SolverOptions, atomic_path, simulate, write_json
 
@@ -150,7 +155,32 @@ class Figures(Common):
         return {"figure": self.figure, "path": str(path)}
 
 
-Command = Simulate | Demo | Protocol | Evaluate | Explain | Figures
+@dataclass(frozen=True, kw_only=True)
+class Generate(Common):
+    """Make a data set: worlds on all cores, each state with its label; or go on with one that was cut short."""
+
+    scene: AnyScene = field(default_factory=Thesis)
+    """What stands in the worlds; each scene has options of its own."""
+    options: GenerateOptions = field(default_factory=GenerateOptions)
+    solver: SolverConfig = field(default_factory=SolverConfig)
+    config: Path | None = None
+    """TOML file of options, with tables scene, ranges and solver: its values take the place of the defaults here."""
+    out: Path = Path("out/data")
+    """Folder of the shards and of index.h5."""
+    threads: int = 0
+    """Shards made at once; 0: one for each core [1]."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler, tcp://..., whose workers make the shards instead."""
+
+    def __call__(self) -> dict[str, Any]:
+        recipe = Recipe(scene=self.scene, options=self.options, solver=self.solver)
+        summary = generate.generate(recipe, self.out, self.threads, self.scheduler, progress=not self.json)
+        if not self.json:
+            print(generate.report(summary))
+        return summary
+
+
+Command = Simulate | Demo | Protocol | Evaluate | Explain | Figures | Generate
 
 
 def run_protocol(
@@ -215,7 +245,22 @@ def parse(arguments: Sequence[str] | None = None) -> Any:
         conf.CascadeSubcommandArgs,
         conf.FlagCreatePairsOff,
     )
-    return tyro.cli(Command, prog="deep-contact", args=arguments, config=config)
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    return tyro.cli(_commands(conf, arguments), prog="deep-contact", args=arguments, config=config)
+
+
+def _commands(conf: Any, arguments: Sequence[str]) -> Any:
+    """The commands, that of data sets with the values of the TOML file it is given as defaults."""
+    given = [*arguments, ""]
+    files = [a.partition("=")[2] or b for a, b in itertools.pairwise(given) if a.partition("=")[0] == "--config"]
+    if given[0] != "generate" or not any(files):
+        return Command
+    recipe = load_recipe(Path(files[-1]))
+    default = Generate(
+        scene=cast(Any, recipe.scene), options=recipe.options, solver=recipe.solver, config=Path(files[-1])
+    )
+    own = Annotated[Generate, conf.subcommand(default=default)]
+    return functools.reduce(operator.or_, [own if command is Generate else command for command in get_args(Command)])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

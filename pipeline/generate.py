@@ -34,7 +34,7 @@ TICK = 0.2  # between two looks at what is finished [s]
 RETRIES = 10  # of a shard whose Dask worker died
 # Warp records launches, and compiles them, for one thread of a process at a time
 RECORDING = threading.Lock()
-CONNECT = 20  # after which a scheduler counts as not there [s]
+CONNECT = 10  # after which a scheduler counts as not there [s]
 
 
 # ---------------------------------------------------------------------- one shard
@@ -404,7 +404,7 @@ def generate(
         shards.write_index(out, paths)
     seconds = time.perf_counter() - began
     files = [path for path in (*paths, out / shards.INDEX) if path.exists()]
-    return {
+    summary: dict[str, Any] = {
         "scene": recipe.scene.name,
         "complete": complete,
         "worlds": options.worlds,
@@ -417,3 +417,33 @@ def generate(
         "out": str(out),
         "config": recipe.config(),
     }
+    if complete:
+        with shards.opened(out / shards.INDEX) as file:
+            summary["states"] = int(file["step/step"].shape[0])
+            summary["contacts_mean"] = float(file["contact/gap"].shape[0] / summary["states"])
+            summary["bytes_per_state"] = summary["bytes"] / summary["states"]
+            summary["label_reached"] = float(file.attrs["label_reached"])
+            summary["flags"] = int(file.attrs["flags"])
+    return summary
+
+
+def report(summary: dict[str, Any]) -> str:
+    """What ``generate`` did, in a few lines."""
+    lines = [
+        f"{summary['scene']}: {summary['worlds_made']} of {summary['worlds']} worlds made in "
+        f"{summary['seconds']:.1f} s, {summary['worlds_per_s']:.1f} a second; "
+        f"{summary['shards_kept']} of {summary['shards']} shards were there"
+    ]
+    if not summary["complete"]:
+        return "\n".join([*lines, f"{summary['out']}: interrupted; the same command goes on"])
+    lines.append(
+        f"{summary['states']} states, {summary['contacts_mean']:.1f} contacts each; "
+        f"{100.0 * summary['label_reached']:.1f} % of the labels reached their tolerance"
+    )
+    if summary["flags"]:
+        lines.append(f"worlds stopped: {dc.Flag(summary['flags'])}; their states are marked in step/flags")
+    lines.append(
+        f"{summary['out']}: {summary['bytes'] / 1e6:.1f} MB, {summary['bytes_per_state']:.0f} bytes a state; "
+        f"{shards.INDEX} shows all shards as one"
+    )
+    return "\n".join(lines)
