@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from . import timing
 
-NAMES = ("sweep", "worlds", "scaling", "protocol", "transfer", "roundtrip", "neighbors", "startup")
+NAMES = ("sweep", "worlds", "scaling", "protocol", "transfer", "roundtrip", "neighbors", "startup", "generate")
 
 
 class Bench(Protocol):
