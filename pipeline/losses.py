@@ -13,7 +13,6 @@ channel, that of the labels where it is to be relative.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, get_args
 
@@ -27,8 +26,6 @@ from dc_kernels.types import COLORS, SolverConfig
 from .train import LossName
 
 torch = require("torch", "pipeline")
-
-Loss = Callable[[Any, Any, Any], tuple[Any, Any]]  # answer, image of the labels, batch -> total, weight
 
 DEFAULT = SolverConfig()
 OPEN = 1e6  # as the solver's rows: a row that lets this many times the gap close within the step never acts
@@ -99,49 +96,52 @@ def after_sweeps(
     return (swept - label).square().sum(), label.square().sum()
 
 
-def make_loss(
-    name: LossName,
-    decode: Decoder,
-    *,
-    grid_scale: Any,
-    contact_scale: Any,
-    sweeps: int = 20,
-    leak: float = 0.1,
-    slop: float = DEFAULT.slop,
-) -> Loss:
-    """A loss by name, of (answer, image of the labels, batch).
+@dataclass(frozen=True, kw_only=True)
+class Loss:
+    """A loss by name: call it with an answer, the image of the labels and the batch."""
 
-    Args:
-        name: see the top of the module.
-        decode: how the answer is read at the contacts.
-        grid_scale: of the image's channels, (outputs,) [N s].
-        contact_scale: of normal and tangential impulses, (2,) [N s].
-        sweeps: k of "sweeps".
-        leak: share of the gradient that "sweeps" passes where the friction cone stops a row.
-        slop: overlap that the solver leaves alone [m].
+    name: LossName
+    """See the top of the module."""
+    decode: Decoder
+    """How the answer is read at the contacts."""
+    grid_scale: Any
+    """Of the image's channels, (outputs,) [N s]."""
+    contact_scale: Any
+    """Of normal and tangential impulses, (2,) [N s]."""
+    sweeps: int = 20
+    """k of "sweeps"."""
+    leak: float = 0.1
+    """Share of the gradient that "sweeps" passes where the friction cone stops a row."""
+    slop: float = DEFAULT.slop
+    """See ``contact_problem`` [m]."""
+    restitution_threshold: float = DEFAULT.restitution_threshold
+    """See ``contact_problem`` [m/s]."""
 
-    Raises:
-        ValueError: for an unknown name.
-    """
-    if name not in get_args(LossName):
-        raise ValueError(f"loss is {name!r}; it must be one of {get_args(LossName)}")
-    on_grid, on_contacts = grid_scale[:, None, None], contact_scale
+    def __post_init__(self) -> None:
+        if self.name not in get_args(LossName):
+            raise ValueError(f"loss is {self.name!r}; it must be one of {get_args(LossName)}")
 
-    def loss(output: Any, target: Any, batch: Any) -> tuple[Any, Any]:
-        if name == "grid_mse":
-            return squared(output, target, on_grid)
-        if name == "grid_mae":
-            return absolute(output, target, on_grid)
-        impulse = decode(output, batch)
-        if name == "contact_mse":
-            return squared(impulse, batch.label, on_contacts)
-        problem, order = contact_problem(batch, slop)
+    @property
+    def on_grid(self) -> bool:
+        """Whether it is measured at the nodes."""
+        return self.name.startswith("grid")
+
+    def __call__(self, output: Any, target: Any, batch: Any) -> tuple[Any, Any]:
+        """Total and weight of an answer (B, outputs, rows, columns) [N s]."""
+        if self.on_grid:
+            measure = squared if self.name == "grid_mse" else absolute
+            return measure(output, target, self.grid_scale[:, None, None])
+        return self.of_impulses(self.decode(output, batch), batch)
+
+    def of_impulses(self, impulse: Any, batch: Any) -> tuple[Any, Any]:
+        """Total and weight of impulses at the contacts, (M, 2) [N s]; a loss on grids has none."""
+        if self.name == "contact_mse":
+            return squared(impulse, batch.label, self.contact_scale)
+        problem, order = contact_problem(batch, self.slop, self.restitution_threshold)
         impulse, label = impulse[order], batch.label[order]
-        if name == "energy":
-            return energy(impulse, label, problem, decode.threads)
-        return after_sweeps(impulse, label, problem, sweeps, leak, decode.threads)
-
-    return loss
+        if self.name == "energy":
+            return energy(impulse, label, problem, self.decode.threads)
+        return after_sweeps(impulse, label, problem, self.sweeps, self.leak, self.decode.threads)
 
 
 def contact_problem(

@@ -16,14 +16,16 @@ the same size, those of even width with one node less before than after; odd sid
 full size bilinearly, and what lies beyond the grid is cut off. ConvFC's dense layer has a ReLU and both its dropouts
 Peak's rate. Peak has one hidden dense layer of 512. UNet has three scales of 16, 32, 64 filters, two 3x3 convolutions
 each, dilations 1, 2, 4 of 128 filters below them, and no normalization: impulses have a scale that must get through.
-Inputs are divided by a scale for each channel, answers multiplied by one (``GridNetwork.set_scales``; 1 unless set),
-as walls of 100 kg and impulses of 0.1 N s lie far apart. ``width`` multiplies the filters and hidden units of all.
+Inputs are divided by a scale for each channel and cut off at a bound, answers multiplied by a scale
+(``GridNetwork.set_scales``; unless set, nothing is changed): the walls' 100 kg beside a body's 0.1 kg a node drown what
+the bodies do. ``width`` multiplies the filters and hidden units of all.
 """
 
 from __future__ import annotations
 
 import importlib
 import itertools
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from typing import Any, NamedTuple
@@ -165,12 +167,18 @@ class GridNetwork(Module):
         self.shape = (config.channels, config.rows, config.columns)
         self.register_buffer("input_scale", torch.ones(config.channels, 1, 1))
         self.register_buffer("output_scale", torch.ones(config.outputs, 1, 1))
+        self.register_buffer("input_bound", torch.tensor(math.inf))
 
-    def set_scales(self, channels: Any, outputs: Any) -> None:
+    def set_scales(self, channels: Any, outputs: Any, bound: float = math.inf) -> None:
         """Divide each input channel, and multiply each channel of the answer, by a positive number.
 
+        Args:
+            channels: of the input, (channels,).
+            outputs: of the answer, (outputs,).
+            bound: scaled inputs are cut to [-bound, bound].
+
         Raises:
-            ValueError: for another number of them, or one that is not finite and positive.
+            ValueError: for another number of them, or one that is not positive; only the bound may be inf.
         """
         for name, buffer, given in (("channels", self.input_scale, channels), ("outputs", self.output_scale, outputs)):
             values = torch.as_tensor(given, dtype=buffer.dtype)
@@ -181,6 +189,9 @@ class GridNetwork(Module):
                 i = int(wrong.nonzero()[0])
                 raise ValueError(f"{name}[{i}] is {float(values[i])}; it must be finite and > 0")
             buffer.copy_(values[:, None, None])
+        if not bound > 0.0:
+            raise ValueError(f"bound is {bound}; it must be > 0")
+        self.input_bound.fill_(bound)
 
     def forward(self, images: Any) -> Any:
         """Impulse images (B, outputs, rows, columns) of input images (B, channels, rows, columns).
@@ -191,7 +202,8 @@ class GridNetwork(Module):
         if images.dim() != 4 or tuple(images.shape[1:]) != self.shape:
             wanted = ", ".join(map(str, self.shape))
             raise ValueError(f"images has shape {tuple(images.shape)}; the network reads (B, {wanted})")
-        scaled = (images / self.input_scale).contiguous(memory_format=torch.channels_last)
+        scaled = torch.clamp(images / self.input_scale, -self.input_bound, self.input_bound)
+        scaled = scaled.contiguous(memory_format=torch.channels_last)
         return (self.answer(scaled) * self.output_scale).contiguous()
 
     def answer(self, x: Any) -> Any:

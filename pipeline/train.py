@@ -96,14 +96,14 @@ class TrainOptions:
     """Of the schedule "decay" [1/step]."""
     weight_decay: float = 0.0
     """Of the optimiser."""
-    clip: float = math.inf
-    """Longest gradient [1]."""
+    clip: float | None = None
+    """Longest gradient, to which longer ones are cut [1]."""
     validation: float = 0.1
     """Share of the worlds that is kept for validation [1]."""
     stride: int = 1
     """Every so many steps of a world are used [1]."""
     seed: int = 0
-    """Of the weights, the order of the states, dropped values, and the split by world [1]."""
+    """Of the weights, the order of the states, and dropped values [1]."""
     threads: int = 1
     """Threads of torch and of the kernels; bits are the same from run to run on one [1]."""
     workers: int = 0
@@ -122,7 +122,7 @@ class TrainOptions:
         for name in ("decay", "weight_decay", "walls"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be finite and >= 0")
-        if not self.clip > 0.0:
+        if self.clip is not None and not self.clip > 0.0:
             raise ValueError(f"clip is {self.clip}; it must be > 0")
         if not 0.0 < self.validation < 1.0:
             raise ValueError(f"validation is {self.validation}; it must lie in (0, 1)")

@@ -33,7 +33,7 @@ torch = require("torch", "pipeline")
 MOMENTUM = 0.9  # of SGD (Wu)
 DECAY = 1e-6  # of the rate, a step (Wu)
 SMOOTHING = 0.9  # of the losses that the rate finder looks at, a step
-DIVERGED = 4.0  # times the least smoothed loss, at which the rate finder stops
+DIVERGED = 2.0  # times the least smoothed loss, at which the rate finder stops
 SAFETY = 10.0  # the rate with the least loss is already about to diverge; this many times less is taken
 
 
@@ -194,13 +194,13 @@ def check_loss(loss: Any, step: int) -> None:
         raise ValueError(f"the loss of step {step} is {float(loss)}; a lower rate, or clipped gradients, may help")
 
 
-def clip_gradients(parameters: Iterable[Any], most: float, step: int) -> float:
-    """Shorten the gradient to a norm of at most ``most`` (inf: leave it), and return the norm that it had.
+def clip_gradients(parameters: Iterable[Any], most: float | None, step: int) -> float:
+    """Cut the gradient to a norm of at most ``most``, if given, and return the norm that it had.
 
     Raises:
         ValueError: it is NaN or inf, naming the step: the weights are still those of the step before.
     """
-    norm = float(torch.nn.utils.clip_grad_norm_(parameters, most))
+    norm = float(torch.nn.utils.clip_grad_norm_(parameters, math.inf if most is None else most))
     if not math.isfinite(norm):
         raise ValueError(f"the gradient of step {step} is {norm}; a lower rate, or clipped gradients, may help")
     return norm
@@ -222,59 +222,66 @@ class RateSearch:
 def find_rate(
     model: Any,
     optimizer: Any,
-    loss: Callable[[], Any],
+    loss: Callable[[int], Any],
     *,
+    batches: int = 8,
     lowest: float = 1e-6,
     highest: float = 1.0,
-    steps: int = 60,
+    steps: int = 80,
     group: Processes = Processes(),
 ) -> RateSearch:
     """The rate at which to train, by a short training in which it grows (Smith 2017).
 
-    The loss is smoothed, as each step has another batch; the search ends where it has grown to four times its least.
-    The rate of the least loss is too close to where training diverges: a tenth of it is advised. The model and torch's
-    generator are left as they were.
+    It goes over a few batches in turn, each loss measured in units of what it was before, so that the differences of
+    batches do not hide what the rate does. The mean is smoothed; the search ends where it is twice its least. The rate
+    of the least loss is too close to where training diverges: a tenth of it is advised. The model and torch's generator
+    are left as they were.
 
     Args:
         model: to train.
         optimizer: a fresh one over its parameters, which is spent.
-        loss: the loss of the next batch, with its gradient.
+        loss: the loss of batch i, with its gradient.
+        batches: how many there are, >= 1.
         lowest: rate of the first step.
         highest: rate of the last step.
         steps: at most, >= 2.
         group: the processes that share the batches.
 
     Raises:
-        ValueError: for rates or steps out of range, or a loss that is not finite at the lowest rate.
+        ValueError: for rates or steps out of range, or a loss that is not finite and positive at the beginning.
     """
     if not 0.0 < lowest < highest < math.inf:
         raise ValueError(f"rates are {lowest!r} to {highest!r}; they must be positive, finite and grow")
-    if steps < 2:
-        raise ValueError(f"steps is {steps}; it must be >= 2")
+    for name, value, low in (("batches", batches, 1), ("steps", steps, 2)):
+        if value < low:
+            raise ValueError(f"{name} is {value}; it must be >= {low}")
     before = {name: tensor.clone() for name, tensor in model.state_dict().items()}
     rates: list[float] = []
     losses: list[float] = []
     mean = 0.0
     with own_randomness():
+        with torch.no_grad():
+            first = [float(group.mean(loss(i))) for i in range(batches)]
+        for i, known in enumerate(first):
+            if not 0.0 < known < math.inf:
+                raise ValueError(f"the loss of batch {i} is {known} before any step; there is no rate to find")
         for step in range(steps):
             rate = lowest * (highest / lowest) ** (step / (steps - 1))
             for parameters in optimizer.param_groups:
                 parameters["lr"] = rate
             optimizer.zero_grad()
-            value = loss()
-            if step == 0:
-                check_loss(value, 0)
+            value = loss(step % batches)
             value.backward()
             group.average_gradients(model.parameters())
             optimizer.step()
-            mean = SMOOTHING * mean + (1.0 - SMOOTHING) * float(group.mean(value))
+            mean = SMOOTHING * mean + (1.0 - SMOOTHING) * float(group.mean(value)) / first[step % batches]
             smoothed = mean / (1.0 - SMOOTHING ** (step + 1))
             if not smoothed < DIVERGED * min(losses, default=math.inf):  # NaN too
                 break
             rates.append(rate)
             losses.append(smoothed)
     model.load_state_dict(before)
-    best = rates[int(np.argmin(losses))]
+    best = rates[int(np.argmin(losses))] if rates else lowest
     return RateSearch(rates, losses, max(best / SAFETY, lowest))
 
 
