@@ -1,4 +1,4 @@
-"""The command line ``deep-contact``: simulate, demo, protocol, evaluate, explain, figures, generate.
+"""The command line ``deep-contact``: simulate, demo, protocol, evaluate, explain, figures, generate, train.
 
 Options are the fields of the dataclasses below, which tyro turns into flags.
 """
@@ -24,6 +24,7 @@ from . import evaluate, figures, generate, grid_plots, plots, run_plots
 from .recipe import GenerateOptions, Recipe, load_recipe
 from .scenes import AnyScene, Thesis
 from .simulate import Output, RunOptions, SolverOptions, atomic_path, simulate, write_json
+from .train import NetworkName, TrainOptions, describe_training, train
 
 try:
     from tyro.conf import Positional
@@ -180,7 +181,22 @@ class Generate(Common):
         return summary
 
 
-Command = Simulate | Demo | Protocol | Evaluate | Explain | Figures | Generate
+@dataclass(frozen=True, kw_only=True)
+class Train(Common):
+    """Train a network of the theses on a data set; write network, state to resume from, curves and predictions."""
+
+    network: Positional[NetworkName]
+    """Which network."""
+    training: TrainOptions = field(default_factory=TrainOptions)
+
+    def __call__(self) -> dict[str, Any]:
+        summary = train(self.network, self.training, progress=not self.json)
+        if not self.json and "files" in summary:  # the first of several processes
+            print(describe_training(summary))
+        return summary
+
+
+Command = Simulate | Demo | Protocol | Evaluate | Explain | Figures | Generate | Train
 
 
 def run_protocol(
