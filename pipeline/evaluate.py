@@ -51,6 +51,7 @@ HELD_OUT_SEED = 100_000  # of the first test world: no training uses seeds from 
 Acceleration = Literal["none", "sor", "aitken", "nncg"]
 Loop = Literal["closed", "open"]
 TRAJECTORY: Acceleration = "none"  # of the open loop's Builtin
+SKIPPED, DROPPED = ("empty", "early"), ("refused", "undone")  # of a driver's totals
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +60,8 @@ class ProtocolOptions:
 
     starts: tuple[str, ...] = ("none", "builtin", "copy")
     """Start strategies: none, builtin, random, bad, copy, copyN (rounded to N decimals), grid, grid-bilinear (copy
-    through splat and gather), or a trained network: PATH.safetensors or LABEL=PATH.safetensors."""
+    through splat and gather); cnn, cnn-start (the pretrained network, in mid-solve too or at the start only), or a
+    trained network: PATH.safetensors or LABEL=PATH.safetensors."""
     accelerations: tuple[Acceleration, ...] = ("none",)
     """Accelerations of the solver; each runs with every start strategy."""
     method: Literal["pgs", "jacobi"] = "pgs"
@@ -123,7 +125,8 @@ class EvaluationOptions(ProtocolOptions):
 
     starts: tuple[str, ...] = ("none", "builtin", "copy", "copy2", "copy0", "grid", "grid-bilinear", "random", "bad")
     """Start strategies: none, builtin, random, bad, copy, copyN (rounded to N decimals), grid, grid-bilinear (copy
-    through splat and gather), or a trained network: PATH.safetensors or LABEL=PATH.safetensors."""
+    through splat and gather); cnn, cnn-start (the pretrained network, in mid-solve too or at the start only), or a
+    trained network: PATH.safetensors or LABEL=PATH.safetensors."""
     loops: tuple[Loop, ...] = ("closed", "open")
     """Each strategy on a trajectory of its own, or all on that of Builtin."""
 
@@ -280,7 +283,7 @@ class SolvePhase:
         if not self.is_driver:
             return {"calls": states - made.skipped, "skipped": made.skipped, "dropped": made.dropped}
         totals = {name: value for name, value in made.stats.totals().items() if name != "seconds"}
-        skipped, dropped = totals["empty"] + totals["early"], totals["refused"] + totals["undone"]
+        skipped, dropped = (sum(totals.get(name, 0) for name in names) for names in (SKIPPED, DROPPED))
         return {**totals, "skipped": skipped, "dropped": dropped}
 
     @contextmanager
@@ -390,7 +393,7 @@ def _run_all(
     makers = {}
     for start, _ in pairs:  # before anything is computed
         name = split_label(start)[1]
-        if name.lower().endswith(warmstart.CHECKPOINT) and options.dtype != "float32":
+        if warmstart.is_network(name) and options.dtype != "float32":
             raise ValueError(f"dtype is {options.dtype!r}; the network {name} answers in float32")
         makers[start] = warmstart.maker(name, options.seed)
     runs = []

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -39,6 +40,10 @@ RANDOM_TANGENT = (-2.0, 2.0)  # [N s], uniform
 BAD_IMPULSE = (50.0, 50.0)  # [N s], normal and tangential
 GRID_SPACING, GRID_SUPPORT = 0.25, 0.5  # [m], of the theses' grids and kernel
 CHECKPOINT = ".safetensors"  # ends the names of trained networks
+PRETRAINED = Path(__file__).with_name(f"contactnet{CHECKPOINT}")
+"""The weights of ``cnn``, those that come with the package."""
+CNN = {"cnn": True, "cnn-start": False}
+"""Names of the pretrained network, and whether it is called in mid-solve too."""
 
 
 def set_impulses(sim: dc.Simulation, values: np.ndarray | tuple[float, float]) -> None:
@@ -180,18 +185,41 @@ def maker(name: str, seed: int = 0) -> Maker:
     """What makes the strategy or driver of a name for a simulation; files are read here, before anything runs.
 
     Args:
-        name: as for ``parse``, or the path of a trained network (.safetensors).
+        name: as for ``parse``; cnn, the pretrained network at the start and in mid-solve; cnn-start, at the start only;
+            or the path of a trained network (.safetensors).
         seed: of the random strategy.
 
     Raises:
         OSError: a network's file cannot be read.
         ValueError: for an unknown name, or a file that holds no network.
     """
-    if not name.lower().endswith(CHECKPOINT):
+    lower = name.lower()
+    if not is_network(name):
         parse(name, seed)
         return lambda sim: parse(name, seed)
     from .checkpoint import load_checkpoint
+
+    model, manifest = load_checkpoint(PRETRAINED if lower in CNN else name)
+    if model.network_name == "contactnet":
+        from .learned import CallOptions, LearnedSolve
+
+        options = CallOptions(middle=CNN.get(lower, True))
+        return lambda sim: LearnedSolve(sim, model, options)
     from .grid_start import GridStart
 
-    model, manifest = load_checkpoint(name)
     return lambda sim: GridStart(model, manifest, sim)
+
+
+def is_network(name: str) -> bool:
+    """Whether a name for ``maker`` is that of a network."""
+    return name.lower() in CNN or name.lower().endswith(CHECKPOINT)
+
+
+def step(sim: dc.Simulation, dt: float, made: Strategy | Driver) -> None:
+    """A time step of dt [s] with what ``maker`` made for the simulation."""
+    if not hasattr(made, "solve"):
+        sim.step(dt, start=made)
+        return
+    sim.collide(dt)
+    made.solve()
+    sim.advance()

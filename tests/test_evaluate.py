@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sys
+import types
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from pipeline.cli import main
 torch = pytest.importorskip("torch")
 from pipeline import models  # noqa: E402
 from pipeline.checkpoint import grid_dict, save_checkpoint  # noqa: E402
+from pipeline.grid_start import GridStart  # noqa: E402
 
 torch.set_num_threads(1)
 SMALL: dict[str, Any] = {"worlds": 2, "bodies": 10, "steps": 90}
@@ -220,6 +223,44 @@ def test_a_driver_runs_the_whole_solve(loop, early):
     assert driven.parts["network"] == 0.25 * SMALL["steps"] and driven.parts["start"] < 0.0 < driven.parts["collide"]
     assert driven.wall_s == pytest.approx(sum(driven.parts.values()))
     assert driven.counts["calls"] == 7 and driven.counts["skipped"] == driven.counts["dropped"] == 5
+
+
+def test_names_of_networks(network, monkeypatch, tmp_path):
+    """A ContactNet runs the solve, other networks start it; without its weights cnn says so."""
+    made = []
+
+    class Learned:
+        def __init__(self, sim: Any, model: Any, options: Any) -> None:
+            made.append((sim, model, options.middle))
+
+    class Model:
+        network_name = "contactnet"
+
+    read = []
+    module = types.SimpleNamespace(LearnedSolve=Learned, CallOptions=types.SimpleNamespace)
+    monkeypatch.setitem(sys.modules, "pipeline.learned", module)
+    monkeypatch.setattr(warmstart, "PRETRAINED", tmp_path / "none.safetensors")
+    with pytest.raises(OSError, match=r"none\.safetensors is not there"):
+        warmstart.maker("cnn")
+    assert isinstance(warmstart.maker(str(network))(options().simulation("none")), GridStart)
+    monkeypatch.setattr("pipeline.checkpoint.load_checkpoint", lambda path: read.append(path) or (Model(), {}))
+    for name in ("cnn", "CNN-start", "x.safetensors"):
+        assert warmstart.is_network(name)
+        warmstart.maker(name)("sim")
+    assert [(sim, middle) for sim, _, middle in made] == [("sim", True), ("sim", False), ("sim", True)]
+    assert read == [warmstart.PRETRAINED, warmstart.PRETRAINED, "x.safetensors"]
+    assert not warmstart.is_network("copy2")
+
+
+def test_a_step_takes_strategies_and_drivers():
+    ends = []
+    for driver in (True, False):
+        sim = options().simulation("none")
+        made = Halved(sim, True) if driver else lambda sim: sim.contacts.numpy("impulse").__imul__(0.5)
+        for _ in range(SMALL["steps"]):
+            warmstart.step(sim, 0.01, made)
+        ends.append(sim.state.numpy("position").copy())
+    np.testing.assert_array_equal(*ends)
 
 
 # ---------------------------------------------------------------------- tables and files
