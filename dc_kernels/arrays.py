@@ -121,12 +121,12 @@ def kernel_arrays(arrays: Mapping[str, np.ndarray], backend: str) -> dict[str, A
 
 
 def kernel_vectors(array: np.ndarray, backend: str) -> Any:
-    """An array (n, 2) as the kernels of a backend take it: vec2 for Warp, the same memory."""
+    """An array (n, k) as the kernels of a backend take it: vectors of k for Warp, the same memory."""
     if backend == "numpy":
         return array
     import warp as wp
 
-    dtype = wp.types.vector(2, wp.dtype_from_numpy(array.dtype))
+    dtype = wp.types.vector(array.shape[1], wp.dtype_from_numpy(array.dtype))
     return wp.array(array, dtype=dtype, shape=(len(array),), device="cpu", copy=False)
 
 

@@ -7,7 +7,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from .backend import Launch, bind, recorded, run_shards
+from .backend import Launch, argument_names, bind, command, recorded, run_shards
 from .transfer import Splat, shard_worlds
 
 
@@ -62,6 +62,41 @@ class Program:
         """Run all stages."""
         for step in self._steps:
             step()
+
+
+class Fed:
+    """A kernel over all worlds with one array that is given with each call, wherever it lies."""
+
+    def __init__(self, kernel: Kernel, name: str, worlds: int, *, backend: str, threads: int = 1) -> None:
+        """Bind all other arguments.
+
+        Args:
+            kernel: with any array for the argument ``name``, of the type that will be given.
+            name: of the argument.
+            worlds: how many there are.
+            backend: of the kernel.
+            threads: shards of worlds, and what runs them.
+        """
+        self.kernel, self.name, self.backend, self.threads = kernel, name, backend, threads
+        self.shards = shard_worlds(worlds, threads)
+        if backend == "warp":
+            self.index = argument_names(kernel.kernel).index(name)
+            self._commands = [
+                command(kernel.kernel, n * kernel.chunks, {**kernel.values, "world_offset": w}, "cpu")
+                for w, n in self.shards
+            ]
+
+    def __call__(self, array: Any) -> None:
+        """Run on an array of the backend; only the caller keeps it alive."""
+        if self.backend == "warp":
+            descriptor = array.__ctype__()
+            for launch in self._commands:
+                launch.set_param_at_index_from_ctype(self.index, descriptor)
+            run_shards([launch.launch for launch in self._commands], self.threads)
+            return
+        for w, n in self.shards:
+            values = {**self.kernel.values, "world_offset": w, self.name: array}
+            bind(self.kernel.kernel, n * self.kernel.chunks, values, "cpu")()
 
 
 def _as_kernel(stage: Stage) -> Stage:
