@@ -164,7 +164,7 @@ def load_training(
         index, _, field = name.partition("/")
         values.setdefault(int(index), {})[field] = value
     groups = [_as_given(saved, own) for saved, own in zip(state["groups"], optimizer.state_dict()["param_groups"])]
-    optimizer.load_state_dict({"state": values, "param_groups": groups})
+    optimizer.load_state_dict({"state": dict(sorted(values.items())), "param_groups": groups})
     if schedule is not None:
         schedule.load_state_dict(state["schedule"])
     torch.set_rng_state(tensors["rng"])
