@@ -31,7 +31,6 @@ from .shards import Column
 from .simulate import interruptible
 
 TICK = 0.2  # between two looks at what is finished [s]
-RETRIES = 10  # of a shard whose Dask worker died
 # Warp records launches, and compiles them, for one thread of a process at a time
 RECORDING = threading.Lock()
 CONNECT = 10  # after which a scheduler counts as not there [s]
@@ -68,19 +67,18 @@ def make_shard(
         recorder.step(dt)
         if progress is not None:
             progress(step + 1)
-    arrays = recorder.arrays()
-    arrays.update({"world/seed": np.array(seeds), "world/dt": dt})
-    arrays.update({f"drawn/{name}": np.array([world[name] for world in drawn]) for name in drawn[0]})
+    own = {"world/seed": np.array(seeds), "world/dt": dt}
+    own |= {f"drawn/{name}": np.array([world[name] for world in drawn]) for name in drawn[0]}
     extra = {f"drawn/{name}": _drawn_column(recipe, name) for name in drawn[0]}
     attributes = {
         "config": json.dumps(recipe.config()),
         "seed": seeds[0],
         "worlds": len(seeds),
         "steps": recipe.options.steps,
-        "flags": int(np.bitwise_or.reduce(arrays["step/flags"])),
-        "label_reached": float(arrays["step/label_reached"].mean()),
+        "flags": recorder.flags,
+        "label_reached": recorder.label_reached / (len(seeds) * recipe.options.steps),
     }
-    return shards.shard_image(arrays, {**extra, **recorder.extra}, attributes)
+    return shards.shard_image(itertools.chain(own.items(), recorder.arrays()), {**extra, **recorder.extra}, attributes)
 
 
 def _drawn_column(recipe: Recipe, name: str) -> Column:
@@ -118,7 +116,8 @@ class Recorder:
         self.recipe = recipe
         self._recorded: Any = None
         self.label_config = recipe.label_config
-        self.reached = "change" if recipe.solver.stop == "change" else "residual"
+        self.measure = "change" if recipe.solver.stop == "change" else "residual"
+        self.flags = self.label_reached = 0
         self.kept: dict[str, list[np.ndarray]] = {}
         self.images: dc.Images | None = None
         self.extra: dict[str, Column] = {}
@@ -178,15 +177,18 @@ class Recorder:
         stages[2] = self._label(impulse, solved, slots)
         self._keep("contact/impulse", stages)
         sim.advance()
-        self._keep("step/flags", sim.state.numpy("flags").copy())
+        flags = sim.state.numpy("flags").copy()
+        self._keep("step/flags", flags)
+        self.flags |= int(np.bitwise_or.reduce(flags))
 
     def _label(self, impulse: np.ndarray, solved: np.ndarray, slots: np.ndarray) -> np.ndarray:
         """Solve on to the label, then put back what the step goes on from."""
         before = impulse.copy(), solved.copy()
         self.sim.solve(self.label_config)
         self._note("label_")
-        tolerance = self.label_config.tolerance
-        self._keep("step/label_reached", self.kept[f"step/label_{self.reached}"][-1] <= tolerance)
+        reached = self.sim.stats.numpy(self.measure) <= self.label_config.tolerance
+        self._keep("step/label_reached", reached)
+        self.label_reached += int(reached.sum())
         label = impulse.take(slots, 0)
         if self.images is not None:
             self._keep("grid/label", dc.to_numpy(self.images.impulse_image()).copy())
@@ -200,8 +202,8 @@ class Recorder:
     def _keep(self, name: str, values: np.ndarray) -> None:
         self.kept.setdefault(name, []).append(values)
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """All datasets but seeds and time steps, by path; what was kept is given up."""
+    def arrays(self) -> Iterator[tuple[str, np.ndarray]]:
+        """All datasets but seeds and time steps, path and values; what was kept is given up one by one."""
         model, kept = self.sim.model, self.kept
         worlds, steps = model.world_count, self.recipe.options.steps
         body_start, shape_start = (model.numpy(name).astype(np.int64) for name in ("body_start", "shape_start"))
@@ -212,7 +214,7 @@ class Recorder:
         kept_first, size = kept_first.reshape(count.shape).T.ravel(), count.T.ravel()
         contact_start = _offsets(size)
         order = np.arange(contact_start[-1]) + np.repeat(kept_first - contact_start[:-1], size)
-        arrays = {
+        fixed = {
             **{f"world/{name}": model.numpy(name) for name in ("gravity", "origin", "length_scale")},
             "world/body_start": body_start,
             "world/shape_start": shape_start,
@@ -226,19 +228,19 @@ class Recorder:
             "step/motion_start": _offsets(np.repeat(bodies, steps)),
             "step/contact_start": contact_start,
         }
+        yield from fixed.items()
         for name in list(kept):
             parts, axis = kept.pop(name), name.split("/")[0]
             if axis == "contact":
                 lead = len(shards.LAYOUT[axis][name.split("/")[1]].lead)
-                arrays[name] = np.concatenate(parts, lead).take(order, lead)
+                yield name, np.concatenate(parts, lead).take(order, lead)
                 continue
             whole = np.stack(parts)  # (steps, ...)
             if axis == "motion":
                 own = [whole[:, a:b] for a, b in itertools.pairwise(body_start)]
-                arrays[name] = np.concatenate([part.reshape(-1, *whole.shape[2:]) for part in own])
+                yield name, np.concatenate([part.reshape(-1, *whole.shape[2:]) for part in own])
             else:
-                arrays[name] = whole.swapaxes(0, 1).reshape(-1, *whole.shape[2:])
-        return arrays
+                yield name, whole.swapaxes(0, 1).reshape(-1, *whole.shape[2:])
 
 
 def _offsets(sizes: np.ndarray) -> np.ndarray:
@@ -332,7 +334,7 @@ def on_cluster(
     """
     distributed = require("distributed", "cluster")
     with distributed.Client(address, timeout=CONNECT, set_as_default=False) as client:
-        running = {client.submit(_on_worker, recipe, n, pure=False, retries=RETRIES): n for n in numbers}
+        running = {client.submit(_on_worker, recipe, n, pure=False): n for n in numbers}
         while running and not stop.is_set():
             done = [future for future in running if future.done()]
             for future in done:
@@ -441,7 +443,8 @@ def report(summary: dict[str, Any]) -> str:
         f"{100.0 * summary['label_reached']:.1f} % of the labels reached their tolerance"
     )
     if summary["flags"]:
-        lines.append(f"worlds stopped: {dc.Flag(summary['flags'])}; their states are marked in step/flags")
+        names = ", ".join(str(flag.name) for flag in dc.Flag if flag & summary["flags"])
+        lines.append(f"worlds stopped ({names}); step/flags marks their states")
     lines.append(
         f"{summary['out']}: {summary['bytes'] / 1e6:.1f} MB, {summary['bytes_per_state']:.0f} bytes a state; "
         f"{shards.INDEX} shows all shards as one"

@@ -40,7 +40,7 @@ import io
 import json
 import os
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -184,7 +184,8 @@ def pack(values: np.ndarray, axis: int = 0, rows: int = ROWS) -> Packed:
             whole[tuple(map(slice, block.shape))] = block
             block = whole
         planes = np.ascontiguousarray(block.reshape(-1).view(np.uint8).reshape(-1, values.dtype.itemsize).T)
-        data = zlib.compress(planes.data, LEVEL)
+        compress = zlib.compressobj(LEVEL, memLevel=9)
+        data = compress.compress(planes.data) + compress.flush()
         place = tuple(first if i == axis else 0 for i in range(values.ndim))
         chunks.append((place, data + fletcher32(data)))
     return Packed(values.dtype, values.shape, chunk, chunks)
@@ -217,18 +218,18 @@ def _create(file: Any, name: str, item: Packed, column: Column) -> None:
 
 
 def shard_image(
-    arrays: Mapping[str, np.ndarray], extra: Mapping[str, Column], attributes: Mapping[str, Any]
+    arrays: Iterable[tuple[str, np.ndarray]], extra: Mapping[str, Column], attributes: Mapping[str, Any]
 ) -> memoryview:
     """A shard as bytes.
 
     Args:
-        arrays: datasets by path, those of ``LAYOUT`` and of ``extra``.
+        arrays: path and values of the datasets of ``LAYOUT`` and ``extra``; each is packed before the next is made.
         extra: what stands beside ``LAYOUT``: drawn parameters and grids.
         attributes: of the file, besides those of every file.
     """
     describe = {**_described(), **extra}
     packed = {}
-    for name, values in arrays.items():
+    for name, values in arrays:
         column = describe[name]
         values = np.ascontiguousarray(values, column.dtype)
         size = values[..., :1, :].nbytes if column.lead else values[:1].nbytes
