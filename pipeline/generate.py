@@ -209,11 +209,7 @@ class Recorder:
         body_start, shape_start = (model.numpy(name).astype(np.int64) for name in ("body_start", "shape_start"))
         bodies = np.diff(body_start)
         count = np.stack(kept.pop("count"))  # (steps, worlds)
-        # rows as they were kept, step by step, of each state, then in the order of the file, world by world
-        kept_first = np.cumsum(count) - count.ravel()
-        kept_first, size = kept_first.reshape(count.shape).T.ravel(), count.T.ravel()
-        contact_start = _offsets(size)
-        order = np.arange(contact_start[-1]) + np.repeat(kept_first - contact_start[:-1], size)
+        edges = np.concatenate([np.zeros((steps, 1), np.int64), np.cumsum(count, axis=1)], axis=1).tolist()
         fixed = {
             **{f"world/{name}": model.numpy(name) for name in ("gravity", "origin", "length_scale")},
             "world/body_start": body_start,
@@ -226,14 +222,20 @@ class Recorder:
             "vertex/vertices": model.numpy("vertices"),
             "step/step": np.tile(np.arange(steps), worlds),
             "step/motion_start": _offsets(np.repeat(bodies, steps)),
-            "step/contact_start": contact_start,
+            "step/contact_start": _offsets(count.T.ravel()),
         }
         yield from fixed.items()
         for name in list(kept):
             parts, axis = kept.pop(name), name.split("/")[0]
             if axis == "contact":
                 lead = len(shards.LAYOUT[axis][name.split("/")[1]].lead)
-                yield name, np.concatenate(parts, lead).take(order, lead)
+                before = (slice(None),) * lead
+                rows = (
+                    part[(*before, slice(edge[w], edge[w + 1]))]
+                    for w in range(worlds)
+                    for part, edge in zip(parts, edges)
+                )
+                yield name, np.concatenate(list(rows), lead)
                 continue
             whole = np.stack(parts)  # (steps, ...)
             if axis == "motion":
