@@ -17,7 +17,6 @@ KEYS = ("seconds_per_1000", "bytes_per_step")
 THREADS = 2
 
 WORLDS, WORLDS_QUICK = 1_000, 100
-SHARD_WORLDS = 25  # so that the last shards of both threads end near each other
 PARTS = {"contact": "contacts", "motion": "bodies", "step": "solver"}
 
 
@@ -33,7 +32,7 @@ def measure(quick: bool) -> dict[str, Any]:
         few = GenerateOptions(worlds=4, shard_worlds=2, steps=2)
         generate(Recipe(options=few), out / "few", threads=THREADS, progress=False)
         timing.progress(f"{worlds} worlds")
-        recipe = Recipe(options=GenerateOptions(worlds=worlds, shard_worlds=SHARD_WORLDS))
+        recipe = Recipe(options=GenerateOptions(worlds=worlds))
         made = generate(recipe, out / "whole", threads=THREADS, progress=False)
         parts: dict[str, int] = {}
         for number in range(recipe.options.shard_count):

@@ -38,7 +38,7 @@ class GenerateOptions:
     """As the solver's tolerance, for the label, which is solved on from the solution [N s or 1]."""
     label_sweeps: int = 2000
     """Further sweeps after which a label is kept as it is, marked [1]."""
-    shard_worlds: int = 50
+    shard_worlds: int = 25
     """Worlds of a shard [1]."""
     grids: bool = False
     """Store images of the bodies and contacts, and of the label, too; else they are made when they are read."""

@@ -13,10 +13,10 @@ import dc_kernels as dc
 from dc_kernels.area import wall_nodes
 from dc_kernels.arrays import kernel_array, kernel_vectors, require
 from dc_kernels.backend import argument_names, bind
-from dc_kernels.channels import BODY_CHANNELS, CONTACT_CHANNELS
+from dc_kernels.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES
 from dc_kernels.images import _codes as channel_codes
 from dc_kernels.inputs import check_count
-from dc_kernels.transfer import Stencil, stencil_scalars
+from dc_kernels.transfer import Splat, Stencil, allocate_image, stencil_scalars, transfer_kernels
 from dc_kernels.types import BodyType
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 torch = require("torch", "pipeline")
 
 REMEMBERED = 4096  # sets of wall nodes
-_VECTORS = ("area_point", "position", "velocity", "point", "normal", "arm_a", "arm_b", "impulse")
+_VECTORS = ("area_point", "position", "velocity", "point", "normal", "arm_a", "arm_b", "impulse", "grid_origin")
 
 
 class Splatter:
@@ -59,10 +59,9 @@ class Splatter:
             raise ValueError("bodies and contacts are both empty; an image needs a channel")
         if walls is not None and not 0.0 <= walls < float("inf"):
             raise ValueError(f"walls is {walls!r}; it must be None, or finite and not negative [kg]")
-        stencil_scalars(grid, kernel, h, normalize, nearest)
         self.grid, self.bins = grid, check_count("bins", bins)
-        self.settings: dict[str, Any] = {"h": h, "kernel": kernel, "normalize": normalize, "nearest": nearest}
-        self.settings["threads"] = check_count("threads", threads)
+        self._scalars = stencil_scalars(grid, kernel, h, normalize, nearest)
+        self.threads = check_count("threads", threads)
         self._bodies = channel_codes("bodies", bodies, BODY_CHANNELS)
         self._contacts = channel_codes("contacts", contacts, CONTACT_CHANNELS)
         binned = [f"{name}/{b}" for b in range(bins) for name in contacts] if bins > 1 else contacts
@@ -74,101 +73,84 @@ class Splatter:
     def __call__(self, batch: Batch) -> tuple[Any, Any]:
         """Input (B, channels, rows, columns) and label (B, 2 bins, rows, columns) of a batch, float32."""
         arrays = {f.name: getattr(batch, f.name).numpy() for f in fields(batch)}
-        images = []
+        image = allocate_image(len(batch), len(self.channels), self.grid)
+        label = allocate_image(len(batch), len(IMPULSES) * self.bins, self.grid)
         if len(self._bodies):
-            images.append(self._splat(*self._body_values(arrays)))
-        point_bin, values = self._contact_values(arrays)
-        settings = {"start": batch.contact_start, "bins": self.bins, "point_bin": point_bin}
+            self._splat(image, 0, self._body_points(arrays))
+        contacts = self._contact_points(arrays)
         if len(self._contacts):
-            images.append(self._splat(batch.point, values, **settings))
-        image = images[0] if len(images) == 1 else torch.cat(images, dim=1)
+            self._splat(image, len(self._bodies), contacts)
         if self.walls:
             self._add_walls(image, arrays)
-        return image, self._splat(batch.point, batch.label, **settings)
+        self._splat(label, 0, {**contacts, "value": np.ascontiguousarray(arrays["label"])})
+        return torch.from_numpy(image), torch.from_numpy(label)
 
-    def _splat(self, points: Any, values: Any, start: Any, **settings: Any) -> Any:
-        from dc_kernels.operators import splat_torch
+    def _splat(self, image: np.ndarray, channel_offset: int, points: Mapping[str, Any]) -> None:
+        """Add points to a zeroed image, from a channel on."""
+        if not len(points["point"]):
+            return
+        origin = np.tile(np.asarray(self.grid.origin, np.float32), (len(image), 1))
+        arrays = {**points, "grid_origin": origin, "image": image}
+        values = {**self._scalars, "bins": points["bins"], "channel_offset": channel_offset}
+        values |= {name: _kernel_array(name, array) for name, array in arrays.items() if name != "bins"}
+        Splat(transfer_kernels("warp", "float32"), values, threads=self.threads)()
 
-        return splat_torch(points, values, self.grid, start=start, **settings, **self.settings)
-
-    def _body_values(self, batch: Mapping[str, np.ndarray]) -> tuple[Any, Any, Any]:
-        """Places and values of the dynamic bodies, and the first of each state."""
+    def _body_points(self, batch: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        """Places and values of the dynamic bodies."""
         body = np.flatnonzero(batch["body_type"] == BodyType.DYNAMIC).astype(np.int32)
         start = np.searchsorted(body, batch["body_start"]).astype(np.int32)
-        point, value = np.zeros((len(body), 2), np.float32), np.zeros((len(body), len(self._bodies)), np.float32)
-        none = np.zeros((1, 2), np.float32)
-        self._features(
-            "body_features",
-            batch,
-            {"area": 0, "body_channel": self._bodies, "area_start": start, "area_body": body},
-            {"area_point": none, "area_weight": none[0], "point": point, "value": value},
-        )
-        return torch.from_numpy(point), torch.from_numpy(value), torch.from_numpy(start)
+        points = _points(start, len(body), len(self._bodies), 1)
+        centre = {"area": 0, "area_point": np.zeros((1, 2), np.float32), "area_weight": np.zeros(1, np.float32)}
+        own = {**centre, "body_channel": self._bodies, "area_start": start, "area_body": body}
+        self._features("body_features", {**batch, **points, **own})
+        return points
 
-    def _contact_values(self, batch: Mapping[str, np.ndarray]) -> tuple[Any, Any]:
-        """Bins and values of the contacts."""
+    def _contact_points(self, batch: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        """Places, bins and values of the contacts; the kernel's places are dropped, as its arms were rounded."""
         a, b = (batch[name].astype(np.int32) for name in ("body_a", "body_b"))
-        point, start = batch["point"], batch["contact_start"].astype(np.int32)
-        value = np.zeros((len(point), max(len(self._contacts), 1)), np.float32)
-        point_bin = np.zeros(len(point) if self.bins > 1 else 1, np.int32)
-        if len(point):
-            self._features(
-                "contact_features",
-                batch,
-                {
-                    "bins": self.bins,
-                    "contact_channel": self._contacts,
-                    "contact_start": start,
-                    "contact_count": np.diff(start),
-                    "body_a": a,
-                    "body_b": b,
-                    "point_bin": point_bin,
-                },
-                {
-                    "arm_a": point - batch["position"][a],
-                    "arm_b": point - batch["position"][b],
-                    "impulse": batch["start"],
-                    "point": np.zeros_like(point),
-                    "value": value,
-                },
-            )
-        return torch.from_numpy(point_bin) if self.bins > 1 else None, torch.from_numpy(value)
+        start = batch["contact_start"].astype(np.int32)
+        points = _points(start, len(a), max(len(self._contacts), 1), self.bins)
+        place = batch["point"]
+        own = {
+            "contact_channel": self._contacts,
+            "contact_start": start,
+            "contact_count": np.diff(start),
+            "body_a": a,
+            "body_b": b,
+            "arm_a": place - batch["position"][a],
+            "arm_b": place - batch["position"][b],
+            "impulse": batch["start"],
+        }
+        self._features("contact_features", {**batch, **points, **own})
+        return {**points, "point": place}
 
-    def _features(
-        self, name: str, batch: Mapping[str, np.ndarray], whole: Mapping[str, Any], real: Mapping[str, np.ndarray]
-    ) -> None:
-        """Run the kernel that ``dc.Images`` runs, with numbers of the batch where nothing else is given."""
+    def _features(self, name: str, values: Mapping[str, Any]) -> None:
+        """Run the kernel that ``dc.Images`` runs."""
         from dc_kernels._warp import features
 
-        states = len(batch["seed"])
+        states = len(values["seed"])
+        if not len(values["point"]):
+            return
         kernel = features.kernels("float32")[name]
-        values: dict[str, Any] = {"world_offset": 0, **{n: v for n, v in whole.items() if isinstance(v, int)}}
-        arrays = {**batch, **real, **{n: v for n, v in whole.items() if not isinstance(v, int)}}
-        arrays |= {"flags": np.zeros(states, np.int32), "point_count": np.zeros(states, np.int32)}
-        for argument in argument_names(kernel):
-            if argument not in values:
-                array = arrays[argument]
-                vector = argument in _VECTORS
-                values[argument] = (kernel_vectors if vector else kernel_array)(array, "warp")
-        bind(kernel, states, values, "cpu")()
+        values = {**values, "world_offset": 0, "flags": np.zeros(states, np.int32)}
+        wanted = {argument: values[argument] for argument in argument_names(kernel)}
+        bind(kernel, states, {name: _kernel_array(name, value) for name, value in wanted.items()}, "cpu")()
 
-    def _add_walls(self, image: Any, batch: Mapping[str, np.ndarray]) -> None:
+    def _add_walls(self, image: np.ndarray, batch: Mapping[str, np.ndarray]) -> None:
         nodes = [self._wall_nodes(batch, state) for state in range(len(batch["seed"]))]
         size = self.grid.rows * self.grid.columns
         whole = np.concatenate([(s * len(self.channels) + self._mass) * size + n for s, n in enumerate(nodes)])
-        image.view(-1)[torch.from_numpy(whole)] += self.walls
+        image.reshape(-1)[whole] += np.float32(self.walls)
 
     def _wall_nodes(self, batch: Mapping[str, np.ndarray], state: int) -> np.ndarray:
         """Nodes of the grid, row by row, that a state's static shapes cover; worlds with the same share them."""
-        shapes = slice(*batch["shape_start"][state : state + 2])
-        vertex = batch["vertex_start"][shapes.start : shapes.stop + 1]
-        body, inverse = np.unique(batch["shape_body"][shapes], return_inverse=True)
+        first, last = batch["shape_start"][state : state + 2]
+        vertex = batch["vertex_start"][first : last + 1]
+        body = batch["shape_body"][first:last]
         own = {
-            "body_type": np.full(len(body), int(BodyType.STATIC)),
-            "shape_body": inverse,
-            "shape_start": np.array([0, len(inverse)]),
-            "shape_type": batch["shape_type"][shapes],
-            "shape_radius": batch["shape_radius"][shapes],
+            "shape_body": body - batch["body_start"][state],
+            "shape_type": batch["shape_type"][first:last],
+            "shape_radius": batch["shape_radius"][first:last],
             "vertex_start": vertex - vertex[0],
             "vertices": batch["vertices"][vertex[0] : vertex[-1]],
             "position": batch["position"][body],
@@ -176,12 +158,37 @@ class Splatter:
         }
         key = b"".join(values.tobytes() for values in own.values())
         if key not in self._known:
-            shown = _Shapes(own)
-            _, row, column = wall_nodes(shown, shown, self.grid)  # type: ignore[arg-type]
-            self._known[key] = row.astype(np.int64) * self.grid.columns + column
+            self._known[key] = self._find_walls(own)
             if len(self._known) > REMEMBERED:
                 self._known.popitem(last=False)
         return self._known[key]
+
+    def _find_walls(self, own: dict[str, np.ndarray]) -> np.ndarray:
+        """``area.wall_nodes`` of one world in which each static shape is a body."""
+        count = len(own["shape_body"])
+        own |= {"body_type": np.full(count, int(BodyType.STATIC)), "shape_body": np.arange(count)}
+        own["shape_start"] = np.array([0, count])
+        shown = _Shapes(own)
+        _, row, column = wall_nodes(shown, shown, self.grid)  # type: ignore[arg-type]
+        return row.astype(np.int64) * self.grid.columns + column
+
+
+def _points(start: np.ndarray, count: int, channels: int, bins: int) -> dict[str, Any]:
+    """What describes points to a splat, and what a kernel of features fills."""
+    return {
+        "bins": bins,
+        "point_start": start[:-1],
+        "point_count": np.diff(start),
+        "point": np.zeros((count, 2), np.float32),
+        "point_bin": np.zeros(count if bins > 1 else 1, np.int32),
+        "value": np.zeros((count, channels), np.float32),
+    }
+
+
+def _kernel_array(name: str, value: Any) -> Any:
+    if not isinstance(value, np.ndarray):
+        return value
+    return kernel_vectors(value, "warp") if name in _VECTORS else kernel_array(value, "warp")
 
 
 class _Shapes:
