@@ -13,6 +13,7 @@ import numpy as np
 
 from dc_kernels.arrays import require
 from dc_kernels.grid import Grid
+from dc_kernels.transfer import SUPPORT
 
 from . import dataset, models, plots, training_plots
 from .checkpoint import all_versions, grid_dict, load_checkpoint, load_training, save_checkpoint, save_training
@@ -77,12 +78,23 @@ class GridTraining:
                 "its solver.position_correction is 'baumgarte'"
             )
         self.grid = make_grid(self.data["box"], options.nodes or recipe.nodes)
-        contacts = (*recipe.contacts, *(CACHED if options.cached else ()))
-        self.images: dict[str, Any] = {"bodies": recipe.bodies, "contacts": contacts, "walls": options.walls}
-        self.decode = Decoder(
-            grid=self.grid, reverse=(options.decode or recipe.decode) == "reverse", threads=options.threads
-        )
+        self.images: dict[str, Any] = {
+            "bodies": recipe.bodies,
+            "contacts": (*recipe.contacts, *(CACHED if options.cached else ())),
+            "kernel": "poly6",
+            "h": options.h or SUPPORT * self.grid.spacing,
+            "bins": options.bins,
+            "walls": options.walls,
+        }
         self.splatter = dataset.Splatter(self.grid, **self.images, threads=options.threads)
+        self.decode = Decoder(
+            grid=self.grid,
+            kernel=self.images["kernel"],
+            h=self.images["h"],
+            bins=options.bins,
+            reverse=(options.decode or recipe.decode) == "reverse",
+            threads=options.threads,
+        )
         self.train = self.loader("train", rank=group.rank, world_size=group.size)
         self.validation = self.loader("validation")
         if not len(self.train):
@@ -92,7 +104,8 @@ class GridTraining:
         config = models.GridConfig(
             rows=self.grid.rows,
             columns=self.grid.columns,
-            channels=len(recipe.bodies) + len(contacts),
+            channels=len(self.splatter.channels),
+            outputs=2 * options.bins,
             width=options.width,
             dropout=options.dropout,
         )
@@ -163,7 +176,7 @@ class GridTraining:
         are far heavier than bodies. In units of the losses' scales the answer zero has a mean square of 1.
         """
         if self.options.scaling == "none":
-            return torch.ones(2), torch.ones(2)
+            return torch.ones(self.model.config.outputs), torch.ones(2)
         walls, states = self.options.walls, 0
         channels, reached, contacts = RunningSquare(), RunningSquare(), RunningSquare()
         nodes = RunningSquare()
@@ -336,6 +349,7 @@ class GridTraining:
         assert shown is not None
         impulse, label, floor = (torch.cat(column).numpy() for column in zip(*parts))
         answer, target, points, title = shown
+        answer, target = (image.reshape(-1, 2, *self.grid.shape).sum(axis=0) for image in (answer, target))
         return training_plots.Prediction(impulse, label, floor, self.grid, answer, target, points, title)
 
     # ------------------------------------------------------------------ files

@@ -72,6 +72,10 @@ class TrainOptions:
     """Share of values that ConvFC and Peak drop in training [1]."""
     nodes: int | None = None
     """Nodes along the longer side of the grid; None: as the thesis has it [1]."""
+    h: float | None = None
+    """Support radius of the splat; None: 2 spacings [m]."""
+    bins: int = 1
+    """Parts of the half circle of normal directions that contacts are kept apart in [1]."""
     walls: float = 100.0
     """Mass of the nodes that walls cover [kg]."""
     cached: bool = False
@@ -115,7 +119,7 @@ class TrainOptions:
 
     def check(self) -> None:
         """Raise a ``ValueError`` that names the option which is out of its range."""
-        least = {"epochs": 1, "batch_size": 1, "stride": 1, "threads": 1, "log_every": 1, "save_every": 1}
+        least = {"bins": 1, "epochs": 1, "batch_size": 1, "stride": 1, "threads": 1, "log_every": 1, "save_every": 1}
         for name, low in {**least, "seed": 0, "workers": 0, "sweeps": 0}.items():
             if getattr(self, name) < low:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be >= {low}")

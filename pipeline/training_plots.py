@@ -45,7 +45,7 @@ class Prediction:
     """The true ones sent to the grid and back, (M, 2) [N s]."""
     grid: Grid
     answer: np.ndarray
-    """Predicted image of one world, (2, rows, columns)."""
+    """Predicted image of one world, its bins summed, (2, rows, columns)."""
     target: np.ndarray
     """Image of its labels, (2, rows, columns)."""
     points: np.ndarray
@@ -84,7 +84,7 @@ def curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> Any:
         draw(rate, "train/rate", color=CYCLE[2])
         for axes, name in ((loss, "loss"), (error, "squared error at the contacts / that of zero"), (rate, "rate")):
             axes.set(title=name, yscale="log", xlabel="step")
-            if axes is not rate:
+            if axes.get_legend_handles_labels()[0]:
                 axes.legend(fontsize=8.5)
     return fig
 

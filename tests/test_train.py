@@ -559,7 +559,8 @@ def test_two_processes_train_as_one(data, tmp_path, undrawn):
 def checkpoint(data, tmp_path_factory) -> Path:
     """A network at the beginning of its training."""
     out = tmp_path_factory.mktemp("begun")
-    begun = grid_training.GridTraining("pressure", options(data, out), training.Processes())
+    chosen = options(data, out, bins=3, h=0.7, walls=50.0)
+    begun = grid_training.GridTraining("pressure", chosen, training.Processes())
     begun.log.close()
     save_checkpoint(out / "begun.safetensors", begun.model, begun.manifest())
     return out / "begun.safetensors"
@@ -579,7 +580,7 @@ def test_in_a_simulation_a_network_reads_and_writes_what_it_was_trained_on(data,
     batch = states.batch([70 * world + step for world in range(8)])
     grid = start.images.grid
     splatter = dataset.Splatter(grid, **manifest["images"])
-    decode = losses.Decoder(grid=grid, reverse=manifest["decode"]["reverse"])
+    decode = losses.Decoder(grid=grid, reverse=manifest["decode"]["reverse"], h=0.7, bins=3)
     with torch.inference_mode():
         wanted = decode(model(splatter(batch)[0]), batch)
     assert len(wanted) > 30
