@@ -24,7 +24,8 @@ from dc_kernels.arrays import require
 from dc_kernels.grid import Grid
 
 from . import models
-from .simulate import atomic_path, plain, versions
+from .shards import write
+from .simulate import plain, versions
 
 torch = require("torch", "pipeline")
 safetensors = require("safetensors", "pipeline")
@@ -199,9 +200,8 @@ def _as_given(saved: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any
 
 
 def _write(path: Path, tensors: Mapping[str, Any], described: dict[str, str]) -> None:
-    save_file = require("safetensors.torch", "pipeline").save_file
-    with atomic_path(path) as partial:
-        save_file({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, partial, described)
+    save = require("safetensors.torch", "pipeline").save  # as bytes: a file of its own making nobody else may read
+    write(path, save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, described))
 
 
 def _read(path: Path, schema: str, version: int) -> tuple[dict[str, str], dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -162,15 +163,20 @@ def test_a_manifest_that_json_cannot_hold_leaves_the_old_file_whole(saved):
 def test_a_write_that_fails_leaves_the_old_file_whole(saved, monkeypatch):
     before = saved.read_bytes()
 
-    def full(tensors, path, metadata):
-        Path(path).write_bytes(b"half")
+    def full(descriptor):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(safetensors.torch, "save_file", full)
-    with pytest.raises(OSError, match="No space"):
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match=r"network\.safetensors was not written: No space left on device"):
         save_checkpoint(saved, network(seed=1), MANIFEST)
     assert saved.read_bytes() == before
     assert [path.name for path in saved.parent.iterdir()] == [saved.name]
+
+
+def test_others_may_read_a_file_where_they_may_read_any(saved):
+    beside = saved.with_name("beside")
+    beside.write_bytes(b"")
+    assert saved.stat().st_mode == beside.stat().st_mode
 
 
 # ---------------------------------------------------------------------- trainings
