@@ -19,7 +19,7 @@ from . import dataset, models, plots, training_plots
 from .checkpoint import all_versions, grid_dict, load_checkpoint, load_training, save_checkpoint, save_training
 from .losses import Decoder, Loss
 from .simulate import atomic_path, interruptible, plain, write_json
-from .train import CACHED, RECIPES, NetworkName, TrainOptions
+from .train import CACHED, SETUPS, NetworkName, TrainOptions
 from .training import (
     Log,
     Processes,
@@ -69,7 +69,7 @@ class GridTraining:
         self.network, self.options, self.group = network, options, group
         if options.batch_size % group.size:
             raise ValueError(f"batch_size is {options.batch_size}; {group.size} processes cannot share it evenly")
-        recipe = RECIPES[network]
+        setup = SETUPS[network]
         self.data = dataset.describe(options.data)
         solver = self.data["config"]["solver"]
         if options.loss in ("energy", "sweeps") and solver["position_correction"] == "baumgarte":
@@ -77,12 +77,12 @@ class GridTraining:
                 f"loss is {options.loss!r}, which does not know the velocity bias that overlaps had in {options.data}: "
                 "its solver.position_correction is 'baumgarte'"
             )
-        self.grid = make_grid(self.data["box"], options.nodes or recipe.nodes)
+        self.grid = make_grid(self.data["box"], setup.nodes if options.nodes is None else options.nodes)
         self.images: dict[str, Any] = {
-            "bodies": recipe.bodies,
-            "contacts": (*recipe.contacts, *(CACHED if options.cached else ())),
+            "bodies": setup.bodies,
+            "contacts": (*setup.contacts, *(CACHED if options.cached else ())),
             "kernel": "poly6",
-            "h": options.h or SUPPORT * self.grid.spacing,
+            "h": SUPPORT * self.grid.spacing if options.h is None else options.h,
             "bins": options.bins,
             "walls": options.walls,
         }
@@ -92,7 +92,7 @@ class GridTraining:
             kernel=self.images["kernel"],
             h=self.images["h"],
             bins=options.bins,
-            reverse=(options.decode or recipe.decode) == "reverse",
+            reverse=(options.decode or setup.decode) == "reverse",
             threads=options.threads,
         )
         self.train = self.loader("train", rank=group.rank, world_size=group.size)
@@ -129,10 +129,10 @@ class GridTraining:
         self.spent = 0.0  # [s] in earlier runs
         self.search: RateSearch | None = None
         steps = options.epochs * len(self.train)
-        rate = options.rate or recipe.rate
+        rate = setup.rate if options.rate is None else options.rate
         self.choices: dict[str, Any] = {
-            "optimizer": options.optimizer or recipe.optimizer,
-            "schedule": options.schedule or recipe.schedule,
+            "optimizer": options.optimizer or setup.optimizer,
+            "schedule": options.schedule or setup.schedule,
             "rate": rate,
         }
         if options.find_rate and not options.resume:

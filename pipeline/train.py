@@ -28,7 +28,7 @@ CACHED = ("impulse_n", "impulse_t")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recipe:
+class Setup:
     """What a thesis says of its network's input and training."""
 
     bodies: tuple[str, ...] = BODIES
@@ -44,11 +44,11 @@ class Recipe:
     rate: float = 1e-3
 
 
-RECIPES: dict[NetworkName, Recipe] = {
-    "convfc": Recipe(contacts=("normal_x",), nodes=41, decode="bilinear", optimizer="sgd", schedule="decay", rate=0.01),
-    "pressure": Recipe(),
-    "peak": Recipe(),
-    "unet": Recipe(bodies=("velocity_x", "velocity_y", "omega", "mass", "inertia"), contacts=()),
+SETUPS: dict[NetworkName, Setup] = {
+    "convfc": Setup(contacts=("normal_x",), nodes=41, decode="bilinear", optimizer="sgd", schedule="decay", rate=0.01),
+    "pressure": Setup(),
+    "peak": Setup(),
+    "unet": Setup(bodies=("velocity_x", "velocity_y", "omega", "mass", "inertia"), contacts=()),
 }
 
 
@@ -126,6 +126,8 @@ class TrainOptions:
         for name in ("decay", "weight_decay", "walls"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be finite and >= 0")
+        if self.nodes is not None and self.nodes < 8:
+            raise ValueError(f"nodes is {self.nodes}; it must be >= 8")
         if self.clip is not None and not self.clip > 0.0:
             raise ValueError(f"clip is {self.clip}; it must be > 0")
         if not 0.0 < self.validation < 1.0:
@@ -154,8 +156,8 @@ def train(network: NetworkName, options: TrainOptions | None = None, progress: b
     """
     options = options or TrainOptions()
     options.check()
-    if network not in RECIPES:
-        raise ValueError(f"network is {network!r}; it must be one of {tuple(RECIPES)}")
+    if network not in SETUPS:
+        raise ValueError(f"network is {network!r}; it must be one of {tuple(SETUPS)}")
     from .grid_training import train_grid
 
     return train_grid(network, options, progress)

@@ -471,6 +471,14 @@ def test_held_out_worlds_are_never_trained_on(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_loss_that_would_miss_the_bias_of_overlaps_is_refused(tmp_path):
+    solver = dc.SolverConfig(position_correction="baumgarte")
+    recipe = Recipe(scene=SCENE, options=GenerateOptions(worlds=2, steps=40), solver=solver)
+    generate(recipe, tmp_path / "data", threads=1, progress=False)
+    with pytest.raises(ValueError, match="loss is 'sweeps', which does not know the velocity bias that overlaps had"):
+        train("pressure", options(tmp_path / "data", tmp_path / "out", loss="sweeps"), progress=False)
+
+
 @pytest.mark.parametrize(
     ("network", "changes", "message"),
     [
@@ -482,7 +490,9 @@ def test_held_out_worlds_are_never_trained_on(tmp_path):
         ("unet", {"validation": 1.0}, r"validation is 1.0; it must lie in \(0, 1\)"),
         ("unet", {"find_rate": True, "rate": 0.1}, "rate is 0.1, and find_rate asks for another one"),
         ("unet", {"batch_size": 10_000}, "has fewer training states than a batch of 10000"),
-        ("unet", {"rate": -1.0}, "rate is -1.0; it must be finite and > 0"),
+        ("unet", {"rate": 0.0}, "rate is 0.0; it must be finite and > 0"),
+        ("unet", {"nodes": 1}, "nodes is 1; it must be >= 8"),
+        ("unet", {"h": 0.0}, "h is 0.0"),
         ("unet", {"data": Path("nowhere")}, "nowhere has no index.h5"),
     ],
 )
