@@ -44,6 +44,7 @@ class SolveReader:
 
     Attributes:
         local: (room, len(LOCAL)); the first ``count`` rows are the contacts of the last ``read``.
+        image_value: what is splatted, (room, len(IMAGE)).
         image: (W, len(IMAGE), rows, columns); plane k is that of the k-th world asked for.
         place, place_a, place_b: contact points and centres of their bodies [m], (room, 2).
         step: step of the last sweep [N s], (room, 2); before the first, that of each contact alone.
@@ -59,15 +60,19 @@ class SolveReader:
         """Allocate everything.
 
         Args:
-            sim: whose solves are read; schedule "world", on the CPU.
+            sim: whose solves are read; schedule "world", on the CPU. Not with acceleration "nncg": where it begins
+                anew, what it keeps of a sweep is 0.
             grid: of the images, relative to each world's origin.
             cap: largest extrapolation A [1].
             limit: largest RMS of a correction that is taken, in units of that expected [1].
             threads: None: as many as the simulation has.
 
         Raises:
-            ValueError: for a simulation whose solves cannot pause.
+            ValueError: for a simulation whose solves cannot pause, or a setting out of range.
         """
+        for name, value in (("cap", cap), ("limit", limit)):
+            if not value > 0.0:
+                raise ValueError(f"{name} is {value!r}; it must be > 0")
         if sim.device != "cpu" or sim.schedule != "world":
             raise ValueError(
                 f"the simulation runs on {sim.device!r} with schedule {sim.schedule!r}; it must be 'cpu' and 'world'"
@@ -87,6 +92,12 @@ class SolveReader:
         self._bound: Any = None
         self._bind()
 
+    def begin(self) -> None:
+        """Take the impulses that the solves begin with as those known: ``since`` then counts from there."""
+        if self._bound is not self.sim.values:
+            self._bind()
+        np.copyto(self.known, self.sim.contacts.numpy("impulse"))
+
     def read(self, worlds: np.ndarray, *, begin: bool) -> int:
         """Fill features and images of these worlds, whose solve is paused.
 
@@ -96,7 +107,11 @@ class SolveReader:
 
         Returns:
             The number of their contacts.
+
+        Raises:
+            ValueError: for a world that is not there, out of order or not paused, or acceleration "nncg".
         """
+        self._check(worlds)
         if self._bound is not self.sim.values:
             self._bind()
         self.asked = asked = len(worlds)
@@ -164,6 +179,20 @@ class SolveReader:
 
     # ------------------------------------------------------------------ set-up
 
+    def _check(self, worlds: np.ndarray) -> None:
+        if worlds.ndim != 1 or worlds.dtype.kind not in "iu":
+            raise ValueError(f"worlds has dtype {worlds.dtype}, shape {worlds.shape}; it must be (n,) integers")
+        if not len(worlds):
+            return
+        if worlds[0] < 0 or worlds[-1] >= self.worlds or not (worlds[1:] > worlds[:-1]).all():
+            off = (worlds >= self.worlds) | (np.diff(worlds, prepend=-1) <= 0)
+            i = int(np.argmax(off))
+            raise ValueError(f"worlds[{i}] is {worlds[i]}; it must lie in [0, {self.worlds - 1}], above those before")
+        paused = self.sim.running[worlds]
+        if not paused.all():
+            i = int(np.argmin(paused))
+            raise ValueError(f"worlds[{i}] is {worlds[i]}, whose solve is not paused")
+
     def _array(self, values: np.ndarray) -> Any:
         return kernel_array(values, self.sim.backend)
 
@@ -185,10 +214,12 @@ class SolveReader:
     def _bind(self) -> None:
         """Bind everything to the simulation's arrays: it makes ``values`` anew when it has reallocated some."""
         sim, dtype, backend = self.sim, self.sim.dtype, self.sim.backend
+        if sim.config.acceleration == "nncg":
+            raise ValueError("config.acceleration is 'nncg'; a solve that is read keeps the step of each sweep")
         self._bound = sim.values
         self._room = room = sim.contacts.sizes["contact"]
         self._chunks = chunks_of(int(sim.storage.contact_room.max(initial=0)))
-        self.local, self._image_value = aligned_zeros((room, len(LOCAL)), dtype), np.zeros((room, len(IMAGE)), dtype)
+        self.local, self.image_value = aligned_zeros((room, len(LOCAL)), dtype), np.zeros((room, len(IMAGE)), dtype)
         self.place, self.place_a, self.place_b, self.step = (np.zeros((room, 2), dtype) for _ in range(4))
         self.before, self.known = np.zeros((room, 2), dtype), np.zeros((room, 2), dtype)
         self._gathers: dict[int, tuple[np.ndarray, list[Fed]]] = {}
@@ -207,7 +238,7 @@ class SolveReader:
             "known": kernel_vectors(self.known, backend),
             "body_sum": kernel_vectors(np.zeros((sim.model.body_count, 4), dtype), backend),
             "local": self._array(self.local),
-            "image_value": self._array(self._image_value),
+            "image_value": self._array(self.image_value),
             "step": kernel_vectors(self.step, backend),
             "world_scale": kernel_vectors(self.scale, backend),
         }
