@@ -7,13 +7,14 @@
 
 Whatever the network answers, the solve ends as it would without it, at a bounded cost. A correction with NaN or inf, or
 far beyond what the last sweeps let expect, is not taken. One that failed, after which the step of a sweep is no smaller
-than it was before, makes the world wait for its next call, twice as long each time; where it has grown much, it is
-taken back. The worst network thus costs the sweeps between two calls some log2(sweeps) times a solve.
+than it was before, makes the world leave out calls, more each time; where it has grown much, it is taken back. After
+``most`` calls what remains is the plain solver on the impulses that it has.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,7 +25,9 @@ from dc_kernels.arrays import require
 from dc_kernels.solve_features import SolveReader
 from dc_kernels.types import NORMS
 
+WAIT = 4  # calls that a world leaves out, at most, after one that failed
 PARTS = ("solve", "splat", "network", "gather")
+COUNTS = ("solves", "empty", "early", "calls", "refused", "failed", "undone")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +42,7 @@ class CallOptions:
     """Call it while the solve has not converged."""
     most: int = 40
     """Calls of a world in a solve, at most [1]."""
-    harm: float = 4.0
+    harm: float = 8.0
     """A correction is taken back where the step of a sweep then is so many times that before it, or more [1]."""
     limit: float = 30.0
     """RMS of a correction beyond which it is not taken, in units of that which the last sweeps let expect [1]."""
@@ -77,12 +80,12 @@ class CallStats:
     @classmethod
     def zeros(cls, worlds: int) -> CallStats:
         """Nothing so far."""
-        return cls(*(np.zeros(worlds, np.int64) for _ in range(7)))
+        counts: dict[str, Any] = {name: np.zeros(worlds, np.int64) for name in COUNTS}
+        return cls(**counts)
 
     def totals(self) -> dict[str, Any]:
         """Sums over the worlds, by name."""
-        names = ("solves", "empty", "early", "calls", "refused", "failed", "undone")
-        return {**{name: int(getattr(self, name).sum()) for name in names}, "seconds": dict(self.seconds)}
+        return {**{name: int(getattr(self, name).sum()) for name in COUNTS}, "seconds": dict(self.seconds)}
 
 
 def grid_of(sim: dc.Simulation, spacing: float) -> dc.Grid:
@@ -137,6 +140,8 @@ class LearnedSolve:
         self._trunk = torch.compile(model.trunk) if compile else model.trunk
         self._head = torch.compile(model.head) if compile else model.head
         self.stats = CallStats.zeros(sim.model.world_count)
+        self.watch: Callable[[np.ndarray, bool], None] | None = None
+        """Called with the worlds, and whether no sweep is done, when their features are read: for training."""
 
     def step(self, dt: float) -> None:
         """A time step: collide, solve, advance; see ``Simulation.step``."""
@@ -199,6 +204,8 @@ class LearnedSolve:
             return asking
         reader = self.reader
         self._timed("splat", reader.read, worlds, begin=begin)
+        if self.watch is not None:
+            self.watch(worlds, begin)
         with self._torch.inference_mode():
             trunk = self._timed("network", self._trunk, reader.images())
             near = self._timed("gather", reader.gather, trunk.contiguous())
@@ -212,7 +219,7 @@ class LearnedSolve:
         self._waiting[worlds] = taken
         self.stats.calls[worlds] += 1
         refused = worlds[~taken]
-        self._pause[refused] = 1 + 2 ** self._failures[refused]
+        self._pause[refused] = np.minimum(2 + self._failures[refused], WAIT)
         self._failures[refused] += 1
         self.stats.refused[refused] += 1
         return asking
@@ -239,7 +246,7 @@ class LearnedSolve:
             self.sim.stats.numpy("replaced")[harmed] = 1
             self.stats.undone += harmed
         failed = judged & ~(now < before)
-        self._pause[failed] = 2 ** self._failures[failed]
+        self._pause[failed] = np.minimum(1 + self._failures[failed], WAIT)
         self._failures += failed
         self.stats.failed += failed
 

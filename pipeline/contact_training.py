@@ -1,0 +1,306 @@
+"""Training of a ContactNet on its own calls: rounds of solves in which they are recorded, and of steps on them.
+
+Each round records anew with the network as it stands, so its data are never stored, and an interrupted training goes on
+from the last whole round, bit for bit on one thread. Files in the folder: ``contactnet.safetensors`` (the network and
+its manifest), ``training.safetensors``, ``metrics.jsonl``, ``tensorboard/``, ``train.json``, ``curves.png``.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.arrays import require
+
+from . import models, plots
+from .checkpoint import all_versions, load_training, save_checkpoint, save_training
+from .contact_plots import contact_curves_figure
+from .evaluate import HELD_OUT_SEED
+from .learned import grid_of
+from .rollouts import SETTINGS, Setting, record, seeds_of
+from .scenes import Thesis
+from .simulate import RunOptions, atomic_path, interruptible, plain, write_json
+from .training import (
+    Log,
+    Processes,
+    check_loss,
+    clip_gradients,
+    make_optimizer,
+    make_schedule,
+    processes,
+    seed_everything,
+)
+from .unroll import ERRORS, CallBatch, unroll
+
+torch = require("torch", "pipeline")
+
+NETWORK, STATE = "contactnet.safetensors", "training.safetensors"
+VALIDATION_SEED = 90_000  # of the worlds of validation; training takes seeds below
+WEIGHTS = {"velocity": 0.3, "impulse": 0.2, "step": 0.5}  # of the errors in the loss
+UNROLLS = ((1, 60), (2, 40), (4, 20))  # calls and sweeps after the last one, in turn
+WORSE = 1.0  # price of an error larger than without the network, on top of it
+SLOW = 0.5  # power of 1 + A in the weight of a world: the sweeps that an error costs
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactTrainOptions:
+    """How a ContactNet is trained; the defaults are those of the weights in the package."""
+
+    out: Path = Path("out/contactnet")
+    """Folder of the files, made if missing; files of an earlier training are replaced."""
+    resume: bool = False
+    """Continue the training in that folder."""
+    rounds: int = 16
+    """Rounds of recording and steps [1]."""
+    steps: int = 500
+    """Steps of a round [1]."""
+    contacts: int = 3000
+    """Contacts of a step's batch, about [1]."""
+    every: int = 10
+    """Sweeps between two calls in training [1]."""
+    rate: float = 3e-3
+    """Highest learning rate, of AdamW in one cycle."""
+    weight_decay: float = 1e-4
+    """Of the optimiser."""
+    clip: float = 1.0
+    """Longest gradient, to which longer ones are cut [1]."""
+    seed: int = 0
+    """Of the weights, of what is recorded, and of the first world [1]."""
+    spacing: float = 2.0
+    """Distance of the grid's nodes [typical diameters]."""
+    channels: tuple[int, ...] = (8, 16, 16)
+    """Channels of the trunk at each scale [1]."""
+    near: int = 8
+    """Channels gathered at the contacts [1]."""
+    hidden: tuple[int, ...] = (48, 32)
+    """Widths of the head's hidden layers [1]."""
+    worlds: float = 1.0
+    """Factor on the worlds of a round [1]."""
+    threads: int = 1
+    """Threads of torch [1]."""
+
+    def check(self) -> None:
+        """Raise a ``ValueError`` that names the option which is out of its range."""
+        for name, low in (("rounds", 1), ("steps", 1), ("contacts", 1), ("every", 4), ("threads", 1), ("seed", 0)):
+            if getattr(self, name) < low:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be >= {low}")
+        for name in ("rate", "clip", "worlds"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be finite and > 0")
+        last = self.seed + self.rounds * seeds_of(self.settings())
+        if last > VALIDATION_SEED:
+            raise ValueError(
+                f"the worlds' seeds go from {self.seed} to {last}; those from {VALIDATION_SEED} on are for validation, "
+                f"from {HELD_OUT_SEED} on for tests"
+            )
+
+    def settings(self) -> tuple[Setting, ...]:
+        """What is recorded in a round."""
+        return tuple(
+            Setting(**{**asdict(setting), "worlds": max(1, round(self.worlds * setting.worlds))})
+            for setting in SETTINGS
+        )
+
+
+def train_contactnet(options: ContactTrainOptions | None = None, progress: bool = True) -> dict[str, Any]:
+    """Train a ContactNet; Ctrl-C ends it after the round under way, with whole files to resume from.
+
+    Under ``torchrun`` each process records worlds of its own and the gradients are averaged.
+
+    Args:
+        options: how.
+        progress: show a bar on stderr.
+
+    Returns:
+        The content of ``train.json``.
+
+    Raises:
+        ValueError: for an option out of its range, a training to resume that is another one, or a loss that is not
+            finite, naming the step.
+    """
+    options = options or ContactTrainOptions()
+    options.check()
+    torch.set_num_threads(options.threads)
+    with processes() as group, interruptible() as stop:
+        return ContactTraining(options, group).run(stop, progress and group.first)
+
+
+class ContactTraining:
+    """A training under way."""
+
+    def __init__(self, options: ContactTrainOptions, group: Processes) -> None:
+        """Make network and optimiser, and continue where an earlier run stopped."""
+        self.options, self.group = options, group
+        seed_everything(options.seed)
+        names = ("spacing", "channels", "near", "hidden")
+        self.model = models.build("contactnet", {name: getattr(options, name) for name in names})
+        group.broadcast(self.model)
+        self.optimizer = make_optimizer(
+            self.model.parameters(), "adamw", options.rate, weight_decay=options.weight_decay
+        )
+        self.schedule = make_schedule(self.optimizer, "onecycle", options.rounds * options.steps, warm=0.1)
+        free = ("out", "resume", "threads")
+        self.identity = {k: v for k, v in plain(asdict(options)).items() if k not in free} | {"processes": group.size}
+        self.round, self.seconds = 0, 0.0
+        if options.resume:
+            done, _ = load_training(options.out / STATE, self.model, self.optimizer, self.schedule, self.identity)
+            self.round, self.seconds = int(done["round"]), float(done["seconds"])
+        self.log = Log(options.out, self.round * options.steps, enabled=group.first)
+        self.grids: dict[int, Any] = {}
+
+    def run(self, stop: Any, progress: bool) -> dict[str, Any]:
+        """All rounds that are left."""
+        options = self.options
+        tqdm = require("tqdm", "pipeline").tqdm
+        self.validation = self.record(-1)
+        total = options.rounds * options.steps
+        bar = tqdm(total=total, initial=self.round * options.steps, desc="train contactnet", disable=not progress)
+        while self.round < options.rounds and not self.group.any(stop.is_set()):
+            began = time.perf_counter()
+            bar.set_postfix_str("recording")
+            calls = self.record(self.round)
+            self.model.train()
+            generator = np.random.default_rng([options.seed, self.round, self.group.rank, 1])
+            for i in range(options.steps):
+                step = self.round * options.steps + i
+                loss = self.step(self.batch(calls, generator), step)
+                bar.update()
+                if i % 20 == 0:
+                    self.log.add(step + 1, {"train/gain": loss, "train/rate": self.optimizer.param_groups[0]["lr"]})
+                    bar.set_postfix(gain=f"{loss:.3f}", refresh=False)
+            self.round += 1
+            self.seconds += time.perf_counter() - began
+            self.log.add(self.round * options.steps, self.validate())
+            if self.group.first:
+                self.save()
+        bar.close()
+        self.log.close()
+        return self.finish() if self.group.first else {}
+
+    def record(self, round_: int) -> list[tuple[int, dict[str, Any]]]:
+        """Calls of a round, -1 for those of validation, with the number of discs in their worlds."""
+        options, rank = self.options, self.group.rank
+        validation = round_ < 0
+        generator = np.random.default_rng([options.seed, round_ + 1, rank])
+        settings = options.settings()
+        per_round = seeds_of(settings)
+        seed = VALIDATION_SEED if validation else options.seed + (round_ * self.group.size + rank) * per_round
+        self.model.eval()
+        calls = []
+        for setting in settings:
+            if setting.bodies not in self.grids:
+                sim = RunOptions().simulation(Thesis(bodies=setting.bodies), _config())
+                self.grids[setting.bodies] = grid_of(sim, options.spacing)
+            kept = record(self.model, setting, seed, generator)
+            seed += setting.worlds
+            calls += [(setting.bodies, call) for call in (kept[:150] if validation else kept)]
+        return calls
+
+    def batch(
+        self, calls: Sequence[tuple[int, dict[str, Any]]], generator: np.random.Generator
+    ) -> list[tuple[Any, CallBatch]]:
+        """Calls drawn until there are contacts enough, as one batch for each size of world."""
+        drawn: dict[int, list[dict[str, Any]]] = {}
+        contacts = 0
+        while contacts < self.options.contacts:
+            bodies, call = calls[int(generator.integers(len(calls)))]
+            drawn.setdefault(bodies, []).append(call)
+            contacts += len(call["impulse"])
+        return [(self.grids[bodies], CallBatch.of(group)) for bodies, group in sorted(drawn.items())]
+
+    def step(self, batches: Sequence[tuple[Any, CallBatch]], step: int) -> float:
+        """One step of the optimiser; mean log of the error over that of an even share of Aitken's step."""
+        calls, rest = UNROLLS[step % len(UNROLLS)]
+        total: Any = 0.0
+        weights = gain = 0.0
+        for grid, batch in batches:
+            difference = self.difference(batch, grid, calls, rest)
+            weight = (1.0 + batch.scale[:, 2]) ** SLOW
+            total = total + (weight * (difference + WORSE * difference.clamp(min=0.0))).sum()
+            gain += float((weight * difference.detach()).sum())
+            weights += float(weight.sum())
+        loss = total / weights
+        check_loss(loss.detach(), step + 1)
+        self.optimizer.zero_grad()
+        loss.backward()
+        self.group.average_gradients(self.model.parameters())
+        clip_gradients(self.model.parameters(), self.options.clip, step + 1)
+        self.optimizer.step()
+        self.schedule.step()
+        return gain / weights
+
+    def difference(self, batch: CallBatch, grid: Any, calls: int, rest: int) -> Any:
+        """Log of the error over that of an even share of Aitken's step, (B,)."""
+        options = {"calls": calls, "every": self.options.every, "rest": rest}
+        found = unroll(batch, self.model, grid, **options)
+        with torch.no_grad():
+            even = unroll(batch, None, grid, **options)
+        return sum(WEIGHTS[name] * (found[name] - even[name]) for name in ERRORS)
+
+    def validate(self) -> dict[str, float]:
+        """Mean log of the errors over those of an even share, by unroll and size of world."""
+        self.model.eval()
+        values: dict[str, list[float]] = {}
+        with torch.no_grad():
+            for first in range(0, len(self.validation), 100):
+                group = self.validation[first : first + 100]
+                for bodies in sorted({bodies for bodies, _ in group}):
+                    batch = CallBatch.of([call for n, call in group if n == bodies])
+                    for calls, rest in UNROLLS:
+                        difference = self.difference(batch, self.grids[bodies], calls, rest)
+                        for key in (f"calls_{calls}", f"discs_{bodies}", "gain"):
+                            values.setdefault(key, []).extend(difference.tolist())
+        return {f"validation/{key}": float(np.mean(value)) for key, value in values.items()}
+
+    def save(self) -> None:
+        """Network and state, each in one go."""
+        options = self.options
+        progress = {"round": self.round, "seconds": self.seconds}
+        save_checkpoint(options.out / NETWORK, self.model, self.manifest())
+        save_training(options.out / STATE, self.model, self.optimizer, self.schedule, progress, self.identity)
+
+    def manifest(self) -> dict[str, Any]:
+        """What the network was trained on."""
+        options = self.options
+        last = self.log.rows[-1] if self.log.rows else {}
+        return plain(
+            {
+                "options": self.identity,
+                "settings": [asdict(setting) for setting in options.settings()],
+                "seeds": [options.seed, options.seed + self.round * self.group.size * seeds_of(options.settings())],
+                "rounds": self.round,
+                "steps": self.round * options.steps,
+                "minutes": self.seconds / 60.0,
+                "metrics": {k: v for k, v in last.items() if k != "step"},
+                "versions": all_versions(),
+            }
+        )
+
+    def finish(self) -> dict[str, Any]:
+        """Pictures and summary."""
+        options = self.options
+        summary = {
+            "network": "contactnet",
+            "parameters": models.parameter_count(self.model),
+            "complete": self.round == options.rounds,
+            **self.manifest(),
+            "out": str(options.out),
+            "files": [NETWORK, STATE, "metrics.jsonl", "train.json", "curves.png"],
+        }
+        with atomic_path(options.out / "curves.png") as partial:
+            title = f"contactnet, {summary['parameters']:,} weights, {summary['minutes']:.0f} minutes"
+            plots.save(contact_curves_figure(self.log.rows, title), partial)
+        write_json(options.out / "train.json", summary)
+        return summary
+
+
+def _config() -> Any:
+    import dc_kernels as dc
+
+    return dc.SolverConfig()
