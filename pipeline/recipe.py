@@ -36,7 +36,7 @@ class GenerateOptions:
     """Parameters of the scene, or dt, drawn uniformly for each world from its own seed: name, low, high."""
     label_tolerance: float = 1e-5
     """As the solver's tolerance, for the label, which is solved on from the solution [N s or 1]."""
-    label_sweeps: int = 2000
+    label_sweeps: int = 1000
     """Further sweeps after which a label is kept as it is, marked [1]."""
     shard_worlds: int = 25
     """Worlds of a shard [1]."""
