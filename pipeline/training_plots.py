@@ -103,7 +103,7 @@ def rates_figure(search: RateSearch) -> Any:
 def predictions_figure(shown: Prediction, title: str) -> Any:
     """Predicted over true impulses at the contacts, and the grids of one world, true and predicted."""
     top = float(shown.points[:, 1].max(initial=shown.grid.origin[1])) + 4.0 * shown.grid.spacing
-    with figure(14.0, 9.0) as fig:
+    with figure(14.0, 8.2) as fig:
         fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
         axes = fig.subplots(2, 3, width_ratios=(1.1, 1.0, 1.0))
         for i, name in enumerate(IMPULSES):
@@ -112,7 +112,7 @@ def predictions_figure(shown: Prediction, title: str) -> Any:
             for panel, image, what in zip(axes[i, 1:], (shown.target[i], shown.answer[i]), ("true", "predicted")):
                 drawn = draw_image(panel, image, shown.grid, most, signed=i == 1)
                 panel.scatter(*shown.points.T, s=4.0, c=INK, linewidths=0, alpha=0.7)
-                panel.set_title(f"{what} {NAMES[name]} impulses, {shown.title}")
+                panel.set_title(f"{what} {NAMES[name]} impulses" + (f", {shown.title}" if what == "true" else ""))
                 panel.set_ylim(top=min(top, panel.get_ylim()[1]))
                 panel.tick_params(labelleft=what == "true")
                 panel.set(xlabel="x [m]", ylabel="y [m]" if what == "true" else "")
@@ -159,7 +159,7 @@ def set_ticks(where: Any, axis: Any, most: float, signed: bool) -> None:
     """A few ticks for an axis that is logarithmic away from zero, with short labels."""
     positive = ticks(most)
     where.set_ticks([*(-positive[::-1] if signed else ()), 0.0, *positive])
-    axis.set_major_formatter(lambda value, _: f"{value:.1g}")
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
     axis.set_minor_locator(require("matplotlib.ticker", "pipeline").NullLocator())
 
 
