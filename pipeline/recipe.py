@@ -13,10 +13,12 @@ import numpy as np
 
 import dc_kernels as dc
 from dc_kernels.arrays import require
+from dc_kernels.transfer import TILED_BYTES
 
 from .scenes import Scene, Thesis
 from .scenes import scene as named_scene
 
+IMAGE_CHANNELS = 6  # of stored images, those that ``dc.Images`` has by default
 DRAW_STREAM = 2  # of a world's seed, beside those of its bodies and of random starts
 
 
@@ -122,7 +124,14 @@ class Recipe:
             replace(options, dt=ends.pop("dt", options.dt)).check()
             replace(self.scene, **ends).check()
         if options.grids:
-            options.grid  # noqa: B018  raises for a region or spacing out of range
+            rows, columns = options.grid.shape
+            most = TILED_BYTES // (
+                4 * IMAGE_CHANNELS
+            )  # larger ones are splatted tile by tile, by launches of their own
+            if rows * columns > most:
+                raise ValueError(
+                    f"grid_spacing is {options.grid_spacing}: {rows * columns} nodes; {most} can be stored"
+                )
 
     def draw(self, seed: int) -> dict[str, float | int]:
         """What is drawn for the world of a seed, by name."""

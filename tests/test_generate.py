@@ -288,6 +288,7 @@ def test_bad_ranges_are_named(ranges, match, tmp_path):
         ({"label_tolerance": 1e-3}, "label_tolerance is 0.001; it must not exceed solver.tolerance"),
         ({"label_sweeps": 0}, "label_sweeps is 0"),
         ({"grids": True, "grid_spacing": 0.0}, "spacing is 0"),
+        ({"grids": True, "grid_spacing": 0.01}, "grid_spacing is 0.01: 2253001 nodes; 349525 can be stored"),
     ],
 )
 def test_bad_options_are_named(options, match, tmp_path):
