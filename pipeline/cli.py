@@ -20,7 +20,7 @@ from dc_kernels.arrays import require
 from dc_kernels.grid import Grid
 from dc_kernels.types import SolverConfig
 
-from . import evaluate, figures, generate, grid_plots, plots, run_plots
+from . import evaluate, figures, generate, grid_plots, plots, run_plots, warmstart
 from .recipe import GenerateOptions, Recipe, load_recipe
 from .scenes import AnyScene, Thesis
 from .simulate import Output, RunOptions, SolverOptions, atomic_path, simulate, write_json
@@ -132,9 +132,13 @@ class Explain(Common):
     """What to explain; each scene has options of its own."""
     run: RunOptions = field(default_factory=RunOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
+    start: str = "builtin"
+    """Start of the contact solver, as for simulate; a network says how often it is called, and why not."""
+    steps: int = 100
+    """Steps that are run first where a network is the start: its calls depend on them [1]."""
 
     def __call__(self) -> dict[str, Any]:
-        text = self.run.simulation(self.scene, self.solver.config()).explain()
+        text = explain(self.scene, self.run, self.solver, self.start, self.steps)
         if not self.json:
             print(text)
         return {"scene": self.scene.name, "explain": text}
@@ -246,9 +250,37 @@ def describe(summary: dict[str, Any]) -> str:
         f"overlap: largest {summary['penetration_max_mm']:.3g} mm, mean at the end "
         f"{summary['penetration_last_mean_mm']:.3g} mm",
         *(f"world {world} stopped: {flag}" for world, flag in summary["flagged_worlds"].items()),
+        *describe_network(summary.get("network", {})),
         f"{summary['out']}: {', '.join(summary['files'])}",
     ]
     return "\n".join(lines)
+
+
+def describe_network(network: dict[str, Any]) -> list[str]:
+    """What a network in the loop of the solve did, and the wall time of its parts; nothing without one."""
+    if not network:
+        return []
+    seconds = ", ".join(f"{part} {value:.2f} s" for part, value in network["seconds"].items())
+    return [network["explain"], f"  wall time: {seconds}"]
+
+
+def explain(scene: AnyScene, run: RunOptions, solver: SolverOptions, start: str, steps: int) -> str:
+    """What runs for a scene as it stands; with a network as start, what it did in the first steps.
+
+    Raises:
+        ValueError: for an option out of its range, or an unknown start.
+        OSError: a network's file cannot be read.
+    """
+    if steps < 0:
+        raise ValueError(f"steps is {steps}; it must be >= 0")
+    make = warmstart.maker(start, run.seed)
+    sim = run.simulation(scene, solver.config())
+    made: Any = make(sim)
+    if not hasattr(made, "explain"):
+        return sim.explain()
+    for _ in range(steps):
+        warmstart.step(sim, run.dt, made)
+    return f"{sim.explain()}\n{made.explain()}"
 
 
 def parse(arguments: Sequence[str] | None = None) -> Any:

@@ -285,7 +285,8 @@ class Output:
     steps: int = 250
     """Steps [1]."""
     start: str = "builtin"
-    """Start of the contact solver: none, builtin, random, bad, copy, or copyN, rounded to N decimals."""
+    """Start of the contact solver: none, builtin, random, bad, copy, or copyN, rounded to N decimals; the pretrained
+    network: cnn, cnn-start (not in mid-solve); the file of a trained one, .safetensors."""
     out: Path = Path("out/simulate")
     """Folder of the files, made if missing; files of an earlier run are replaced."""
     record_every: int = 1
@@ -322,7 +323,8 @@ def simulate(
         The content of ``summary.json``, and the simulation at its end.
 
     Raises:
-        ValueError: for an option out of its range.
+        ValueError: for an option out of its range, or a network that cannot read the simulation.
+        OSError: a network's file cannot be read.
         ImportError: naming the extra, without h5py, tqdm or matplotlib.
     """
     run, solver, output = run or RunOptions(), solver or SolverOptions(), output or Output()
@@ -332,9 +334,10 @@ def simulate(
 
     options = {**asdict(run), **asdict(solver), **asdict(output), "out": str(output.out)}
     config = {"scene": {"name": scene.name, **asdict(scene)}, "options": options}
-    strategy = warmstart.parse(output.start, run.seed)
+    make = warmstart.maker(output.start, run.seed)
     sim = run.simulation(scene, solver.config(output.history))
     sim.warmup()
+    made: Any = make(sim)
     began = time.perf_counter()
     spent = 0.0  # in the simulation itself [s]
     done = 0
@@ -345,7 +348,7 @@ def simulate(
         bar = tqdm(total=output.steps, desc=f"simulate {scene.name}", unit="step", disable=not progress)
         while done < output.steps and not stop.is_set():
             before = time.perf_counter()
-            sim.step(run.dt, start=strategy)
+            warmstart.step(sim, run.dt, made)
             spent += time.perf_counter() - before
             done += 1
             measured = measure(sim)
@@ -383,9 +386,12 @@ def simulate(
         "config": config,
         "out": str(output.out),
     }
+    if hasattr(made, "stats"):
+        summary["network"] = {**plain(made.stats.totals()), "explain": made.explain()}
+    start = Path(output.start).stem if warmstart.is_network(output.start) else output.start
     title = f"{scene.name}: {run.worlds} world{'s' if run.worlds > 1 else ''}, {solver.method}, {solver.acceleration}"
     with atomic_path(output.out / files[2]) as partial:
-        plots.save(plots.summary_figure(sim, series, run.dt, f"{title}, start {output.start}"), partial)
+        plots.save(plots.summary_figure(sim, series, run.dt, f"{title}, start {start}"), partial)
     if output.video != "none":
         files.append(f"video.{output.video}")
         with atomic_path(output.out / files[-1]) as partial:

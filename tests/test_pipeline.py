@@ -333,6 +333,54 @@ def test_command_simulate(tmp_path, capsys):
     assert "stack: 2 steps of 1 world(s)" in capsys.readouterr().out
 
 
+@pytest.fixture(scope="module")
+def network(tmp_path_factory) -> Path:
+    """The file of an untrained ContactNet."""
+    torch = pytest.importorskip("torch")
+    from pipeline.checkpoint import save_checkpoint
+    from pipeline.models import build
+
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("network") / "untrained.safetensors"
+    save_checkpoint(path, build("contactnet"), {})
+    return path
+
+
+def test_command_simulate_with_a_network(tmp_path, network, capsys):
+    options = ["settled", "--worlds", "2", "--steps", "5", "--bodies", "12", "--start", str(network)]
+    assert main(["simulate", *options, "--out", str(tmp_path), "--json"]) == 0
+    summary = last_json(capsys.readouterr().out)
+    assert summary == json.loads((tmp_path / "summary.json").read_text())
+    found = summary["network"]
+    assert found["solves"] == 10 and found["calls"] >= 10
+    assert set(found["seconds"]) == {"solve", "splat", "network", "gather"}
+    assert 0.0 < sum(found["seconds"].values()) < summary["simulation_s"]
+    main(["simulate", *options, "--out", str(tmp_path)])
+    text = capsys.readouterr().out
+    assert found["explain"] in text  # the run is the same
+    assert re.search(r"wall time: solve [0-9.]+ s, splat [0-9.]+ s, network [0-9.]+ s, gather [0-9.]+ s", text)
+    main(["simulate", "settled", "--steps", "1", "--bodies", "12", "--out", str(tmp_path), "--json"])
+    assert "network" not in last_json(capsys.readouterr().out)
+
+
+def test_a_recorded_run_with_a_network_is_its_own_loop(tmp_path, network):
+    summary, sim = simulate(
+        Thesis(bodies=8),
+        RunOptions(worlds=2),
+        output=Output(steps=60, out=tmp_path, start=str(network)),
+        progress=False,
+    )
+    own = dc.Simulation(*Thesis(bodies=8).build(2).finalize())
+    solve = warmstart.maker(str(network))(own)
+    for _ in range(60):
+        own.collide(0.01)
+        solve.solve()
+        own.advance()
+    np.testing.assert_array_equal(sim.state.numpy("position"), own.state.numpy("position"))
+    assert solve.explain() == summary["network"]["explain"]
+
+
 def test_command_protocol(tmp_path, capsys):
     options = "--worlds 2 --steps 60 --bodies 5 --starts none bad --accelerations none aitken"
     assert main(["protocol", *options.split(), "--out", str(tmp_path)]) == 0
@@ -364,6 +412,13 @@ def test_command_explain(capsys):
     assert last_json(capsys.readouterr().out)["explain"].strip() == text.strip()
 
 
+def test_command_explain_with_a_network(capsys, network):
+    for steps in (0, 20):
+        main(["explain", "settled", "--bodies", "12", "--start", str(network), "--steps", str(steps), "--json"])
+        text = last_json(capsys.readouterr().out)["explain"]
+        assert "broadphase" in text and f"calls a solve, of {steps} solves" in text
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -374,6 +429,9 @@ def test_command_explain(capsys):
         ("simulate thesis --threads 0", "threads is 0"),
         ("simulate thesis --worlds 0", "worlds is 0"),
         ("simulate thesis --start best", "start is 'best'"),
+        ("simulate thesis --start none.safetensors", "none.safetensors"),
+        ("explain thesis --start best", "start is 'best'"),
+        ("explain thesis --steps -1", "steps is -1"),
         ("simulate thesis --tolerance -1", "SolverConfig.tolerance is -1.0"),
         ("simulate thesis --bodies 4 --steps 1 --out /dev/null/x", "Not a directory"),
         ("protocol --steps 0", "steps is 0"),
