@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import functools
 import inspect
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 BACKENDS = ("warp", "numpy")
 Launch = Callable[[], None]
+_capturing = threading.Lock()
 
 
 def check_backend(backend: str) -> str:
@@ -108,7 +110,8 @@ def recorded(launches: list[Launch], backend: str, device: str = "cpu") -> Launc
         return in_turn(launches)
     import warp as wp
 
-    with wp.ScopedCapture(device="cpu") as capture:
+    # Warp has one capture at a time, whichever thread began it
+    with _capturing, wp.ScopedCapture(device="cpu") as capture:
         for launch in launches:
             launch()
     return functools.partial(wp.capture_launch, capture.graph)
