@@ -19,17 +19,16 @@ from __future__ import annotations
 
 import functools
 import math
-from collections import defaultdict
 from typing import Any, Literal
 
 import numpy as np
 import warp as wp
 
 from .arrays import require
-from .backend import run_shards
 from .grid import Grid
 from .inputs import check_bins, check_count, check_points, check_start
 from .interop import tensor_array, tensor_integers
+from .launches import Calls
 from .transfer import (
     BAND,
     TILED_BYTES,
@@ -37,7 +36,6 @@ from .transfer import (
     Stencil,
     chunks_of,
     first_and_count,
-    shard_worlds,
     stencil_scalars,
     transfer_kernels,
 )
@@ -319,27 +317,11 @@ class _Call:
 
     def run(self, name: str, **tensors: Any) -> None:
         """Launch a kernel on the tensors, each thread on its share of the worlds."""
-        values = {**self.values, **tensors}
-        types = _argument_types(name, self.dtype)
-        each = values["chunks"] if "chunks" in types else 1
-        packed = [
-            values.get(key, 0) if element is None else _descriptor(values[key], element)
-            for key, element in types.items()
-        ]
-        free = _free[name, self.dtype]
-        launches = []
-        for first, count in shard_worlds(self.worlds, self.threads) if self.threads > 1 else [(0, self.worlds)]:
-            launch = free.pop() if free else _record(name, self.dtype)
-            launch.set_params_from_ctypes(packed)
-            launch.set_param_at_index_from_ctype(0, first)
-            launch.set_dim(count * each)
-            launches.append(launch)
-        run_shards([launch.launch for launch in launches], self.threads)
-        free.extend(launches)
+        _calls(name, self.dtype)({**self.values, **tensors}, self.worlds, self.threads)
 
     def run_tiled(self, value: Any, image: Any) -> None:
         """Splat onto a large, zeroed image tile by tile."""
-        types = {**_argument_types("splat_worlds", self.dtype), "image": None}
+        types = {**_calls("splat_worlds", self.dtype).elements, "image": None}
         arrays = {
             key: wp.from_torch(tensor, dtype=types[key], requires_grad=False)
             for key, tensor in {**self.values, "value": value, "image": image}.items()
@@ -349,40 +331,8 @@ class _Call:
 
 
 @functools.cache
-def _argument_types(name: str, dtype: str) -> dict[str, Any]:
-    """Arguments of a kernel in order, each with the type of its elements; None for a scalar."""
-    kernel = transfer_kernels("warp", dtype)[name]
-    return {argument.label: getattr(argument.type, "dtype", None) for argument in kernel.adj.args}
-
-
-# Launches that are not under way, by kernel and dtype: a call takes one for each thread and gives it back. A new one
-# takes Warp 100 us, other arguments 5 us; the memory they point to is not kept alive.
-_free: defaultdict[tuple[str, str], list[Any]] = defaultdict(list)
-
-
-def _record(name: str, dtype: str) -> Any:
-    """A launch without arguments."""
-    kernel = transfer_kernels("warp", dtype)[name]
-    elements = _argument_types(name, dtype).values()
-    inputs = [
-        0 if element is None else _template((0,) * argument.type.ndim, element)
-        for argument, element in zip(kernel.adj.args, elements)
-    ]
-    return wp.launch(kernel, dim=1, inputs=inputs, device="cpu", record_cmd=True)
-
-
-def _descriptor(tensor: Any, element: Any) -> Any:
-    """Warp's descriptor of a contiguous tensor; a vector takes its last axis."""
-    template = _template(tensor.shape[:-1] if hasattr(element, "_shape_") else tensor.shape, element)
-    descriptor = type(template).from_buffer_copy(template)
-    descriptor.data = tensor.data_ptr()
-    return descriptor
-
-
-@functools.lru_cache(256)
-def _template(shape: tuple[int, ...], element: Any) -> Any:
-    """A descriptor of an array without memory."""
-    return wp.array(ptr=0, dtype=element, shape=tuple(shape), device="cpu").__ctype__()
+def _calls(name: str, dtype: str) -> Calls:
+    return Calls(transfer_kernels("warp", dtype)[name])
 
 
 @functools.lru_cache(256)

@@ -10,7 +10,6 @@ linear, so a first derivative is all there is: a second one raises.
 from __future__ import annotations
 
 import functools
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -18,13 +17,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .arrays import require
-from .backend import check_backend, run_shards
+from .backend import check_backend
 from .inputs import check_array, check_count, check_start
 from .interop import tensor_array, tensor_integers
+from .launches import Calls
 from .measure import contact_slots
-from .operators import _descriptor, _template
 from .rows import COLUMNS
-from .transfer import shard_worlds
 from .types import LANES
 
 if TYPE_CHECKING:
@@ -442,43 +440,11 @@ _sweep.register_autograd(_sweep_backward, setup_context=_sweep_setup)
 
 
 @functools.cache
-def _argument_types(name: str, dtype: str) -> dict[str, Any]:
-    """Arguments of a kernel in order, each with the type of its elements; None for a scalar."""
-    kernel = problem_kernels("warp", dtype)[name]
-    return {argument.label: getattr(argument.type, "dtype", None) for argument in kernel.adj.args}
-
-
-# launches that are not under way, as in ``operators``
-_free: defaultdict[tuple[str, str], list[Any]] = defaultdict(list)
-
-
-def _record(name: str, dtype: str) -> Any:
-    """A launch without arguments."""
-    import warp as wp
-
-    kernel = problem_kernels("warp", dtype)[name]
-    elements = _argument_types(name, dtype).values()
-    inputs = [
-        0 if element is None else _template((0,) * argument.type.ndim, element)
-        for argument, element in zip(kernel.adj.args, elements)
-    ]
-    return wp.launch(kernel, dim=1, inputs=inputs, device="cpu", record_cmd=True)
+def _calls(name: str, dtype: str) -> Calls:
+    return Calls(problem_kernels("warp", dtype)[name])
 
 
 def _run(name: str, threads: int, values: dict[str, Any]) -> None:
     """Launch a kernel on tensors, each thread on its share of the worlds."""
-    worlds, dtype = len(values["contact_start"]) - 1, str(values["row"].dtype).removeprefix("torch.")
-    packed = [
-        values.get(key, 0) if element is None else _descriptor(values[key], element)
-        for key, element in _argument_types(name, dtype).items()
-    ]
-    free = _free[name, dtype]
-    launches = []
-    for first, count in shard_worlds(worlds, threads) if threads > 1 else [(0, worlds)]:
-        launch = free.pop() if free else _record(name, dtype)
-        launch.set_params_from_ctypes(packed)
-        launch.set_param_at_index_from_ctype(0, first)
-        launch.set_dim(count)
-        launches.append(launch)
-    run_shards([launch.launch for launch in launches], threads)
-    free.extend(launches)
+    dtype = str(values["row"].dtype).removeprefix("torch.")
+    _calls(name, dtype)(values, len(values["contact_start"]) - 1, threads)

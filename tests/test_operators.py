@@ -15,7 +15,7 @@ from dc_kernels.grid import Grid
 from dc_kernels.smoothing import STENCILS
 
 torch = pytest.importorskip("torch")
-from dc_kernels import operators  # noqa: E402
+from dc_kernels import launches, operators  # noqa: E402
 from dc_kernels.operators import gather_torch, splat_torch  # noqa: E402
 
 GRID = Grid(rows=5, columns=6, spacing=0.5, origin=(1.0, -2.0))
@@ -194,14 +194,13 @@ def test_calls_of_several_threads_do_not_mix():
 
 def test_kernels_read_and_write_the_tensors_own_memory(monkeypatch):
     seen: list[int] = []
-    plain = operators._descriptor
+    plain = launches.Bound.point
 
-    def spy(tensor: Any, element: Any) -> Any:
-        descriptor = plain(tensor, element)
-        seen.append(descriptor.data)
-        return descriptor
+    def spy(self: Any, name: str, pointer: int, shape: tuple[int, ...]) -> None:
+        seen.append(pointer)
+        plain(self, name, pointer, shape)
 
-    monkeypatch.setattr(operators, "_descriptor", spy)
+    monkeypatch.setattr(launches.Bound, "point", spy)
     points, values = smooth_points(), numbers(7, 2)
     image = splat_torch(points, values, GRID)
     assert {tensor.data_ptr() for tensor in (points, values, image)} <= set(seen)
