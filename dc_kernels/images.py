@@ -19,8 +19,8 @@ from .arrays import kernel_array, kernel_vectors, to_numpy, to_torch
 from .channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES, Channel
 from .grid import Grid
 from .inputs import check_count
-from .interop import address, as_kernel_array
-from .program import Kernel, Program, Stage
+from .interop import address
+from .program import Fed, Kernel, Program, Stage
 from .transfer import (
     BAND,
     Splat,
@@ -34,8 +34,6 @@ from .types import TILE_COLUMNS, TILE_ROWS
 
 if TYPE_CHECKING:
     from .step import Simulation, Start
-
-REMEMBERED = 8  # images that a gather is kept bound to: a network's answers use few places of memory in turn
 
 
 class Images:
@@ -289,16 +287,18 @@ class Images:
 
             return run_reverse, value
         locate = self._program(stages)
-        known: dict[int, Program] = {}
+        any_image = self._array(np.zeros((1, 1, *self.grid.shape), self.sim.dtype))
+        fed = Fed(
+            gather._replace(values={**values, "image": any_image}),
+            "image",
+            self.worlds,
+            backend=self.sim.backend,
+            threads=self.threads,
+        )
 
         def run(image: Any, pointer: int) -> None:
-            if pointer not in known:
-                if len(known) == REMEMBERED:
-                    del known[next(iter(known))]
-                array = as_kernel_array(image, pointer, self.sim.backend)
-                known[pointer] = self._program([gather._replace(values={**values, "image": array})])
             locate()
-            known[pointer]()
+            fed(image, pointer)
 
         return run, value
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import FLOATS, to_numpy
+from .arrays import FLOATS
 
 
 def address(array: Any, name: str, dtype: np.dtype) -> tuple[int, tuple[int, ...]]:
@@ -90,13 +90,3 @@ def tensor_integers(name: str, tensor: Any) -> np.ndarray | None:
 def _check_device(name: str, tensor: Any) -> None:
     if tensor.device.type != "cpu":
         raise ValueError(f"{name} is on {tensor.device}; it must be on the CPU, where these kernels run")
-
-
-def as_kernel_array(array: Any, pointer: int, backend: str) -> Any:
-    """The same memory as the kernels of a backend take it; only its owner keeps it alive."""
-    if backend == "numpy":
-        return to_numpy(array)
-    import warp as wp
-
-    dtype = array.dtype if isinstance(array, wp.array) else wp.dtype_from_numpy(to_numpy(array).dtype)
-    return wp.array(ptr=pointer, dtype=dtype, shape=tuple(array.shape), device="cpu", copy=False)

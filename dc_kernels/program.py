@@ -7,7 +7,8 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from .backend import Launch, argument_names, bind, command, recorded, run_shards
+from .arrays import to_numpy
+from .backend import Launch, bind, command, recorded, run_shards
 from .transfer import Splat, shard_worlds
 
 
@@ -80,22 +81,22 @@ class Fed:
         self.kernel, self.name, self.backend, self.threads = kernel, name, backend, threads
         self.shards = shard_worlds(worlds, threads)
         if backend == "warp":
-            self.index = argument_names(kernel.kernel).index(name)
-            self._commands = [
-                command(kernel.kernel, n * kernel.chunks, {**kernel.values, "world_offset": w}, "cpu")
+            from .launches import Bound
+
+            self._launches = [
+                Bound(command(kernel.kernel, n * kernel.chunks, {**kernel.values, "world_offset": w}, "cpu"))
                 for w, n in self.shards
             ]
 
-    def __call__(self, array: Any) -> None:
-        """Run on an array of the backend; only the caller keeps it alive."""
+    def __call__(self, array: Any, pointer: int) -> None:
+        """Run on an array that ``interop.address`` has checked; only the caller keeps it alive."""
         if self.backend == "warp":
-            descriptor = array.__ctype__()
-            for launch in self._commands:
-                launch.set_param_at_index_from_ctype(self.index, descriptor)
-            run_shards([launch.launch for launch in self._commands], self.threads)
+            for launch in self._launches:
+                launch.point(self.name, pointer, array.shape)
+            run_shards(self._launches, self.threads)
             return
         for w, n in self.shards:
-            values = {**self.kernel.values, "world_offset": w, self.name: array}
+            values = {**self.kernel.values, "world_offset": w, self.name: to_numpy(array)}
             bind(self.kernel.kernel, n * self.kernel.chunks, values, "cpu")()
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from .arrays import aligned_zeros, kernel_array, kernel_vectors, to_torch
 from .grid import Grid
 from .inputs import check_count
-from .interop import address, as_kernel_array
+from .interop import address
 from .program import Fed, Kernel, Program
 from .solve_channels import IMAGE, LOCAL, OUTPUT
 from .solver import solver_scalars
@@ -48,6 +48,7 @@ class SolveReader:
         image: (W, len(IMAGE), rows, columns); plane k is that of the k-th world asked for.
         place, place_a, place_b: contact points and centres of their bodies [m], (room, 2).
         step: step of the last sweep [N s], (room, 2); before the first, that of each contact alone.
+        rate: A of each contact, between that near it and that of its world, (room,).
         scale: RMS of the step and of the impulses [N s], A, RMS expected of the correction [N s], (W, 4).
         before, known: impulses before and after the last correction, (slots of ``sim.contacts``, 2) [N s].
         active, packed_start: the worlds asked for, and the first row of each.
@@ -85,6 +86,7 @@ class SolveReader:
             **solve_kernels(sim.backend, sim.dtype.name, sim.variant),
         }
         self.image = allocate_image(worlds, len(IMAGE), grid, sim.dtype)
+        self._squares = allocate_image(worlds, 2, grid, sim.dtype)
         self.active, self.packed_start = np.zeros(worlds, np.int32), np.zeros(worlds + 1, np.int32)
         self.scale = aligned_zeros((worlds, 4), sim.dtype)
         self._point_count = np.zeros(worlds, np.int32)
@@ -154,9 +156,8 @@ class SolveReader:
         if channels not in self._gathers:
             self._gathers[channels] = self._bind_gather(channels)
         values, launches = self._gathers[channels]
-        source = as_kernel_array(image, pointer, self.sim.backend)
         for launch in launches:
-            launch(source)
+            launch(image, pointer)
         return tuple(to_torch(value)[: self.count] for value in values)  # type: ignore[return-value]
 
     def correct(self, output: Any) -> np.ndarray:
@@ -174,7 +175,7 @@ class SolveReader:
         pointer, shape = address(output, "output", self.sim.dtype)
         if shape != (self.count, len(OUTPUT)):
             raise ValueError(f"output has shape {shape}; it must be ({self.count}, {len(OUTPUT)})")
-        self._correct(as_kernel_array(output, pointer, self.sim.backend))
+        self._correct(output, pointer)
         return self.sim.stats.numpy("replaced")[self.active[: self.asked]] != 0
 
     # ------------------------------------------------------------------ set-up
@@ -221,6 +222,8 @@ class SolveReader:
         self._chunks = chunks_of(int(sim.storage.contact_room.max(initial=0)))
         self.local, self.image_value = aligned_zeros((room, len(LOCAL)), dtype), np.zeros((room, len(IMAGE)), dtype)
         self.place, self.place_a, self.place_b, self.step = (np.zeros((room, 2), dtype) for _ in range(4))
+        self.rate = np.zeros(room, dtype)
+        origin = kernel_vectors(np.tile(np.asarray(self.grid.origin, dtype), (self.worlds, 1)), backend)
         self.before, self.known = np.zeros((room, 2), dtype), np.zeros((room, 2), dtype)
         self._gathers: dict[int, tuple[np.ndarray, list[Fed]]] = {}
         self._places = {name: kernel_vectors(getattr(self, name), backend) for name in PLACES}
@@ -240,11 +243,14 @@ class SolveReader:
             "local": self._array(self.local),
             "image_value": self._array(self.image_value),
             "step": kernel_vectors(self.step, backend),
+            "rate": self._array(self.rate),
+            "squares": self._array(self._squares),
+            "spacing": self.grid.spacing,
+            "grid_origin": origin,
             "world_scale": kernel_vectors(self.scale, backend),
         }
-        origin = np.tile(np.asarray(self.grid.origin, dtype), (self.worlds, 1))
         self._points = {
-            "grid_origin": kernel_vectors(origin, backend),
+            "grid_origin": origin,
             "point_start": self._values["packed_start"],
             "point_count": self._array(self._point_count),
             "point_bin": self._array(np.zeros(1, np.int32)),

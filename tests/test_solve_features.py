@@ -299,6 +299,7 @@ def test_a_disc_on_the_ground():
         "normal_cos": -1.0,
         "new": 1.0,
         "rate": 0.5 * math.log(5.0),
+        "rate_near": 0.5 * math.log(5.0),
         "begin": 1.0,
         "size": 0.25 * math.log(sigma / 1e-20),
         "left": 0.25 * math.log(sigma / 1e-4),
@@ -459,8 +460,8 @@ def correction(reader: SolveReader, output: np.ndarray) -> np.ndarray:
     scale = np.repeat(reader.scale[: reader.asked], np.diff(reader.packed_start[: reader.asked + 1]), axis=0)
     sigma, size, extrapolation, _ = (column[:, None] for column in scale.T)
     step, free, carried = output[:, 0:2], output[:, 2:4], output[:, 4:6]
-    total = step * reader.step[: reader.count] + free * sigma + carried * sigma * x / size
-    return x + (1.0 + extrapolation) * total
+    by_step = (1.0 + reader.rate[: reader.count, None]) * step * reader.step[: reader.count]
+    return x + by_step + (1.0 + extrapolation) * sigma * (free + carried * x / size)
 
 
 def test_a_correction_ends_on_the_cone():
@@ -581,7 +582,7 @@ def test_what_is_given_is_handed_to_the_kernels_at_its_address(monkeypatch):
     image, output = torch.rand(3, 2, *reader.grid.shape), torch.zeros(count, len(OUTPUT))
     seen = []
     call = Fed.__call__
-    monkeypatch.setattr(Fed, "__call__", lambda self, array: (seen.append(array.ptr), call(self, array)))
+    monkeypatch.setattr(Fed, "__call__", lambda self, array, at: (seen.append(at), call(self, array, at)))
     reader.gather(image)
     reader.correct(output)
     assert seen == [image.data_ptr()] * 3 + [output.data_ptr()]
