@@ -199,7 +199,8 @@ class Storage:
             for name in names:
                 move_segments(before[name], group.array(name), old, new, group.numpy(count))
         self._reallocate(self.pairs, ("pair_a", "pair_b", "temp_a", "temp_b"))
-        self._reallocate(self.rows, ("slot", "rows", "row_body", "row_impulse", "row_change", "row_direction"))
+        rows = ("slot", "rows", "row_body", "row_impulse", "row_change", "row_before", "row_direction")
+        self._reallocate(self.rows, rows)
         self.pairs.assign("pair_valid", np.zeros(self.model.world_count, np.int32))
         self._assign_starts()
 

@@ -38,6 +38,7 @@ LOCAL = (
     "left",  # log of sigma over the tolerance
     "accelerated",  # 1 where the solver extrapolates by itself
     "contacts",  # log of the number of contacts
+    "rate_near",  # log(1 + A) of the steps near the contact: squares to the grid and back, both bilinearly
 )
 IMAGE = (
     *(f"{name}_{a}{b}" for name in ("step", "since", "impulse") for a in "xy" for b in "xy"),
@@ -51,4 +52,5 @@ IMAGE = (
 """Splatted channels. step_ab is p_a n_b of p, the step in world axes: it does not depend on which body is A."""
 
 OUTPUT = ("step_n", "step_t", "free_n", "free_t", "carried_n", "carried_t")
-"""Correction over 1 + A: multiples of the step, of sigma, and of the impulse carried in units of its RMS over sigma."""
+"""Correction: multiples of the step times 1 + A, the geometric mean of that near the contact and of the world's; and,
+times sigma and 1 + A of the world, parts alike for all contacts and parts of the impulse carried over its RMS."""

@@ -193,6 +193,7 @@ ROWS = _table(
     ("row_body", "row pair", "int32", "1", "bodies of the rows"),
     ("row_impulse", "row pair", "real", "N s", "normal and tangential impulses"),
     ("row_change", "row pair", "real", "N s", "what the last sweep, or its acceleration, changed the impulses by"),
+    ("row_before", "row pair", "real", "N s", "step of the sweep before the last, where a solve pauses"),
     ("row_direction", "row direction", "real", "N s", "search direction of nonlinear CG"),
     ("row_scale", "world", "real", "N s", "norm that the residual is relative to"),
     ("deepest", "world", "real", "m", "least gap, 0 where nothing overlaps"),

@@ -19,8 +19,10 @@ import numpy as np
 from dc_kernels.arrays import require
 
 from . import models, plots
+from .call_loss import ERRORS, CallBatch, errors_left
 from .checkpoint import all_versions, load_training, save_checkpoint, save_training
 from .contact_plots import contact_curves_figure
+from .contactnet import EvenShare
 from .evaluate import HELD_OUT_SEED
 from .learned import grid_of
 from .rollouts import SETTINGS, Setting, record, seeds_of
@@ -36,15 +38,15 @@ from .training import (
     processes,
     seed_everything,
 )
-from .unroll import ERRORS, CallBatch, unroll
 
 torch = require("torch", "pipeline")
 
 NETWORK, STATE = "contactnet.safetensors", "training.safetensors"
 VALIDATION_SEED = 90_000  # of the worlds of validation; training takes seeds below
+VALIDATION_CALLS = 100  # of each kind of world
+Recorded = tuple[tuple[int, str], dict[str, Any]]  # discs and acceleration of the world, and a call in it
 WEIGHTS = {"velocity": 0.3, "impulse": 0.2, "step": 0.5}  # of the errors in the loss
-UNROLLS = ((1, 60), (2, 40), (4, 20))  # calls and sweeps after the last one, in turn
-WORSE = 1.0  # price of an error larger than without the network, on top of it
+AFTER = (20, 40, 80)  # sweeps after which the error of a call counts, in turn
 SLOW = 0.5  # power of 1 + A in the weight of a world: the sweeps that an error costs
 
 
@@ -56,15 +58,13 @@ class ContactTrainOptions:
     """Folder of the files, made if missing; files of an earlier training are replaced."""
     resume: bool = False
     """Continue the training in that folder."""
-    rounds: int = 16
+    rounds: int = 12
     """Rounds of recording and steps [1]."""
-    steps: int = 500
+    steps: int = 400
     """Steps of a round [1]."""
-    contacts: int = 3000
+    contacts: int = 5000
     """Contacts of a step's batch, about [1]."""
-    every: int = 10
-    """Sweeps between two calls in training [1]."""
-    rate: float = 3e-3
+    rate: float = 1e-3
     """Highest learning rate, of AdamW in one cycle."""
     weight_decay: float = 1e-4
     """Of the optimiser."""
@@ -87,7 +87,7 @@ class ContactTrainOptions:
 
     def check(self) -> None:
         """Raise a ``ValueError`` that names the option which is out of its range."""
-        for name, low in (("rounds", 1), ("steps", 1), ("contacts", 1), ("every", 4), ("threads", 1), ("seed", 0)):
+        for name, low in (("rounds", 1), ("steps", 1), ("contacts", 1), ("threads", 1), ("seed", 0)):
             if getattr(self, name) < low:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be >= {low}")
         for name in ("rate", "clip", "worlds"):
@@ -183,8 +183,8 @@ class ContactTraining:
         self.log.close()
         return self.finish() if self.group.first else {}
 
-    def record(self, round_: int) -> list[tuple[int, dict[str, Any]]]:
-        """Calls of a round, -1 for those of validation, with the number of discs in their worlds."""
+    def record(self, round_: int) -> list[Recorded]:
+        """Calls of a round, -1 for those of validation."""
         options, rank = self.options, self.group.rank
         validation = round_ < 0
         generator = np.random.default_rng([options.seed, round_ + 1, rank])
@@ -192,37 +192,47 @@ class ContactTraining:
         per_round = seeds_of(settings)
         seed = VALIDATION_SEED if validation else options.seed + (round_ * self.group.size + rank) * per_round
         self.model.eval()
-        calls = []
+        calls: list[Recorded] = []
         for setting in settings:
             if setting.bodies not in self.grids:
                 sim = RunOptions().simulation(Thesis(bodies=setting.bodies), _config())
                 self.grids[setting.bodies] = grid_of(sim, options.spacing)
             kept = record(self.model, setting, seed, generator)
             seed += setting.worlds
-            calls += [(setting.bodies, call) for call in (kept[:150] if validation else kept)]
+            kind = (setting.bodies, setting.acceleration)
+            calls += [(kind, call) for call in (kept[:VALIDATION_CALLS] if validation else kept)]
         return calls
 
-    def batch(
-        self, calls: Sequence[tuple[int, dict[str, Any]]], generator: np.random.Generator
-    ) -> list[tuple[Any, CallBatch]]:
-        """Calls drawn until there are contacts enough, as one batch for each size of world."""
-        drawn: dict[int, list[dict[str, Any]]] = {}
+    def batch(self, calls: Sequence[Recorded], generator: np.random.Generator) -> list[tuple[Any, CallBatch]]:
+        """Calls drawn until there are contacts enough, as one batch for each kind of world."""
+        drawn: list[Recorded] = []
         contacts = 0
         while contacts < self.options.contacts:
-            bodies, call = calls[int(generator.integers(len(calls)))]
-            drawn.setdefault(bodies, []).append(call)
-            contacts += len(call["impulse"])
-        return [(self.grids[bodies], CallBatch.of(group)) for bodies, group in sorted(drawn.items())]
+            drawn.append(calls[int(generator.integers(len(calls)))])
+            contacts += len(drawn[-1][1]["impulse"])
+        return [(grid, batch) for grid, batch, _ in self.batches(drawn)]
+
+    def batches(self, calls: Sequence[Recorded]) -> list[tuple[Any, CallBatch, str]]:
+        """Calls as one batch for each kind of world, with its grid and name."""
+        kinds = sorted({kind for kind, _ in calls})
+        return [
+            (
+                self.grids[bodies],
+                CallBatch.of([call for kind, call in calls if kind == (bodies, solver)]),
+                f"{solver}_{bodies}",
+            )
+            for bodies, solver in kinds
+        ]
 
     def step(self, batches: Sequence[tuple[Any, CallBatch]], step: int) -> float:
         """One step of the optimiser; mean log of the error over that of an even share of Aitken's step."""
-        calls, rest = UNROLLS[step % len(UNROLLS)]
+        after = AFTER[step % len(AFTER)]
         total: Any = 0.0
         weights = gain = 0.0
         for grid, batch in batches:
-            difference = self.difference(batch, grid, calls, rest)
+            difference = self.difference(batch, grid, after)
             weight = (1.0 + batch.scale[:, 2]) ** SLOW
-            total = total + (weight * (difference + WORSE * difference.clamp(min=0.0))).sum()
+            total = total + (weight * difference).sum()
             gain += float((weight * difference.detach()).sum())
             weights += float(weight.sum())
         loss = total / weights
@@ -235,26 +245,24 @@ class ContactTraining:
         self.schedule.step()
         return gain / weights
 
-    def difference(self, batch: CallBatch, grid: Any, calls: int, rest: int) -> Any:
-        """Log of the error over that of an even share of Aitken's step, (B,)."""
-        options = {"calls": calls, "every": self.options.every, "rest": rest}
-        found = unroll(batch, self.model, grid, **options)
+    def difference(self, batch: CallBatch, grid: Any, after: int) -> Any:
+        """Log of the error that is left after some sweeps over that of an even share of Aitken's step, (B,)."""
+        found = errors_left(batch, self.model, grid, after)
         with torch.no_grad():
-            even = unroll(batch, None, grid, **options)
+            even = errors_left(batch, EvenShare(), grid, after)
         return sum(WEIGHTS[name] * (found[name] - even[name]) for name in ERRORS)
 
     def validate(self) -> dict[str, float]:
-        """Mean log of the errors over those of an even share, by unroll and size of world."""
+        """Mean log of the errors over those of an even share, by sweeps after the call and kind of world."""
         self.model.eval()
         values: dict[str, list[float]] = {}
         with torch.no_grad():
-            for first in range(0, len(self.validation), 100):
-                group = self.validation[first : first + 100]
-                for bodies in sorted({bodies for bodies, _ in group}):
-                    batch = CallBatch.of([call for n, call in group if n == bodies])
-                    for calls, rest in UNROLLS:
-                        difference = self.difference(batch, self.grids[bodies], calls, rest)
-                        for key in (f"calls_{calls}", f"discs_{bodies}", "gain"):
+            for first in range(0, len(self.validation), VALIDATION_CALLS):
+                group = self.validation[first : first + VALIDATION_CALLS]
+                for grid, batch, kind in self.batches(group):
+                    for after in AFTER:
+                        difference = self.difference(batch, grid, after)
+                        for key in (f"after_{after}", kind, "gain"):
                             values.setdefault(key, []).extend(difference.tolist())
         return {f"validation/{key}": float(np.mean(value)) for key, value in values.items()}
 

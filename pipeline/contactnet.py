@@ -102,11 +102,32 @@ class ContactNet(Module):
         for layer in self.layers:
             x = F.relu(layer(x))
         answer = self.last(x)
-        # a share of Aitken's step while solving, none of the contacts' own before the first sweep
-        share = (BASE - BASE_LESS * local[:, ACCELERATED]) * (1.0 - local[:, BEGIN])
-        answer[:, :2] += share[:, None]
+        answer[:, :2] += even_share(local)[:, None]
         return answer
 
     def forward(self, local: Any, images: Any, gather: Callable[[Any], Any]) -> Any:
         """Corrections; ``gather`` brings an image of the worlds to the contacts and both their bodies."""
         return self.head(local, gather(self.trunk(images)))
+
+
+class EvenShare(Module):
+    """No network: the answer that a ContactNet begins with, for every contact alike. What a network has to beat."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.config = ContactNetConfig()
+
+    def trunk(self, images: Any) -> Any:
+        """Nothing, (K, 1, rows, columns)."""
+        return images.new_zeros(len(images), 1, *images.shape[2:])
+
+    def head(self, local: Any, near: Any) -> Any:
+        """The same share of the step of the last sweep, (n, len(OUTPUT))."""
+        output = local.new_zeros(len(local), len(OUTPUT))
+        output[:, :2] = even_share(local)[:, None]
+        return output
+
+
+def even_share(local: Any) -> Any:
+    """Share of Aitken's step while solving, (n,), none of the contacts' own before the first sweep."""
+    return (BASE - BASE_LESS * local[:, ACCELERATED]) * (1.0 - local[:, BEGIN])

@@ -26,6 +26,7 @@ from dc_kernels.solve_features import SolveReader
 from dc_kernels.types import NORMS
 
 WAIT = 4  # calls that a world leaves out, at most, after one that failed
+EVERY, EVERY_ACCELERATED = 10, 20  # sweeps between two calls: a solver that extrapolates by itself needs fewer of them
 PARTS = ("solve", "splat", "network", "gather")
 COUNTS = ("solves", "empty", "early", "calls", "refused", "failed", "undone")
 
@@ -34,13 +35,13 @@ COUNTS = ("solves", "empty", "early", "calls", "refused", "failed", "undone")
 class CallOptions:
     """When the network is called."""
 
-    every: int = 10
-    """Sweeps between two calls [1]."""
+    every: int | None = None
+    """Sweeps between two calls; None: ``EVERY`` of the solver [1]."""
     begin: bool = True
     """Call it before the first sweep."""
     middle: bool = True
     """Call it while the solve has not converged."""
-    most: int = 40
+    most: int = 60
     """Calls of a world in a solve, at most [1]."""
     harm: float = 8.0
     """A correction is taken back where the step of a sweep then is so many times that before it, or more [1]."""
@@ -49,8 +50,9 @@ class CallOptions:
 
     def __post_init__(self) -> None:
         for name, low in (("every", 2), ("most", 0)):
-            if getattr(self, name) < low:
-                raise ValueError(f"CallOptions.{name} is {getattr(self, name)}; it must be >= {low}")
+            value = getattr(self, name)
+            if value is not None and value < low:
+                raise ValueError(f"CallOptions.{name} is {value}; it must be >= {low}")
         for name, least in (("harm", 1.0), ("limit", 0.0)):
             if not getattr(self, name) >= least:
                 raise ValueError(f"CallOptions.{name} is {getattr(self, name)}; it must be >= {least}")
@@ -86,6 +88,11 @@ class CallStats:
     def totals(self) -> dict[str, Any]:
         """Sums over the worlds, by name."""
         return {**{name: int(getattr(self, name).sum()) for name in COUNTS}, "seconds": dict(self.seconds)}
+
+
+def every_of(acceleration: str) -> int:
+    """Sweeps between two calls with a solver's acceleration."""
+    return EVERY if acceleration == "none" else EVERY_ACCELERATED
 
 
 def grid_of(sim: dc.Simulation, spacing: float) -> dc.Grid:
@@ -139,6 +146,7 @@ class LearnedSolve:
         self.reader = SolveReader(sim, grid, limit=self.options.limit)
         self._trunk = torch.compile(model.trunk) if compile else model.trunk
         self._head = torch.compile(model.head) if compile else model.head
+        self.every = self.options.every or every_of(sim.config.acceleration)
         self.stats = CallStats.zeros(sim.model.world_count)
         self.watch: Callable[[np.ndarray, bool], None] | None = None
         """Called with the worlds, and whether no sweep is done, when their features are read: for training."""
@@ -181,7 +189,7 @@ class LearnedSolve:
         first = True
         while running.any():
             more = bool(asking.any()) and (options.middle or bool(self._waiting.any()))
-            self._timed("solve", sim.resume, pause=options.every if more else None)
+            self._timed("solve", sim.resume, pause=self.every if more else None)
             was, running = running, sim.running
             if first:
                 stats.early += was & ~running
@@ -264,7 +272,7 @@ class LearnedSolve:
         return "\n".join(
             [
                 f"network: {total['calls'] / solves:.2f} calls a solve, of {total['solves']} solves",
-                f"  skipped: no contact in {share['empty']}, done in the first {self.options.every} sweeps or so in "
+                f"  skipped: no contact in {share['empty']}, done in the first {self.every} sweeps or so in "
                 f"{share['early']}",
                 f"  of the corrections {total['refused']} were refused, {total['failed']} failed and {total['undone']} "
                 "of these were taken back",

@@ -13,11 +13,11 @@ import numpy as np
 import dc_kernels as dc
 from dc_kernels.sweep_operators import ContactProblem
 
+from .call_loss import BODY_FIELDS, CONTACT_FIELDS
 from .evaluate import HELD_OUT_SEED
 from .learned import CallOptions, LearnedSolve
 from .scenes import Thesis
 from .simulate import RunOptions
-from .unroll import BODY_FIELDS, CONTACT_FIELDS
 
 THESES_SETTINGS = {"slop": 5e-3, "speculative": 0.0, "speculative_max": 0.0}
 LABEL = {"tolerance": 2e-6, "max_sweeps": 4000, "acceleration": "aitken"}
@@ -32,8 +32,6 @@ class Setting:
     bodies: int
     worlds: int
     acceleration: str
-    every: int
-    """Sweeps between two calls."""
     solves: int
     """Solves of each world in which calls are recorded."""
     calls: int
@@ -43,10 +41,10 @@ class Setting:
 
 
 SETTINGS = (
-    Setting(bodies=100, worlds=24, acceleration="none", every=10, solves=20, calls=1),
-    Setting(bodies=100, worlds=24, acceleration="aitken", every=20, solves=20, calls=1),
-    Setting(bodies=300, worlds=4, acceleration="aitken", every=20, solves=20, calls=2, steps=300, max_sweeps=2000),
-    Setting(bodies=1000, worlds=1, acceleration="aitken", every=20, solves=20, calls=3, steps=350, max_sweeps=3000),
+    Setting(bodies=100, worlds=24, acceleration="none", solves=20, calls=1),
+    Setting(bodies=100, worlds=24, acceleration="aitken", solves=20, calls=1),
+    Setting(bodies=300, worlds=4, acceleration="aitken", solves=20, calls=4, steps=300, max_sweeps=2000),
+    Setting(bodies=1000, worlds=2, acceleration="aitken", solves=15, calls=6, steps=350, max_sweeps=3000),
 )
 
 
@@ -78,7 +76,7 @@ def record(model: Any, setting: Setting, seed: int, generator: np.random.Generat
     config = dc.SolverConfig(acceleration=setting.acceleration, max_sweeps=setting.max_sweeps, **margins)  # type: ignore
     run = RunOptions(worlds=setting.worlds, seed=seed)
     sim = run.simulation(Thesis(bodies=setting.bodies), config)
-    solve = LearnedSolve(sim, model, CallOptions(every=setting.every))
+    solve = LearnedSolve(sim, model, CallOptions())
     recorder = Recorder(solve, generator)
     solve.watch = recorder.watch
     fall = int(FALL / run.dt)
@@ -101,13 +99,14 @@ class Recorder:
     def __init__(self, solve: LearnedSolve, generator: np.random.Generator) -> None:
         self.solve, self.generator = solve, generator
         self.label_config = replace(solve.sim.config, **LABEL)  # type: ignore[arg-type]
+        self.share = 4  # of the worlds that call, one in so many is kept
         self.pending: list[dict[str, Any]] = []
 
     def watch(self, worlds: np.ndarray, begin: bool) -> None:
         """Copy the features of some of these worlds."""
         reader, sim = self.solve.reader, self.solve.sim
         first = sim.contacts.numpy("contact_start")
-        for k in self.generator.permutation(len(worlds))[: max(2, len(worlds) // 4)]:
+        for k in self.generator.permutation(len(worlds))[: max(2, len(worlds) // self.share)]:
             w = int(worlds[k])
             own = slice(reader.packed_start[k], reader.packed_start[k + 1])
             count = own.stop - own.start
@@ -116,7 +115,7 @@ class Recorder:
                     "world": w,
                     "scale": reader.scale[k].copy(),
                     "impulse": sim.contacts.numpy("impulse")[first[w] : first[w] + count].copy(),
-                    **{name: getattr(reader, name)[own].copy() for name in ("local", "image_value", "step")},
+                    **{name: getattr(reader, name)[own].copy() for name in ("local", "image_value", "step", "rate")},
                     "places": np.stack([place[own] for place in (reader.place, reader.place_a, reader.place_b)]),
                 }
             )
@@ -153,7 +152,7 @@ class Recorder:
                     "order": slot[own] - sim.contacts.numpy("contact_start")[w],
                 }
             order = problems[w]["order"]
-            for name in ("local", "image_value", "step", "impulse"):
+            for name in ("local", "image_value", "step", "rate", "impulse"):
                 call[name] = call[name][order]
             call["places"] = call["places"][:, order]
             kept.append({**call, "problem": problems[w]})

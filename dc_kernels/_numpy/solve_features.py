@@ -45,6 +45,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         accelerated: int,
         tolerance: float,
         cap: float,
+        spacing: float,
         active: Array,
         packed_start: Array,
         contact_start: Array,
@@ -61,17 +62,21 @@ def kernels(dtype: str, variant: str) -> Kernels:
         rows: Array,
         impulse: Array,
         row_change: Array,
+        row_before: Array,
         solved: Array,
         counters: Array,
         norms: Array,
         known: Array,
+        grid_origin: Array,
         body_sum: Array,
+        squares: Array,
         local: Array,
         image_value: Array,
         place: Array,
         place_a: Array,
         place_b: Array,
         step: Array,
+        rate: Array,
         world_scale: Array,
     ) -> None:
         """Features of the contacts of a world that is asked for."""
@@ -94,11 +99,17 @@ def kernels(dtype: str, variant: str) -> Kernels:
         if not begin:
             s = np.stack([row_change[slot[mine]], row_change[slot[mine] + LANES]], axis=1).astype(float)
         sigma, size = _rms(s) + TINY, _rms(x) + TINY
-        extrapolation = UNKNOWN
+        at = position[bodies[0]] + arm_a[mine]
+        extrapolation, near = UNKNOWN, np.full(count, UNKNOWN)
         if not begin:
-            before, now = norms[w * NORMS + 4 : w * NORMS + 6].astype(float)
-            ratio = np.sqrt(now / (before + TINY))
-            extrapolation = ratio / (1.0 - ratio) if ratio < cap * (1.0 - ratio) else cap
+            extrapolation = float(_aitken(norms[w * NORMS + 5 : w * NORMS + 6], norms[w * NORMS + 4], cap)[0])
+            before = np.stack([row_before[slot[mine]], row_before[slot[mine] + LANES]], axis=1).astype(float)
+            node, weight = _corners((at - grid_origin[k]) / spacing, squares.shape[2:])
+            sums = np.zeros((2, *squares.shape[2:]))
+            for total, value in zip(sums, (s, before)):
+                np.add.at(total, (node[..., 1], node[..., 0]), weight * (value**2).sum(axis=1)[:, None])
+            near = _aitken(*((weight * total[node[..., 1], node[..., 0]]).sum(axis=1) for total in sums), cap)
+        rate[packed] = np.sqrt((1.0 + near) * (1.0 + extrapolation)) - 1.0
         wide = 1.0 + extrapolation
         world_scale[k] = sigma, size, extrapolation, sigma * wide
         step[packed] = s
@@ -133,8 +144,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
             "left": 0.25 * np.log(sigma / (tolerance + TINY)),
             "accelerated": accelerated,
             "contacts": 0.25 * np.log(count),
+            "rate_near": 0.5 * np.log1p(near),
         }
-        at = position[bodies[0]] + arm_a[mine]
         place[packed] = at
         for side, b, mass, center in zip("ab", bodies, masses, (place_a, place_b)):
             moves = mass > 0.0
@@ -164,6 +175,7 @@ def correct_impulses(
     packed_start: Array,
     output: Array,
     step: Array,
+    rate: Array,
     world_scale: Array,
     contact_start: Array,
     friction: Array,
@@ -172,7 +184,7 @@ def correct_impulses(
     known: Array,
     replaced: Array,
 ) -> None:
-    """Impulses plus (1 + A) (o_step s + o_free sigma + o_carried x sigma / RMS of x), on the friction cone."""
+    """Impulses plus (1 + A near) o_step s + (1 + A) sigma (o_free + o_carried x / RMS of x), on the friction cone."""
     k = tid + world_offset
     packed = slice(packed_start[k], packed_start[k + 1])
     if packed.start == packed.stop:
@@ -181,11 +193,11 @@ def correct_impulses(
     mine = slice(contact_start[w], contact_start[w] + packed.stop - packed.start)
     x = impulse[mine].astype(float)
     before[mine] = known[mine] = x
-    sigma, size, extrapolation, expected = world_scale[k].astype(float)
+    _, size, _, expected = world_scale[k].astype(float)
     given = dict(zip(OUTPUT, output[packed].astype(float).T))
     by_step, free, carried = (np.stack([given[f"{part}_n"], given[f"{part}_t"]], axis=1) for part in PARTS)
     with np.errstate(all="ignore"):  # what is not finite is refused below
-        change = (1.0 + extrapolation) * (by_step * step[packed] + sigma * (free + carried * x / size))
+        change = (1.0 + rate[packed, None]) * by_step * step[packed] + expected * (free + carried * x / size)
         taken = _rms(change) <= limit_factor * expected
     if taken:
         impulse[mine] = known[mine] = project(x + change, friction[mine])
@@ -197,6 +209,23 @@ def project(x: Array, friction: Array) -> Array:
     normal = np.maximum(x[:, 0], 0.0)
     limit = friction * normal
     return np.stack([normal, np.clip(x[:, 1], -limit, limit)], axis=1)
+
+
+def _aitken(now: Array, before: Array, cap: float) -> Array:
+    """The limit of the geometric series over its last step, from two squares, up to a cap."""
+    ratio = np.sqrt(now / (before + TINY))
+    with np.errstate(divide="ignore"):
+        return np.where(ratio < cap * (1.0 - ratio), ratio / (1.0 - ratio), cap)
+
+
+def _corners(x: Array, shape: tuple[int, ...]) -> tuple[Array, Array]:
+    """The four nodes (column, row) around places in units of the spacing, and their bilinear weights, (m, 4[, 2])."""
+    x = np.clip(x, 0.0, np.array(shape[::-1]) - 1.0)
+    low = np.minimum(np.floor(x), np.array(shape[::-1]) - 2.0).astype(int)
+    share = x - low
+    corner = np.array(list(itertools.product((0, 1), repeat=2)))
+    weight = np.where(corner, share[:, None], 1.0 - share[:, None]).prod(axis=2)
+    return low[:, None] + corner, weight
 
 
 def _along(axes: Array, v: Array) -> Array:

@@ -170,6 +170,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         summed: Array,
         row_impulse: Array,
         row_change: Array,
+        row_before: Array,
         row_direction: Array,
         counters: Array,
         norms: Array,
@@ -201,6 +202,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
             counter[1] = inside
             if counter[1] == counter[2] - 1:
                 norm[1] = np.sum(change**2)
+                if counter[0] >= pause_at - 1:
+                    by_lane(row_before)[used] = change
             if counter[1] >= counter[2]:
                 if counter[0] >= pause_at:  # the extrapolation waits: it is made when the solve goes on
                     counter[6] = 1
@@ -229,6 +232,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
             if counter[0] >= pause_at and counter[7] == counter[0] - 1:
                 return True
             counter[7] = counter[0]
+            by_lane(row_before)[used] = change
         return False
 
     def solve_world(
@@ -266,6 +270,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         body_rows: Array,
         summed: Array,
         row_change: Array,
+        row_before: Array,
         row_direction: Array,
         counters: Array,
         norms: Array,
@@ -319,7 +324,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
             paused = conclude_sweep(
                 w, largest, world, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
                 period_max, cap, threshold, patience, pause_at, body_start, color_block, row_scale, solved, summed,
-                row_impulse, row_change, row_direction, counters, norms, history,
+                row_impulse, row_change, row_before, row_direction, counters, norms, history,
             )  # fmt: skip
         sweeps[w] = counter[0]
         change[w] = norms[w * NORMS]
@@ -442,6 +447,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         row_scale: Array,
         summed: Array,
         row_change: Array,
+        row_before: Array,
         row_direction: Array,
         solved: Array,
         row_impulse: Array,
@@ -457,7 +463,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         conclude_sweep(
             w, norms[w * NORMS], world, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
             period_max, cap, threshold, patience, NEVER, body_start, color_block, row_scale, solved, summed,
-            row_impulse, row_change, row_direction, counters, norms, history,
+            row_impulse, row_change, row_before, row_direction, counters, norms, history,
         )  # fmt: skip
 
     def finish(

@@ -287,6 +287,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         summed: wp.array(dtype=vec4),
         row_impulse: wp.array(dtype=real),
         row_change: wp.array(dtype=real),
+        row_before: wp.array(dtype=real),
         row_direction: wp.array(dtype=real),
         counters: wp.array(dtype=wp.int32),
         norms: wp.array(dtype=real),
@@ -328,6 +329,9 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             period = counters[q + 2]
             if inside == period - 1:
                 norms[p + 1] = squares(row_change, i0, i1)
+                if sweeps >= pause_at - 1:
+                    for i in range(i0, i1):
+                        row_before[i] = row_change[i]
             if inside >= period:
                 if sweeps >= pause_at:  # the extrapolation waits: it is made when the solve goes on
                     counters[q + 6] = 1
@@ -353,6 +357,8 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             if sweeps >= pause_at and counters[q + 7] == sweeps - 1:
                 return 2
             counters[q + 7] = sweeps
+            for i in range(i0, i1):
+                row_before[i] = row_change[i]
         return 0
 
     return SimpleNamespace(

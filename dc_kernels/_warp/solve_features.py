@@ -6,16 +6,13 @@ from typing import Any
 import warp as wp
 
 from ..rows import COLUMNS
-from ..solve_channels import IMAGE, LOCAL, OUTPUT
 from ..types import COUNTERS, LANES, NORMS
 from .common import cross, kernel_module, scalar_types, tangent
 
 N_LANES = wp.constant(LANES)
 N_COUNTERS = wp.constant(COUNTERS)
 N_NORMS = wp.constant(NORMS)
-N_LOCAL = wp.constant(len(LOCAL))
-N_IMAGE = wp.constant(len(IMAGE))
-N_OUTPUT = wp.constant(len(OUTPUT))
+UNKNOWN = wp.constant(4.0)  # A before the first sweep
 
 
 @cache
@@ -27,8 +24,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     columns = COLUMNS[variant]
     width = wp.constant(len(columns) * LANES)
     EN, ET, BIAS = (wp.constant(columns.index(name) * LANES) for name in ("en", "et", "bias"))
-    zero = real(0.0)
-    one = real(1.0)
+    zero, one = real(0.0), real(1.0)
     tiny = real(1e-20)
 
     @wp.func(module=module)
@@ -72,6 +68,57 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         new_t = wp.clamp(x[1] + free_t, -limit, limit)
         return vec4(free_n, free_t, new_n - x[0], new_t - x[1])
 
+    @wp.func(module=module)
+    def aitken(now: real, before: real, cap: real):
+        """R / (1 - r) of the ratio r of two steps, from their squares, up to a cap."""
+        ratio = wp.sqrt(now / (before + tiny))
+        if ratio < cap * (one - ratio):
+            return ratio / (one - ratio)
+        return cap
+
+    @wp.func(module=module)
+    def cell(at: vec2, origin: vec2, spacing: real, squares: wp.array4d(dtype=real)):
+        """The lower left of four nodes around a place, moved into the grid, and the place's shares of the cell."""
+        x = wp.max((at[0] - origin[0]) / spacing, real(0.0))
+        y = wp.max((at[1] - origin[1]) / spacing, real(0.0))
+        i = wp.min(int(x), squares.shape[3] - 2)
+        j = wp.min(int(y), squares.shape[2] - 2)
+        return vec4(real(i), real(j), wp.min(x - real(i), real(1.0)), wp.min(y - real(j), real(1.0)))
+
+    @wp.func(module=module)
+    def corner_weight(found: vec4, corner: int):
+        """Bilinear weight of one of the four nodes: lower left, lower right, upper left, upper right."""
+        x = found[2]
+        if corner % 2 == 0:
+            x = real(1.0) - x
+        y = found[3]
+        if corner / 2 == 0:
+            y = real(1.0) - y
+        return x * y
+
+    @wp.func(module=module)
+    def add_squares(k: int, found: vec4, now: real, before: real, squares: wp.array4d(dtype=real)):
+        """Squared steps of a contact to the nodes around it."""
+        for corner in range(4):
+            weight = corner_weight(found, corner)
+            i = int(found[0]) + corner % 2
+            j = int(found[1]) + corner / 2
+            squares[k, 0, j, i] = squares[k, 0, j, i] + weight * now
+            squares[k, 1, j, i] = squares[k, 1, j, i] + weight * before
+
+    @wp.func(module=module)
+    def rate_near(k: int, found: vec4, cap: real, squares: wp.array4d(dtype=real)):
+        """Extrapolation of the steps around a place."""
+        now = real(0.0)
+        before = real(0.0)
+        for corner in range(4):
+            weight = corner_weight(found, corner)
+            i = int(found[0]) + corner % 2
+            j = int(found[1]) + corner / 2
+            now += weight * squares[k, 0, j, i]
+            before += weight * squares[k, 1, j, i]
+        return aitken(now, before, cap)
+
     @wp.kernel(module=module, enable_backward=False)
     def solve_features(
         world_offset: int,
@@ -79,6 +126,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         accelerated: int,
         tolerance: real,
         cap: real,
+        spacing: real,
         # What is asked for:
         active: wp.array(dtype=wp.int32),
         packed_start: wp.array(dtype=wp.int32),
@@ -98,12 +146,15 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         # Solve in flight in:
         impulse: wp.array(dtype=vec2),
         row_change: wp.array(dtype=real),
+        row_before: wp.array(dtype=real),
         solved: wp.array(dtype=vec4),
         counters: wp.array(dtype=wp.int32),
         norms: wp.array(dtype=real),
         known: wp.array(dtype=vec2),
+        grid_origin: wp.array(dtype=vec2),
         # Scratch:
         body_sum: wp.array(dtype=vec4),
+        squares: wp.array4d(dtype=real),
         # out:
         local: wp.array2d(dtype=real),
         image_value: wp.array2d(dtype=real),
@@ -111,13 +162,15 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         place_a: wp.array(dtype=vec2),
         place_b: wp.array(dtype=vec2),
         step: wp.array(dtype=vec2),
+        rate: wp.array(dtype=real),
         world_scale: wp.array(dtype=vec4),
     ):
         """Features of the contacts of the worlds ``active``, packed one world after the other (``solve_channels``).
 
         ``place`` holds the contact points, ``place_a`` and ``place_b`` the bodies' centres; ``known`` the impulses
-        after the last correction. ``world_scale``: RMS of the step and of the impulses, extrapolation
-        A = r / (1 - r), RMS expected of the correction, 1 + A times that of the step.
+        after the last correction; ``rate`` A, the extrapolation r / (1 - r), between near the contact
+        and of the world.
+        ``world_scale``: RMS of the step and of the impulses, A of the world, 1 + A times the RMS of the step.
         """
         k = wp.tid() + world_offset
         base = packed_start[k]
@@ -130,7 +183,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             body_sum[b] = vec4(zero, zero, zero, zero)
         q = w * N_COUNTERS
         p = w * N_NORMS
-        squares = zero
+        total = zero
         carried = zero
         for k0 in range(count):
             c = first + k0
@@ -145,7 +198,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 i = slot[c]
                 s = vec2(row_change[i], row_change[i + N_LANES])
             step[base + k0] = s
-            squares += wp.dot(s, s)
+            total += wp.dot(s, s)
             carried += wp.dot(x, x)
             n = normal[c]
             world_step = s[0] * n + s[1] * tangent(n)
@@ -153,14 +206,22 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             b = body_b[c]
             body_sum[a] = body_sum[a] + vec4(-world_step[0], -world_step[1], one, zero)
             body_sum[b] = body_sum[b] + vec4(world_step[0], world_step[1], one, zero)
-        sigma = wp.sqrt(squares / real(count)) + tiny
+        sigma = wp.sqrt(total / real(count)) + tiny
         size = wp.sqrt(carried / real(count)) + tiny
-        extrapolation = real(4.0)  # at the start nothing is known of the rate
+        extrapolation = real(UNKNOWN)
         if begin == 0:
-            ratio = wp.sqrt(norms[p + 5] / (norms[p + 4] + tiny))
-            extrapolation = cap
-            if ratio < cap * (one - ratio):
-                extrapolation = ratio / (one - ratio)
+            extrapolation = aitken(norms[p + 5], norms[p + 4], cap)
+            for j in range(squares.shape[2]):
+                for i in range(squares.shape[3]):
+                    squares[k, 0, j, i] = zero
+                    squares[k, 1, j, i] = zero
+            for k0 in range(count):
+                c = first + k0
+                row = slot[c]
+                s = step[base + k0]
+                last = vec2(row_before[row], row_before[row + N_LANES])
+                around = cell(position[body_a[c]] + arm_a[c], grid_origin[k], spacing, squares)
+                add_squares(k, around, wp.dot(s, s), wp.dot(last, last), squares)
         wide = one + extrapolation
         world_scale[k] = vec4(sigma, size, extrapolation, sigma * wide)
         inverse = one / sigma
@@ -173,6 +234,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             c = first + k0
             m = base + k0
             x = impulse[c]
+            near = extrapolation
+            if begin == 0:
+                around = cell(position[body_a[c]] + arm_a[c], grid_origin[k], spacing, squares)
+                near = rate_near(k, around, cap, squares)
+            rate[m] = wp.sqrt((one + near) * wide) - one
             s = step[m] * inverse
             found = local_step(c, slot, rows, body_a, body_b, normal, arm_a, arm_b, friction, solved, x) * inverse
             since = (x - known[c]) * inverse
@@ -237,6 +303,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             local[m, 27] = global_left
             local[m, 28] = real(accelerated)
             local[m, 29] = global_count
+            local[m, 30] = wp.log(one + near) * real(0.5)
             # p x n: what a contact passes on, the same from either side
             for j in range(3):
                 u = s[0] * n + s[1] * tan
@@ -278,6 +345,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         packed_start: wp.array(dtype=wp.int32),
         output: wp.array2d(dtype=real),
         step: wp.array(dtype=vec2),
+        rate: wp.array(dtype=real),
         world_scale: wp.array(dtype=vec4),
         # Contacts in:
         contact_start: wp.array(dtype=wp.int32),
@@ -291,9 +359,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     ):
         """Impulses plus the network's correction, on the friction cone; ``before``, ``known``: those before and after.
 
-        Correction: 1 + A times [o_0, o_1] the step, [o_2, o_3] the RMS of the step, and [o_4, o_5] the impulse carried
-        as a share of its RMS. A world with an output that is not finite, or a correction of more than ``limit_factor``
-        times the expected RMS, is left as it is.
+        Correction: [o_0, o_1] of 1 + A times the step, with the A near the contact; and of the RMS expected, 1 + A
+        times that of the step, [o_2, o_3] alike for all and [o_4, o_5] by the impulse carried over its RMS. A world
+        with an output that is not finite, or a correction of more than ``limit_factor`` times the RMS expected, is left
+        as it is.
         """
         k = wp.tid() + world_offset
         base = packed_start[k]
@@ -303,7 +372,6 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         w = active[k]
         first = contact_start[w]
         scale = world_scale[k]
-        wide = one + scale[2]
         squares = zero
         for k0 in range(count):
             c = first + k0
@@ -312,8 +380,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             before[c] = x
             known[c] = x
             s = step[m]
-            dn = wide * (output[m, 0] * s[0] + scale[0] * output[m, 2]) + scale[3] * output[m, 4] * x[0] / scale[1]
-            dt = wide * (output[m, 1] * s[1] + scale[0] * output[m, 3]) + scale[3] * output[m, 5] * x[1] / scale[1]
+            dn = (one + rate[m]) * output[m, 0] * s[0] + scale[3] * (output[m, 2] + output[m, 4] * x[0] / scale[1])
+            dt = (one + rate[m]) * output[m, 1] * s[1] + scale[3] * (output[m, 3] + output[m, 5] * x[1] / scale[1])
             squares += dn * dn + dt * dt
         rms = wp.sqrt(squares / real(count))
         # a comparison with NaN is false
@@ -324,8 +392,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             m = base + k0
             s = step[m]
             x = impulse[c]
-            dn = wide * (output[m, 0] * s[0] + scale[0] * output[m, 2]) + scale[3] * output[m, 4] * x[0] / scale[1]
-            dt = wide * (output[m, 1] * s[1] + scale[0] * output[m, 3]) + scale[3] * output[m, 5] * x[1] / scale[1]
+            dn = (one + rate[m]) * output[m, 0] * s[0] + scale[3] * (output[m, 2] + output[m, 4] * x[0] / scale[1])
+            dt = (one + rate[m]) * output[m, 1] * s[1] + scale[3] * (output[m, 3] + output[m, 5] * x[1] / scale[1])
             new_n = wp.max(x[0] + dn, zero)
             limit = friction[c] * new_n
             x = vec2(new_n, wp.clamp(x[1] + dt, -limit, limit))

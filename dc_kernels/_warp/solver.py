@@ -84,6 +84,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         # Scratch:
         summed: wp.array(dtype=vec4),
         row_change: wp.array(dtype=real),
+        row_before: wp.array(dtype=real),
         row_direction: wp.array(dtype=real),
         counters: wp.array(dtype=wp.int32),
         norms: wp.array(dtype=real),
@@ -143,7 +144,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             done = conclude_sweep(
                 w, largest, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min, period_max,
                 cap, threshold, patience, pause_at, body_start, color_block, rows, row_body, row_scale, solved, summed,
-                row_impulse, row_change, row_direction, counters, norms, history,
+                row_impulse, row_change, row_before, row_direction, counters, norms, history,
             )  # fmt: skip
         done_sweeps = counters[w * N_COUNTERS]
         sweeps[w] = done_sweeps
@@ -273,6 +274,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         row_scale: wp.array(dtype=real),
         summed: wp.array(dtype=vec4),
         row_change: wp.array(dtype=real),
+        row_before: wp.array(dtype=real),
         row_direction: wp.array(dtype=real),
         solved: wp.array(dtype=vec4),
         row_impulse: wp.array(dtype=real),
@@ -287,7 +289,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         conclude_sweep(
             w, norms[w * N_NORMS], method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
             period_max, cap, threshold, patience, NO_PAUSE, body_start, color_block, rows, row_body, row_scale, solved,
-            summed, row_impulse, row_change, row_direction, counters, norms, history,
+            summed, row_impulse, row_change, row_before, row_direction, counters, norms, history,
         )  # fmt: skip
 
     @wp.kernel(module=module, enable_backward=False)

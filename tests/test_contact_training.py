@@ -1,0 +1,163 @@
+"""Training of a ContactNet: corrections are the kernel's, gradients reach the weights, resumption is exact."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import dc_kernels as dc
+from dc_kernels.solve_channels import OUTPUT
+from pipeline import contact_training, models
+from pipeline.call_loss import CallBatch, corrected, errors_left, on_cone
+from pipeline.checkpoint import load_checkpoint
+from pipeline.contact_training import ContactTraining, ContactTrainOptions, train_contactnet
+from pipeline.contactnet import EvenShare
+from pipeline.learned import CallOptions, LearnedSolve
+from pipeline.rollouts import Recorder, Setting, record
+from pipeline.scenes import Thesis
+from pipeline.simulate import RunOptions
+from pipeline.training import Processes
+
+SMALL = (
+    Setting(bodies=30, worlds=3, acceleration="none", solves=6, calls=2, steps=120, max_sweeps=400),
+    Setting(bodies=30, worlds=3, acceleration="aitken", solves=6, calls=2, steps=120, max_sweeps=400),
+)
+
+
+@pytest.fixture(autouse=True)
+def one_thread(monkeypatch):
+    torch.set_num_threads(1)
+    monkeypatch.setattr(contact_training, "SETTINGS", SMALL)
+
+
+def recorded(acceleration: str = "none", begin: bool = False):
+    """A paused solve of three worlds with what the network reads, and the same as a batch."""
+    sim = RunOptions(worlds=3, seed=3).simulation(Thesis(bodies=40), dc.SolverConfig(acceleration=acceleration))
+    sim.run(110, 0.01)
+    sim.collide(0.01)
+    solve = LearnedSolve(sim, EvenShare(), CallOptions(every=12))
+    recorder = Recorder(solve, np.random.default_rng(0))
+    recorder.share = 1
+    seen = {}
+
+    def watch(worlds: np.ndarray, first: bool) -> None:
+        if first == begin and not seen and len(worlds) == 3:
+            recorder.watch(worlds, first)
+            seen["sweeps"] = sim.stats.numpy("sweeps").copy()
+
+    solve.watch = watch
+    solve.solve()
+    calls = sorted(recorder.take(3), key=lambda call: call["world"])
+    assert [call["world"] for call in calls] == [0, 1, 2]
+    return sim, solve, calls, seen
+
+
+@pytest.mark.parametrize("begin", [True, False])
+def test_a_correction_is_that_of_the_kernel(begin):
+    """The kernel's impulses after an arbitrary answer, against those of training."""
+    sim = RunOptions(worlds=3, seed=3).simulation(Thesis(bodies=40), dc.SolverConfig(acceleration="none"))
+    sim.run(110, 0.01)
+    sim.collide(0.01)
+
+    class Drawn(EvenShare):
+        def head(self, local, near):
+            self.output = 0.5 * torch.randn(len(local), len(OUTPUT), generator=torch.Generator().manual_seed(1))
+            return self.output
+
+    solve = LearnedSolve(sim, Drawn(), CallOptions(every=12, begin=begin))
+    found = []
+
+    def watch(worlds: np.ndarray, first: bool) -> None:
+        if first == begin and not found:
+            reader = solve.reader
+            slots = np.concatenate(
+                [
+                    sim.contacts.numpy("contact_start")[w] + np.arange(sim.contacts.numpy("contact_count")[w])
+                    for w in worlds
+                ]
+            )
+            world = np.repeat(np.arange(len(worlds)), np.diff(reader.packed_start[: len(worlds) + 1]))
+            arrays = sim.contacts.numpy("impulse")[slots], reader.step[: reader.count], reader.rate[: reader.count]
+            found.extend([slots, *(torch.from_numpy(a.copy()) for a in (*arrays, reader.scale[world]))])
+
+    solve.watch = watch
+    correct = solve.reader.correct
+
+    def note(output):
+        taken = correct(output)
+        if len(found) == 5:
+            found.append(sim.contacts.numpy("impulse")[found[0]].copy())
+            found.append(output.clone())
+        return taken
+
+    solve.reader.correct = note
+    solve.solve()
+    slots, impulse, step, rate, scale, after, output = found
+    friction = torch.from_numpy(sim.contacts.numpy("friction")[slots])
+    wanted = on_cone(corrected(output, impulse, step, rate, scale), friction)
+    np.testing.assert_allclose(after, wanted.numpy(), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("acceleration", ["none", "aitken"])
+def test_gradients_reach_every_weight(acceleration):
+    _, solve, calls, _ = recorded(acceleration)
+    torch.manual_seed(0)
+    model = models.build("contactnet")
+    for parameter in model.last.parameters():
+        parameter.data.normal_(0.0, 0.05)
+    errors = errors_left(CallBatch.of(calls), model, solve.reader.grid, 10)
+    assert all(torch.isfinite(value).all() for value in errors.values())
+    sum(value.sum() for value in errors.values()).backward()
+    dead = [name for name, p in model.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
+    assert dead == []
+
+
+def test_steps_on_a_batch_lower_its_error(tmp_path):
+    training = ContactTraining(ContactTrainOptions(out=tmp_path, rounds=1, steps=60, rate=3e-3), Processes())
+    calls = training.record(0)
+    batch = training.batch(calls, np.random.default_rng(0))
+    gains = [training.step(batch, 0) for _ in range(60)]
+    training.log.close()
+    assert gains[0] == pytest.approx(0.0, abs=0.05)
+    assert min(gains[-5:]) < gains[0] - 0.05
+
+
+def test_a_training_goes_on_bit_for_bit(tmp_path, monkeypatch):
+    options = ContactTrainOptions(out=tmp_path / "whole", rounds=2, steps=3, contacts=400)
+    whole = train_contactnet(options, progress=False)
+    assert whole["complete"] and whole["steps"] == 6
+    saved = ContactTraining.save
+
+    class Killed(Exception):
+        pass
+
+    def save_and_die(self):
+        saved(self)
+        raise Killed
+
+    half = replace(options, out=tmp_path / "half")
+    monkeypatch.setattr(ContactTraining, "save", save_and_die)
+    with pytest.raises(Killed):
+        train_contactnet(half, progress=False)
+    monkeypatch.setattr(ContactTraining, "save", saved)
+    train_contactnet(replace(half, resume=True), progress=False)
+    files = [Path(folder) / contact_training.NETWORK for folder in (options.out, half.out)]
+    (a, manifest), (b, _) = (load_checkpoint(file) for file in files)
+    assert manifest["rounds"] == 2 and max(manifest["seeds"]) <= contact_training.VALIDATION_SEED
+    for name, tensor in a.state_dict().items():
+        assert torch.equal(tensor, b.state_dict()[name]), name
+    with pytest.raises(ValueError, match="rate"):
+        train_contactnet(replace(half, resume=True, rate=0.5), progress=False)
+    for name in ("curves.png", "train.json", "metrics.jsonl"):
+        assert (options.out / name).stat().st_size > 0
+
+
+def test_held_out_seeds_are_refused():
+    with pytest.raises(ValueError, match="those from 100000 on are for tests"):
+        record(EvenShare(), SMALL[0], 99_999, np.random.default_rng(0))
+    with pytest.raises(ValueError, match="those from 90000 on are for validation"):
+        ContactTrainOptions(rounds=2, seed=89_999).check()
