@@ -23,7 +23,7 @@ from dc_kernels.types import SolverConfig
 from . import evaluate, figures, generate, grid_plots, plots, run_plots, warmstart
 from .recipe import GenerateOptions, Recipe, load_recipe
 from .scenes import AnyScene, Thesis
-from .simulate import Output, RunOptions, SolverOptions, atomic_path, simulate, write_json
+from .simulate import Output, RunOptions, SolverOptions, atomic_path, simulate, torch_threads, write_json
 from .train import NetworkName, TrainOptions, describe_training, train
 
 try:
@@ -278,8 +278,9 @@ def explain(scene: AnyScene, run: RunOptions, solver: SolverOptions, start: str,
     made: Any = make(sim)
     if not hasattr(made, "explain"):
         return sim.explain()
-    for _ in range(steps):
-        warmstart.step(sim, run.dt, made)
+    with torch_threads(run.threads):
+        for _ in range(steps):
+            warmstart.step(sim, run.dt, made)
     return f"{sim.explain()}\n{made.explain()}"
 
 

@@ -11,7 +11,6 @@ those of the trajectory of Builtin on plain Gauss-Seidel: of each step a strateg
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -28,7 +27,7 @@ from dc_kernels.measure import contact_slots
 from . import warmstart
 from .runs import COLUMNS, EVALUATION, PARTS, Column, Run, against, cells, summaries, table
 from .scenes import THESIS_BODIES, Thesis
-from .simulate import RunOptions, SolverOptions, pressing
+from .simulate import RunOptions, SolverOptions, pressing, torch_threads
 
 __all__ = [
     "COLUMNS",
@@ -399,27 +398,12 @@ def _run_all(
     runs = []
     tqdm = require("tqdm", "pipeline").tqdm
     total = len(loops) * len(pairs) * options.steps
-    with _torch_threads(options.threads), tqdm(total=total, unit="step", disable=not progress) as bar:
+    with torch_threads(options.threads), tqdm(total=total, unit="step", disable=not progress) as bar:
         for loop in loops:
             for start, acceleration in pairs:
                 bar.set_description(f"{split_label(start)[0]}, {acceleration}, {loop} loop")
                 runs.append(run_strategy(options, start, acceleration, bar, loop=loop, make=makers[start]))
     return runs
-
-
-@contextmanager
-def _torch_threads(threads: int) -> Iterator[None]:
-    """As many threads for networks as for worlds, where torch is loaded."""
-    torch: Any = sys.modules.get("torch")
-    if torch is None:
-        yield
-        return
-    before = torch.get_num_threads()
-    torch.set_num_threads(threads)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def report(options: ProtocolOptions, runs: Sequence[Run]) -> dict[str, Any]:

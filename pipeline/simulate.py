@@ -19,6 +19,7 @@ import json
 import os
 import platform
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -166,6 +167,21 @@ def interruptible() -> Iterator[threading.Event]:
         yield stop
     finally:
         signal.signal(signal.SIGINT, previous)
+
+
+@contextmanager
+def torch_threads(threads: int) -> Iterator[None]:
+    """As many threads for networks as for worlds, where torch is loaded: more than are free wait for each other."""
+    torch: Any = sys.modules.get("torch")
+    if torch is None:
+        yield
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def pressing(sim: dc.Simulation) -> np.ndarray:
@@ -342,7 +358,12 @@ def simulate(
     spent = 0.0  # in the simulation itself [s]
     done = 0
     files = ["trajectory.h5", "summary.json", "summary.png"]
-    with atomic_path(output.out / files[0]) as partial, h5py.File(partial, "w") as file, interruptible() as stop:
+    with (
+        atomic_path(output.out / files[0]) as partial,
+        h5py.File(partial, "w") as file,
+        torch_threads(run.threads),
+        interruptible() as stop,
+    ):
         writer = TrajectoryWriter(file, sim, config)
         writer.add_record(0, 0.0, sim.state)
         bar = tqdm(total=output.steps, desc=f"simulate {scene.name}", unit="step", disable=not progress)

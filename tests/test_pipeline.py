@@ -364,6 +364,19 @@ def test_command_simulate_with_a_network(tmp_path, network, capsys):
     assert "network" not in last_json(capsys.readouterr().out)
 
 
+def test_networks_have_the_threads_of_the_run(tmp_path, network, monkeypatch, capsys):
+    torch, seen, step = sys.modules["torch"], [], warmstart.step
+    monkeypatch.setattr(warmstart, "step", lambda *given: (seen.append(torch.get_num_threads()), step(*given)))
+    torch.set_num_threads(2)
+    try:
+        for command in (["simulate", "--out", str(tmp_path)], ["explain"]):
+            main([command[0], "settled", "--bodies", "5", "--steps", "1", "--start", str(network), *command[1:]])
+        assert seen == [1, 1] and torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(1)
+    capsys.readouterr()
+
+
 def test_a_recorded_run_with_a_network_is_its_own_loop(tmp_path, network):
     summary, sim = simulate(
         Thesis(bodies=8),
