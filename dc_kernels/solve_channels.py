@@ -38,7 +38,7 @@ LOCAL = (
     "left",  # log of sigma over the tolerance
     "accelerated",  # 1 where the solver extrapolates by itself
     "contacts",  # log of the number of contacts
-    "rate_near",  # log(1 + A) of the steps near the contact: squares to the grid and back, both bilinearly
+    "rate_near",  # log(1 + A) of the steps near the contact: squares to a coarse grid and back, both bilinearly
 )
 IMAGE = (
     *(f"{name}_{a}{b}" for name in ("step", "since", "impulse") for a in "xy" for b in "xy"),
@@ -52,5 +52,5 @@ IMAGE = (
 """Splatted channels. step_ab is p_a n_b of p, the step in world axes: it does not depend on which body is A."""
 
 OUTPUT = ("step_n", "step_t", "free_n", "free_t", "carried_n", "carried_t")
-"""Correction: multiples of the step times 1 + A, the geometric mean of that near the contact and of the world's; and,
-times sigma and 1 + A of the world, parts alike for all contacts and parts of the impulse carried over its RMS."""
+"""Correction: multiples of the step times 1 + A, with the A near the contact; and, times sigma and 1 + A of the world,
+parts that are the same for all contacts and parts of the impulse carried over its RMS."""

@@ -27,6 +27,7 @@ from .transfer import Splat, allocate_image, chunks_of, stencil_scalars, transfe
 if TYPE_CHECKING:
     from .step import Simulation
 
+RATE_NODES = 3  # spacings between the nodes that rates are taken at: 6 diameters at a spacing of 2
 PLACES = ("place", "place_a", "place_b")
 
 
@@ -48,7 +49,7 @@ class SolveReader:
         image: (W, len(IMAGE), rows, columns); plane k is that of the k-th world asked for.
         place, place_a, place_b: contact points and centres of their bodies [m], (room, 2).
         step: step of the last sweep [N s], (room, 2); before the first, that of each contact alone.
-        rate: A of each contact, between that near it and that of its world, (room,).
+        rate: A near each contact, (room,).
         scale: RMS of the step and of the impulses [N s], A, RMS expected of the correction [N s], (W, 4).
         before, known: impulses before and after the last correction, (slots of ``sim.contacts``, 2) [N s].
         active, packed_start: the worlds asked for, and the first row of each.
@@ -86,7 +87,8 @@ class SolveReader:
             **solve_kernels(sim.backend, sim.dtype.name, sim.variant),
         }
         self.image = allocate_image(worlds, len(IMAGE), grid, sim.dtype)
-        self._squares = allocate_image(worlds, 2, grid, sim.dtype)
+        coarse = [max(2, -(-(n - 1) // RATE_NODES) + 1) for n in grid.shape]
+        self._squares = aligned_zeros((worlds, 2, *coarse), sim.dtype)
         self.active, self.packed_start = np.zeros(worlds, np.int32), np.zeros(worlds + 1, np.int32)
         self.scale = aligned_zeros((worlds, 4), sim.dtype)
         self._point_count = np.zeros(worlds, np.int32)
@@ -245,7 +247,7 @@ class SolveReader:
             "step": kernel_vectors(self.step, backend),
             "rate": self._array(self.rate),
             "squares": self._array(self._squares),
-            "spacing": self.grid.spacing,
+            "rate_spacing": RATE_NODES * self.grid.spacing,
             "grid_origin": origin,
             "world_scale": kernel_vectors(self.scale, backend),
         }

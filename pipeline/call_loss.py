@@ -16,7 +16,7 @@ from dc_kernels.grid import Grid
 from dc_kernels.operators import gather_torch, splat_torch
 from dc_kernels.sweep_operators import ContactProblem, sweeps_torch
 
-from .contactnet import ACCELERATED, EvenShare
+from .contactnet import EvenShare
 
 torch = require("torch", "pipeline")
 
@@ -44,7 +44,7 @@ class CallBatch:
     step: Any
     """Of the last sweep, (M, 2) [N s]."""
     rate: Any
-    """A of each contact, (M,)."""
+    """A near each contact, (M,)."""
     scale: Any
     """See ``SolveReader.scale``, (B, 4)."""
     label: Any
@@ -92,11 +92,6 @@ class CallBatch:
     def count(self) -> int:
         """Solves in the batch."""
         return len(self.scale)
-
-    @property
-    def accelerated(self) -> Any:
-        """Worlds whose solver extrapolates by itself, bool (B,)."""
-        return self.total(self.local[:, ACCELERATED]) > 0.0
 
     def total(self, values: Any) -> Any:
         """Sum over the contacts of each world, (B,), of values (M,)."""

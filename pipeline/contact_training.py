@@ -38,11 +38,13 @@ from .training import (
     processes,
     seed_everything,
 )
+from .tuning import choose_gains
 
 torch = require("torch", "pipeline")
 
 NETWORK, STATE = "contactnet.safetensors", "training.safetensors"
 VALIDATION_SEED = 90_000  # of the worlds of validation; training takes seeds below
+TUNING_SEED = 80_000  # of the worlds that gains are chosen on
 VALIDATION_CALLS = 100  # of each kind of world
 Recorded = tuple[tuple[int, str], dict[str, Any]]  # discs and acceleration of the world, and a call in it
 WEIGHTS = {"velocity": 0.3, "impulse": 0.2, "step": 0.5}  # of the errors in the loss
@@ -58,9 +60,9 @@ class ContactTrainOptions:
     """Folder of the files, made if missing; files of an earlier training are replaced."""
     resume: bool = False
     """Continue the training in that folder."""
-    rounds: int = 12
+    rounds: int = 14
     """Rounds of recording and steps [1]."""
-    steps: int = 400
+    steps: int = 500
     """Steps of a round [1]."""
     contacts: int = 5000
     """Contacts of a step's batch, about [1]."""
@@ -94,10 +96,10 @@ class ContactTrainOptions:
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be finite and > 0")
         last = self.seed + self.rounds * seeds_of(self.settings())
-        if last > VALIDATION_SEED:
+        if last > TUNING_SEED:
             raise ValueError(
-                f"the worlds' seeds go from {self.seed} to {last}; those from {VALIDATION_SEED} on are for validation, "
-                f"from {HELD_OUT_SEED} on for tests"
+                f"the worlds' seeds go from {self.seed} to {last}; those from {TUNING_SEED} on are for the gains, from "
+                f"{VALIDATION_SEED} on for validation, from {HELD_OUT_SEED} on for tests"
             )
 
     def settings(self) -> tuple[Setting, ...]:
@@ -148,9 +150,10 @@ class ContactTraining:
         free = ("out", "resume", "threads")
         self.identity = {k: v for k, v in plain(asdict(options)).items() if k not in free} | {"processes": group.size}
         self.round, self.seconds = 0, 0.0
+        self.tuned: dict[str, Any] = {}
         if options.resume:
             done, _ = load_training(options.out / STATE, self.model, self.optimizer, self.schedule, self.identity)
-            self.round, self.seconds = int(done["round"]), float(done["seconds"])
+            self.round, self.seconds, self.tuned = int(done["round"]), float(done["seconds"]), done["tuned"]
         self.log = Log(options.out, self.round * options.steps, enabled=group.first)
         self.grids: dict[int, Any] = {}
 
@@ -179,6 +182,13 @@ class ContactTraining:
             self.log.add(self.round * options.steps, self.validate())
             if self.group.first:
                 self.save()
+        if self.round == options.rounds and not self.tuned and self.group.first:
+            bar.set_postfix_str("choosing gains")
+            began = time.perf_counter()
+            self.model.eval()
+            self.tuned = choose_gains(self.model, TUNING_SEED)
+            self.seconds += time.perf_counter() - began
+            self.save()
         bar.close()
         self.log.close()
         return self.finish() if self.group.first else {}
@@ -269,7 +279,7 @@ class ContactTraining:
     def save(self) -> None:
         """Network and state, each in one go."""
         options = self.options
-        progress = {"round": self.round, "seconds": self.seconds}
+        progress = {"round": self.round, "seconds": self.seconds, "tuned": self.tuned}
         save_checkpoint(options.out / NETWORK, self.model, self.manifest())
         save_training(options.out / STATE, self.model, self.optimizer, self.schedule, progress, self.identity)
 
@@ -285,6 +295,7 @@ class ContactTraining:
                 "rounds": self.round,
                 "steps": self.round * options.steps,
                 "minutes": self.seconds / 60.0,
+                "tuning": self.tuned,
                 "metrics": {k: v for k, v in last.items() if k != "step"},
                 "versions": all_versions(),
             }

@@ -23,10 +23,7 @@ nn = torch.nn
 F = torch.nn.functional
 Module: Any = nn.Module  # a name that mypy takes as a base
 
-BASE, BASE_LESS = (
-    0.8,
-    0.3,
-)  # share of Aitken's step that the network begins with; less where the solver makes such steps
+SHARE = 1.0  # of Aitken's step that the network begins with
 BEGIN, ACCELERATED = LOCAL.index("begin"), LOCAL.index("accelerated")
 
 
@@ -59,7 +56,7 @@ class ContactNet(Module):
     """Features of contacts and images of worlds -> corrections (contacts, len(OUTPUT))."""
 
     def __init__(self, config: ContactNetConfig | None = None) -> None:
-        """Random weights that begin with the same share of Aitken's step for every contact (``BASE``)."""
+        """Random weights that begin with the same share of Aitken's step for every contact (``SHARE``)."""
         super().__init__()
         self.config = config = config or ContactNetConfig()
         widths = config.channels
@@ -74,6 +71,8 @@ class ContactNet(Module):
         sizes = (first, *rest)
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in itertools.pairwise(sizes))
         self.last = nn.Linear(sizes[-1], len(OUTPUT))
+        # share of the answer that is used, with plain and with accelerated solvers (``tuning``)
+        self.register_buffer("gain", torch.ones(2))
         with torch.no_grad():
             self.last.weight.mul_(0.1)
             self.last.bias.zero_()
@@ -101,7 +100,8 @@ class ContactNet(Module):
         x = F.relu(x)
         for layer in self.layers:
             x = F.relu(layer(x))
-        answer = self.last(x)
+        accelerated = local[:, ACCELERATED, None]
+        answer = self.last(x) * (self.gain[0] + (self.gain[1] - self.gain[0]) * accelerated)
         answer[:, :2] += even_share(local)[:, None]
         return answer
 
@@ -130,4 +130,4 @@ class EvenShare(Module):
 
 def even_share(local: Any) -> Any:
     """Share of Aitken's step while solving, (n,), none of the contacts' own before the first sweep."""
-    return (BASE - BASE_LESS * local[:, ACCELERATED]) * (1.0 - local[:, BEGIN])
+    return SHARE * (1.0 - local[:, BEGIN])

@@ -7,8 +7,8 @@
 
 Whatever the network answers, the solve ends as it would without it, at a bounded cost. A correction with NaN or inf, or
 far beyond what the last sweeps let expect, is not taken. One that failed, after which the step of a sweep is no smaller
-than it was before, makes the world leave out calls, more each time; where it has grown much, it is taken back. After
-``most`` calls what remains is the plain solver on the impulses that it has.
+than it was before, makes the world leave out a call; where it has grown much, it is taken back. A world most of whose
+calls fail is left to the solver: from then on it is the plain one, on the impulses that it has.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from dc_kernels.arrays import require
 from dc_kernels.solve_features import SolveReader
 from dc_kernels.types import NORMS
 
-WAIT = 4  # calls that a world leaves out, at most, after one that failed
-EVERY, EVERY_ACCELERATED = 10, 20  # sweeps between two calls: a solver that extrapolates by itself needs fewer of them
+TRUST = 4  # calls that may fail beyond two in three before a world is left to the solver
+EVERY, EVERY_ACCELERATED = 10, 15  # sweeps between two calls: where the solver extrapolates by itself, more
 PARTS = ("solve", "splat", "network", "gather")
 COUNTS = ("solves", "empty", "early", "calls", "refused", "failed", "undone")
 
@@ -36,12 +36,12 @@ class CallOptions:
     """When the network is called."""
 
     every: int | None = None
-    """Sweeps between two calls; None: ``EVERY`` of the solver [1]."""
+    """Sweeps between two calls; None: 10, or 15 where the solver extrapolates by itself [1]."""
     begin: bool = True
     """Call it before the first sweep."""
     middle: bool = True
     """Call it while the solve has not converged."""
-    most: int = 60
+    most: int = 200
     """Calls of a world in a solve, at most [1]."""
     harm: float = 8.0
     """A correction is taken back where the step of a sweep then is so many times that before it, or more [1]."""
@@ -88,11 +88,6 @@ class CallStats:
     def totals(self) -> dict[str, Any]:
         """Sums over the worlds, by name."""
         return {**{name: int(getattr(self, name).sum()) for name in COUNTS}, "seconds": dict(self.seconds)}
-
-
-def every_of(acceleration: str) -> int:
-    """Sweeps between two calls with a solver's acceleration."""
-    return EVERY if acceleration == "none" else EVERY_ACCELERATED
 
 
 def grid_of(sim: dc.Simulation, spacing: float) -> dc.Grid:
@@ -146,7 +141,8 @@ class LearnedSolve:
         self.reader = SolveReader(sim, grid, limit=self.options.limit)
         self._trunk = torch.compile(model.trunk) if compile else model.trunk
         self._head = torch.compile(model.head) if compile else model.head
-        self.every = self.options.every or every_of(sim.config.acceleration)
+        plain = sim.config.acceleration == "none"
+        self.every = self.options.every or (EVERY if plain else EVERY_ACCELERATED)
         self.stats = CallStats.zeros(sim.model.world_count)
         self.watch: Callable[[np.ndarray, bool], None] | None = None
         """Called with the worlds, and whether no sweep is done, when their features are read: for training."""
@@ -199,7 +195,7 @@ class LearnedSolve:
             asking &= running
             self._judge(asking)
             if options.middle:
-                asking &= calls < options.most
+                asking &= (calls < options.most) & (3 * self._failures < 2 * calls + 3 * TRUST)
                 calls += self._call(asking & (self._pause == 0), begin=False)
                 self._pause = np.maximum(self._pause - 1, 0)
             else:
@@ -227,7 +223,7 @@ class LearnedSolve:
         self._waiting[worlds] = taken
         self.stats.calls[worlds] += 1
         refused = worlds[~taken]
-        self._pause[refused] = np.minimum(2 + self._failures[refused], WAIT)
+        self._pause[refused] = 2
         self._failures[refused] += 1
         self.stats.refused[refused] += 1
         return asking
@@ -254,7 +250,7 @@ class LearnedSolve:
             self.sim.stats.numpy("replaced")[harmed] = 1
             self.stats.undone += harmed
         failed = judged & ~(now < before)
-        self._pause[failed] = np.minimum(1 + self._failures[failed], WAIT)
+        self._pause[failed] = 1
         self._failures += failed
         self.stats.failed += failed
 

@@ -21,7 +21,12 @@ from pipeline.rollouts import Recorder, Setting, record
 from pipeline.scenes import Thesis
 from pipeline.simulate import RunOptions
 from pipeline.training import Processes
+from pipeline.tuning import GAINS, Crowd, choose_gains
 
+FEW = (
+    Crowd(bodies=30, worlds=2, acceleration="none", steps=(100, 120)),
+    Crowd(bodies=30, worlds=2, acceleration="aitken", steps=(100,)),
+)
 SMALL = (
     Setting(bodies=30, worlds=3, acceleration="none", solves=6, calls=2, steps=120, max_sweeps=400),
     Setting(bodies=30, worlds=3, acceleration="aitken", solves=6, calls=2, steps=120, max_sweeps=400),
@@ -32,6 +37,7 @@ SMALL = (
 def one_thread(monkeypatch):
     torch.set_num_threads(1)
     monkeypatch.setattr(contact_training, "SETTINGS", SMALL)
+    monkeypatch.setattr(contact_training, "choose_gains", lambda model, seed: choose_gains(model, seed, FEW))
 
 
 def recorded(acceleration: str = "none", begin: bool = False):
@@ -152,6 +158,8 @@ def test_a_training_goes_on_bit_for_bit(tmp_path, monkeypatch):
         assert torch.equal(tensor, b.state_dict()[name]), name
     with pytest.raises(ValueError, match="rate"):
         train_contactnet(replace(half, resume=True, rate=0.5), progress=False)
+    costs = np.array([manifest["tuning"]["none_30"], manifest["tuning"]["aitken_30"]])
+    np.testing.assert_allclose(manifest["tuning"]["gain"], np.array(GAINS)[costs.argmin(axis=1)], rtol=1e-6)
     for name in ("curves.png", "train.json", "metrics.jsonl"):
         assert (options.out / name).stat().st_size > 0
 
@@ -159,5 +167,5 @@ def test_a_training_goes_on_bit_for_bit(tmp_path, monkeypatch):
 def test_held_out_seeds_are_refused():
     with pytest.raises(ValueError, match="those from 100000 on are for tests"):
         record(EvenShare(), SMALL[0], 99_999, np.random.default_rng(0))
-    with pytest.raises(ValueError, match="those from 90000 on are for validation"):
-        ContactTrainOptions(rounds=2, seed=89_999).check()
+    with pytest.raises(ValueError, match="those from 80000 on are for the gains"):
+        ContactTrainOptions(rounds=2, seed=79_999).check()

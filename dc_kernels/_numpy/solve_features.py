@@ -45,7 +45,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         accelerated: int,
         tolerance: float,
         cap: float,
-        spacing: float,
+        rate_spacing: float,
         active: Array,
         packed_start: Array,
         contact_start: Array,
@@ -104,12 +104,12 @@ def kernels(dtype: str, variant: str) -> Kernels:
         if not begin:
             extrapolation = float(_aitken(norms[w * NORMS + 5 : w * NORMS + 6], norms[w * NORMS + 4], cap)[0])
             before = np.stack([row_before[slot[mine]], row_before[slot[mine] + LANES]], axis=1).astype(float)
-            node, weight = _corners((at - grid_origin[k]) / spacing, squares.shape[2:])
+            node, weight = _corners((at - grid_origin[k]) / rate_spacing, squares.shape[2:])
             sums = np.zeros((2, *squares.shape[2:]))
             for total, value in zip(sums, (s, before)):
                 np.add.at(total, (node[..., 1], node[..., 0]), weight * (value**2).sum(axis=1)[:, None])
             near = _aitken(*((weight * total[node[..., 1], node[..., 0]]).sum(axis=1) for total in sums), cap)
-        rate[packed] = np.sqrt((1.0 + near) * (1.0 + extrapolation)) - 1.0
+        rate[packed] = near
         wide = 1.0 + extrapolation
         world_scale[k] = sigma, size, extrapolation, sigma * wide
         step[packed] = s

@@ -126,7 +126,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         accelerated: int,
         tolerance: real,
         cap: real,
-        spacing: real,
+        rate_spacing: real,
         # What is asked for:
         active: wp.array(dtype=wp.int32),
         packed_start: wp.array(dtype=wp.int32),
@@ -168,8 +168,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         """Features of the contacts of the worlds ``active``, packed one world after the other (``solve_channels``).
 
         ``place`` holds the contact points, ``place_a`` and ``place_b`` the bodies' centres; ``known`` the impulses
-        after the last correction; ``rate`` A, the extrapolation r / (1 - r), between near the contact
-        and of the world.
+        after the last correction; ``rate`` the extrapolation A = r / (1 - r) of the steps near the contact.
         ``world_scale``: RMS of the step and of the impulses, A of the world, 1 + A times the RMS of the step.
         """
         k = wp.tid() + world_offset
@@ -220,7 +219,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 row = slot[c]
                 s = step[base + k0]
                 last = vec2(row_before[row], row_before[row + N_LANES])
-                around = cell(position[body_a[c]] + arm_a[c], grid_origin[k], spacing, squares)
+                around = cell(position[body_a[c]] + arm_a[c], grid_origin[k], rate_spacing, squares)
                 add_squares(k, around, wp.dot(s, s), wp.dot(last, last), squares)
         wide = one + extrapolation
         world_scale[k] = vec4(sigma, size, extrapolation, sigma * wide)
@@ -236,9 +235,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             x = impulse[c]
             near = extrapolation
             if begin == 0:
-                around = cell(position[body_a[c]] + arm_a[c], grid_origin[k], spacing, squares)
+                around = cell(position[body_a[c]] + arm_a[c], grid_origin[k], rate_spacing, squares)
                 near = rate_near(k, around, cap, squares)
-            rate[m] = wp.sqrt((one + near) * wide) - one
+            rate[m] = near
             s = step[m] * inverse
             found = local_step(c, slot, rows, body_a, body_b, normal, arm_a, arm_b, friction, solved, x) * inverse
             since = (x - known[c]) * inverse
