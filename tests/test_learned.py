@@ -20,16 +20,17 @@ from pipeline.simulate import RunOptions
 torch = pytest.importorskip("torch")
 torch.set_num_threads(1)
 
+from dc_kernels.sweep_operators import ContactProblem  # noqa: E402
 from pipeline.contactnet import ContactNet  # noqa: E402
 from pipeline.learned import CallOptions, LearnedSolve  # noqa: E402
 
 DT = 0.01
 STEPS = 120
 OPTIONS = CallOptions()
-# Sweeps of a run with the worst network over those without one. A correction that is not taken back makes the step of a
-# sweep less than ``harm`` times larger, which costs at most ln(harm) of the ln(first step / tolerance), here some
-# ln(1e3), that a whole solve takes. The worst network here, "reverse", takes half of that.
-COST = 1.0 + OPTIONS.most * math.log(OPTIONS.harm) / math.log(1e3)
+# Sweeps of a run with any network over those without one. A correction that is not taken back makes the step of a sweep
+# less than ``harm`` times larger, which costs at most ln(harm) of the ln(first step / tolerance), here some ln(1e3), that
+# a whole solve takes, and a world whose calls fail is soon left to the solver. The worst here takes 8 ("just taken").
+COST = 16.0
 Answer = Callable[[Any, Any], Any]
 
 
@@ -177,8 +178,11 @@ def test_every_solve_converges_at_a_bounded_cost(network, scene, acceleration):
 def test_every_solve_ends_at_the_same_answer(friction, network, acceleration):
     """Each step of one trajectory solved three times: tightly, plainly, with the network.
 
-    Both ends are as far from the solution as sweeps that change no impulse by more than 1e-4 N s let them be, that over
+    Both ends are as far from the solution as sweeps that change no impulse by more than 1e-4 N s let them be: that over
     1 - r, whatever came before. Without friction the velocities are unique, with friction they are so only nearly.
+
+    Sweeps add up velocities in float32, so that those of impulses that were large on the way would be wrong at the end,
+    unseen by the solver: they are compared with those of the impulses too.
     """
     sim = simulation(Thesis(bodies=12, friction=friction), acceleration)
     solve = LearnedSolve(sim, Stub(NETWORKS[network]))
@@ -194,14 +198,15 @@ def test_every_solve_ends_at_the_same_answer(friction, network, acceleration):
             sim.contacts.assign("impulse", start)
             call()
             assert (sim.stats.numpy("change") < sim.config.tolerance).all()
-            errors[name].append(np.abs(sim.motion.numpy("solved")[: len(solution), :3] - solution).max())
+            found = sim.motion.numpy("solved")[: len(solution), :3]
+            errors[name].append(np.abs(found - solution).max())
+            problem = ContactProblem.from_simulation(sim)
+            impulse = sim.contacts.numpy("impulse")[problem.slot.numpy()]
+            np.testing.assert_allclose(found, problem.velocities(torch.from_numpy(impulse)).numpy(), atol=1e-3)
         sim.advance()
     largest = {name: max(values) for name, values in errors.items()}
-    assert largest["plain"] > 1e-5
-    if friction == 0.0:
-        assert largest["network"] < 1.5 * largest["plain"] and largest["plain"] < 1e-3  # [m/s]
-    else:
-        assert largest["network"] < 5.0 * largest["plain"] and largest["plain"] < 0.05
+    assert 1e-5 < largest["plain"] < (1e-3 if friction == 0.0 else 0.02)  # [m/s]
+    assert largest["network"] < 4.0 * largest["plain"]
 
 
 def test_the_cap_of_sweeps_holds():
@@ -344,7 +349,7 @@ def test_totals_and_explain_add_up():
     seconds = totals.pop("seconds")
     assert totals == {name: getattr(solve.stats, name).sum() for name in totals}
     assert all(type(value) is int for value in totals.values())
-    assert totals["solves"] == 4 * STEPS and totals["calls"] > totals["failed"] > totals["undone"] > 0
+    assert totals["solves"] == 4 * STEPS and totals["calls"] > totals["failed"] >= totals["undone"] > 0
     assert set(seconds) == {"solve", "splat", "network", "gather"}
     assert all(value > 0.0 for value in seconds.values()) and sum(seconds.values()) < wall
     text = solve.explain()
