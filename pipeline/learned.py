@@ -43,9 +43,9 @@ class CallOptions:
     """Call it while the solve has not converged."""
     most: int = 200
     """Calls of a world in a solve, at most [1]."""
-    harm: float = 8.0
+    harm: float = 3.0
     """A correction is taken back where the step of a sweep then is so many times that before it, or more [1]."""
-    limit: float = 30.0
+    limit: float = 10.0
     """RMS of a correction beyond which it is not taken, in units of that which the last sweeps let expect [1]."""
 
     def __post_init__(self) -> None:
