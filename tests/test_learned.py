@@ -28,8 +28,8 @@ DT = 0.01
 STEPS = 120
 OPTIONS = CallOptions()
 # Sweeps of a run with any network over those without one. A correction that is not taken back makes the step of a sweep
-# less than ``harm`` times larger, which costs at most ln(harm) of the ln(first step / tolerance), here some ln(1e3), that
-# a whole solve takes, and a world whose calls fail is soon left to the solver. The worst here takes 8 ("just taken").
+# less than ``harm`` times larger, which costs at most ln(harm) of the ln(first step / tolerance), here about ln(1e3),
+# that a whole solve takes, and a world whose calls fail is soon left to the solver. The worst here takes 8.
 COST = 16.0
 Answer = Callable[[Any, Any], Any]
 
