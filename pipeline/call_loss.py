@@ -122,6 +122,17 @@ def corrected(output: Any, impulse: Any, step: Any, rate: Any, scale: Any) -> An
     return impulse + by_step + expected * (output[:, 2:4] + output[:, 4:6] * impulse / size)
 
 
+def predicted(batch: CallBatch, model: Any, grid: Grid) -> Any:
+    """Impulses after a call, on their cones, (M, 2) [N s]."""
+    if isinstance(model, EvenShare):
+        output = model.head(batch.local, ())
+    else:
+        images = splat_torch(batch.places[0], batch.image_value, grid, kernel="bspline", start=batch.start)
+        output = model(batch.local, images, lambda image: gather_all(batch, image, grid))
+    new = corrected(output, batch.impulse, batch.step, batch.rate, batch.scale[batch.world])
+    return on_cone(new, batch.problem.friction).contiguous()
+
+
 def errors_left(batch: CallBatch, model: Any, grid: Grid, sweeps: int) -> dict[str, Any]:
     """Errors that a call and some sweeps after it leave; log of the norms, (B,) each.
 
@@ -134,13 +145,7 @@ def errors_left(batch: CallBatch, model: Any, grid: Grid, sweeps: int) -> dict[s
     Returns:
         By the names of ``ERRORS``: of the velocities in the energy norm, of the impulses, and the last sweep's step.
     """
-    if isinstance(model, EvenShare):
-        output = model.head(batch.local, ())
-    else:
-        images = splat_torch(batch.places[0], batch.image_value, grid, kernel="bspline", start=batch.start)
-        output = model(batch.local, images, lambda image: gather_all(batch, image, grid))
-    new = corrected(output, batch.impulse, batch.step, batch.rate, batch.scale[batch.world])
-    start = on_cone(new, batch.problem.friction).contiguous()
+    start = predicted(batch, model, grid)
     impulse, _, step = sweeps_torch(start, batch.problem, sweeps, leak=LEAK)
     floor = FLOOR**2 * batch.start.diff()
     error = impulse - batch.label

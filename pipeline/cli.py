@@ -21,6 +21,7 @@ from dc_kernels.grid import Grid
 from dc_kernels.types import SolverConfig
 
 from . import evaluate, figures, generate, grid_plots, plots, run_plots, warmstart
+from .contact_options import ContactTrainOptions
 from .recipe import GenerateOptions, Recipe, load_recipe
 from .scenes import AnyScene, Thesis
 from .simulate import Output, RunOptions, SolverOptions, atomic_path, simulate, torch_threads, write_json
@@ -200,7 +201,22 @@ class Train(Common):
         return summary
 
 
-Command = Simulate | Demo | Protocol | Evaluate | Explain | Figures | Generate | Train
+@dataclass(frozen=True, kw_only=True)
+class TrainContactnet(Common):
+    """Train ContactNet, which corrects solves in flight, on the calls that it makes itself; no data set is needed."""
+
+    training: ContactTrainOptions = field(default_factory=ContactTrainOptions)
+
+    def __call__(self) -> dict[str, Any]:
+        from .contact_training import describe_contact_training, train_contactnet
+
+        summary = train_contactnet(self.training, progress=not self.json)
+        if not self.json and summary:
+            print(describe_contact_training(summary))
+        return summary
+
+
+Command = Simulate | Demo | Protocol | Evaluate | Explain | Figures | Generate | Train | TrainContactnet
 
 
 def run_protocol(

@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from dc_kernels.arrays import require
+
 from .plots import CYCLE, MUTED, figure
+
+SHOWN = 0.995  # quantile of the true corrections that the axes reach to
 
 
 def contact_curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> Any:
@@ -33,4 +39,34 @@ def contact_curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> An
         if points:
             right.plot(*zip(*points), color=CYCLE[2])
         right.set(xlabel="step", title="learning rate")
+    return fig
+
+
+def contact_predictions_figure(before: np.ndarray, after: np.ndarray, label: np.ndarray, title: str) -> Any:
+    """Corrections of one call against the true ones; a perfect answer lies on the diagonal.
+
+    Args:
+        before: impulses before the call, (M, 2) [N s].
+        after: after it.
+        label: true ones.
+        title: of the figure.
+    """
+    colors = require("matplotlib.colors", "pipeline")
+    with figure(11.0, 5.2) as fig:
+        fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+        for i, (axes, name) in enumerate(zip(fig.subplots(1, 2), ("normal", "tangential"))):
+            true, found = label[:, i] - before[:, i], after[:, i] - before[:, i]
+            most = max(float(np.quantile(np.abs(true), SHOWN)), 1e-12)
+            edges = np.linspace(-most, most, 101)
+            count, _, _ = np.histogram2d(np.clip(true, -most, most), np.clip(found, -most, most), bins=(edges, edges))
+            norm = colors.LogNorm(1.0, max(float(count.max()), 2.0))
+            mesh = axes.pcolormesh(edges, edges, np.ma.masked_equal(count.T, 0.0), cmap="viridis", norm=norm)
+            axes.plot((-most, most), (-most, most), color=CYCLE[0], linewidth=1.0)
+            left = float(((true - found) ** 2).sum() / max((true**2).sum(), 1e-30))
+            axes.set_title(f"{name} impulses of {len(true):,} contacts: squared error {left:.2f} of that before")
+            axes.set(xlabel="true correction [N s]", ylabel="correction by the network [N s]")
+            axes.set_box_aspect(1.0)
+            bar = fig.colorbar(mesh, ax=axes, pad=0.01, aspect=28)
+            bar.set_label("contacts")
+            bar.outline.set_visible(False)
     return fig

@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -19,9 +18,10 @@ import numpy as np
 from dc_kernels.arrays import require
 
 from . import models, plots
-from .call_loss import ERRORS, CallBatch, errors_left
+from .call_loss import ERRORS, CallBatch, errors_left, predicted
 from .checkpoint import all_versions, load_training, save_checkpoint, save_training
-from .contact_plots import contact_curves_figure
+from .contact_options import ContactTrainOptions
+from .contact_plots import contact_curves_figure, contact_predictions_figure
 from .contactnet import EvenShare
 from .evaluate import HELD_OUT_SEED
 from .learned import grid_of
@@ -52,62 +52,9 @@ AFTER = (20, 40, 80)  # sweeps after which the error of a call counts, in turn
 SLOW = 0.5  # power of 1 + A in the weight of a world: the sweeps that an error costs
 
 
-@dataclass(frozen=True, kw_only=True)
-class ContactTrainOptions:
-    """How a ContactNet is trained; the defaults are those of the weights in the package."""
-
-    out: Path = Path("out/contactnet")
-    """Folder of the files, made if missing; files of an earlier training are replaced."""
-    resume: bool = False
-    """Continue the training in that folder."""
-    rounds: int = 14
-    """Rounds of recording and steps [1]."""
-    steps: int = 500
-    """Steps of a round [1]."""
-    contacts: int = 5000
-    """Contacts of a step's batch, about [1]."""
-    rate: float = 1e-3
-    """Highest learning rate, of AdamW in one cycle."""
-    weight_decay: float = 1e-4
-    """Of the optimiser."""
-    clip: float = 1.0
-    """Longest gradient, to which longer ones are cut [1]."""
-    seed: int = 0
-    """Of the weights, of what is recorded, and of the first world [1]."""
-    spacing: float = 2.0
-    """Distance of the grid's nodes [typical diameters]."""
-    channels: tuple[int, ...] = (8, 16, 16)
-    """Channels of the trunk at each scale [1]."""
-    near: int = 8
-    """Channels gathered at the contacts [1]."""
-    hidden: tuple[int, ...] = (48, 32)
-    """Widths of the head's hidden layers [1]."""
-    worlds: float = 1.0
-    """Factor on the worlds of a round [1]."""
-    threads: int = 1
-    """Threads of torch [1]."""
-
-    def check(self) -> None:
-        """Raise a ``ValueError`` that names the option which is out of its range."""
-        for name, low in (("rounds", 1), ("steps", 1), ("contacts", 1), ("threads", 1), ("seed", 0)):
-            if getattr(self, name) < low:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be >= {low}")
-        for name in ("rate", "clip", "worlds"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be finite and > 0")
-        last = self.seed + self.rounds * seeds_of(self.settings())
-        if last > TUNING_SEED:
-            raise ValueError(
-                f"the worlds' seeds go from {self.seed} to {last}; those from {TUNING_SEED} on are for the gains, from "
-                f"{VALIDATION_SEED} on for validation, from {HELD_OUT_SEED} on for tests"
-            )
-
-    def settings(self) -> tuple[Setting, ...]:
-        """What is recorded in a round."""
-        return tuple(
-            Setting(**{**asdict(setting), "worlds": max(1, round(self.worlds * setting.worlds))})
-            for setting in SETTINGS
-        )
+def settings_of(options: ContactTrainOptions) -> tuple[Setting, ...]:
+    """What is recorded in a round."""
+    return tuple(replace(setting, worlds=max(1, round(options.worlds * setting.worlds))) for setting in SETTINGS)
 
 
 def train_contactnet(options: ContactTrainOptions | None = None, progress: bool = True) -> dict[str, Any]:
@@ -128,6 +75,12 @@ def train_contactnet(options: ContactTrainOptions | None = None, progress: bool 
     """
     options = options or ContactTrainOptions()
     options.check()
+    last = options.seed + options.rounds * seeds_of(settings_of(options))
+    if last > TUNING_SEED:
+        raise ValueError(
+            f"the worlds' seeds go from {options.seed} to {last}; those from {TUNING_SEED} on are for the gains, from "
+            f"{VALIDATION_SEED} on for validation, from {HELD_OUT_SEED} on for tests"
+        )
     torch.set_num_threads(options.threads)
     with processes() as group, interruptible() as stop:
         return ContactTraining(options, group).run(stop, progress and group.first)
@@ -198,7 +151,7 @@ class ContactTraining:
         options, rank = self.options, self.group.rank
         validation = round_ < 0
         generator = np.random.default_rng([options.seed, round_ + 1, rank])
-        settings = options.settings()
+        settings = settings_of(options)
         per_round = seeds_of(settings)
         seed = VALIDATION_SEED if validation else options.seed + (round_ * self.group.size + rank) * per_round
         self.model.eval()
@@ -276,6 +229,17 @@ class ContactTraining:
                             values.setdefault(key, []).extend(difference.tolist())
         return {f"validation/{key}": float(np.mean(value)) for key, value in values.items()}
 
+    def predictions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Impulses before a call of validation, after it, and the true ones, (M, 2) each [N s]."""
+        self.model.eval()
+        found = []
+        with torch.no_grad():
+            for grid, batch, _ in self.batches(self.validation):
+                after = predicted(batch, self.model, grid)
+                found.append((batch.impulse, after, batch.label))
+        before, after, label = (torch.cat(parts).numpy() for parts in zip(*found))
+        return before, after, label
+
     def save(self) -> None:
         """Network and state, each in one go."""
         options = self.options
@@ -290,8 +254,8 @@ class ContactTraining:
         return plain(
             {
                 "options": self.identity,
-                "settings": [asdict(setting) for setting in options.settings()],
-                "seeds": [options.seed, options.seed + self.round * self.group.size * seeds_of(options.settings())],
+                "settings": [asdict(setting) for setting in settings_of(options)],
+                "seeds": [options.seed, options.seed + self.round * self.group.size * seeds_of(settings_of(options))],
                 "rounds": self.round,
                 "steps": self.round * options.steps,
                 "minutes": self.seconds / 60.0,
@@ -310,13 +274,34 @@ class ContactTraining:
             "complete": self.round == options.rounds,
             **self.manifest(),
             "out": str(options.out),
-            "files": [NETWORK, STATE, "metrics.jsonl", "train.json", "curves.png"],
+            "files": [NETWORK, STATE, "metrics.jsonl", "train.json", "curves.png", "predictions.png"],
         }
         with atomic_path(options.out / "curves.png") as partial:
             title = f"contactnet, {summary['parameters']:,} weights, {summary['minutes']:.0f} minutes"
             plots.save(contact_curves_figure(self.log.rows, title), partial)
+        with atomic_path(options.out / "predictions.png") as partial:
+            plots.save(contact_predictions_figure(*self.predictions(), f"{title}: one call"), partial)
         write_json(options.out / "train.json", summary)
         return summary
+
+
+def describe_contact_training(summary: dict[str, Any]) -> str:
+    """What a training did, in a few lines."""
+    tuning, metrics = summary["tuning"], summary["metrics"]
+    lines = [
+        f"contactnet: {summary['parameters']:,} weights, {summary['steps']} steps, {summary['minutes']:.1f} minutes"
+        + ("" if summary["complete"] else "; interrupted, --resume goes on"),
+    ]
+    if "validation/gain" in metrics:
+        left = math.exp(metrics["validation/gain"])
+        lines.append(f"error left by a call, over that of an even share of Aitken's step: {left:.2f}")
+    if tuning:
+        plain_gain, accelerated = tuning["gain"]
+        lines.append(
+            f"gain of the answer: {plain_gain:g} with plain sweeps, {accelerated:g} with an accelerated solver"
+        )
+    lines.append(f"{summary['out']}: {', '.join(summary['files'])}")
+    return "\n".join(lines)
 
 
 def _config() -> Any:

@@ -14,7 +14,8 @@ from dc_kernels.solve_channels import OUTPUT
 from pipeline import contact_training, models
 from pipeline.call_loss import CallBatch, corrected, errors_left, on_cone
 from pipeline.checkpoint import load_checkpoint
-from pipeline.contact_training import ContactTraining, ContactTrainOptions, train_contactnet
+from pipeline.contact_options import ContactTrainOptions
+from pipeline.contact_training import ContactTraining, describe_contact_training, train_contactnet
 from pipeline.contactnet import EvenShare
 from pipeline.learned import CallOptions, LearnedSolve
 from pipeline.rollouts import Recorder, Setting, record
@@ -136,6 +137,7 @@ def test_a_training_goes_on_bit_for_bit(tmp_path, monkeypatch):
     options = ContactTrainOptions(out=tmp_path / "whole", rounds=2, steps=3, contacts=400)
     whole = train_contactnet(options, progress=False)
     assert whole["complete"] and whole["steps"] == 6
+    assert "6 steps" in describe_contact_training(whole) and "gain of the answer" in describe_contact_training(whole)
     saved = ContactTraining.save
 
     class Killed(Exception):
@@ -160,7 +162,7 @@ def test_a_training_goes_on_bit_for_bit(tmp_path, monkeypatch):
         train_contactnet(replace(half, resume=True, rate=0.5), progress=False)
     costs = np.array([manifest["tuning"]["none_30"], manifest["tuning"]["aitken_30"]])
     np.testing.assert_allclose(manifest["tuning"]["gain"], np.array(GAINS)[costs.argmin(axis=1)], rtol=1e-6)
-    for name in ("curves.png", "train.json", "metrics.jsonl"):
+    for name in ("curves.png", "predictions.png", "train.json", "metrics.jsonl"):
         assert (options.out / name).stat().st_size > 0
 
 
@@ -168,4 +170,4 @@ def test_held_out_seeds_are_refused():
     with pytest.raises(ValueError, match="those from 100000 on are for tests"):
         record(EvenShare(), SMALL[0], 99_999, np.random.default_rng(0))
     with pytest.raises(ValueError, match="those from 80000 on are for the gains"):
-        ContactTrainOptions(rounds=2, seed=79_999).check()
+        train_contactnet(ContactTrainOptions(rounds=2, seed=79_999), progress=False)
