@@ -10,7 +10,19 @@ from typing import Any, Protocol
 
 from . import timing
 
-NAMES = ("sweep", "worlds", "scaling", "protocol", "transfer", "roundtrip", "neighbors", "startup", "generate")
+NAMES = (
+    "sweep",
+    "worlds",
+    "scaling",
+    "protocol",
+    "transfer",
+    "roundtrip",
+    "neighbors",
+    "generate",
+    "learning",
+    "train",
+    "startup",
+)
 
 
 class Bench(Protocol):

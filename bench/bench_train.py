@@ -1,4 +1,4 @@
-"""The weights of ContactNet in the package from nothing: worlds simulated, calls recorded, steps, the choice of gains."""
+"""The weights of ContactNet in the package from nothing: calls recorded in worlds, steps on them, choice of gains."""
 
 from __future__ import annotations
 

@@ -26,6 +26,7 @@ from dc_kernels.solve_features import SolveReader
 from dc_kernels.types import NORMS
 
 TRUST = 4  # calls that may fail beyond two in three before a world is left to the solver
+RUNAWAY = 1e4  # times the impulses, which no correction may reach: float32 has 7 digits
 EVERY, EVERY_ACCELERATED = 10, 15  # sweeps between two calls: where the solver extrapolates by itself, more
 PARTS = ("solve", "splat", "network", "gather")
 COUNTS = ("solves", "empty", "early", "calls", "refused", "failed", "undone")
@@ -169,13 +170,14 @@ class LearnedSolve:
         self._timed("solve", sim.solve, pause=0)
         running = sim.running
         stats.solves += 1
-        stats.empty += ~running
+        stats.empty += sim.contacts.numpy("contact_count") == 0
         if not running.any():
             return
         self.reader.begin()
         worlds = len(running)
         self._waiting = np.zeros(worlds, bool)  # for the verdict on a call
         self._before = np.zeros(worlds)  # squared step of the sweep before it
+        self._size = np.full(worlds, np.inf)  # of steps and impulses, the least so far [N s]
         self._failures = np.zeros(worlds, np.int64)
         self._pause = np.zeros(worlds, np.int64)  # calls to leave out
         asking = running.copy()  # worlds that calls are made for
@@ -208,12 +210,27 @@ class LearnedSolve:
             return asking
         reader = self.reader
         self._timed("splat", reader.read, worlds, begin=begin)
+        if begin:
+            # where no contact would take a step beyond the tolerance, the first sweep is the last
+            steps = reader.scale[: len(worlds), 0] * np.sqrt(np.diff(reader.packed_start[: len(worlds) + 1]))
+            needed = steps >= self.sim.config.tolerance
+            if not needed.all():
+                worlds = worlds[needed]
+                asking = asking & np.isin(np.arange(len(asking)), worlds)
+                if not len(worlds):
+                    return asking
+                self._timed("splat", reader.read, worlds, begin=begin)
         if self.watch is not None:
             self.watch(worlds, begin)
         with self._torch.inference_mode():
             trunk = self._timed("network", self._trunk, reader.images())
             near = self._timed("gather", reader.gather, trunk.contiguous())
             output = self._timed("network", self._head, reader.features(), near)
+            lost = self._lost(worlds)
+            if lost.any():
+                output[self._torch.from_numpy(np.repeat(lost, np.diff(reader.packed_start[: len(worlds) + 1])))] = (
+                    np.nan
+                )
         taken = self._timed("gather", reader.correct, output)
         if begin:
             contacts = np.diff(reader.packed_start[: len(worlds) + 1])
@@ -228,12 +245,18 @@ class LearnedSolve:
         self.stats.refused[refused] += 1
         return asking
 
+    def _lost(self, worlds: np.ndarray) -> np.ndarray:
+        """Whether a correction might leave impulses beside which velocities are summed up to no digit, (asked,)."""
+        scale = self.reader.scale[: len(worlds)].astype(float)
+        self._size[worlds] = np.minimum(self._size[worlds], scale[:, :2].max(axis=1))
+        return self.options.limit * scale[:, 3] > RUNAWAY * self._size[worlds]
+
     def _step(self) -> np.ndarray:
         """Squared step of the last sweep, (W,)."""
         return self.sim.stats.numpy("norms").reshape(-1, NORMS)[:, 5]
 
     def _judge(self, asking: np.ndarray) -> None:
-        """Take back what did harm, and wait twice as long each time that the step of a sweep did not shrink."""
+        """Take back what did harm; a world whose sweeps take no smaller steps leaves out a call."""
         judged = self._waiting & asking
         if not judged.any():
             return
