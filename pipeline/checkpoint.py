@@ -15,6 +15,7 @@ optimiser's tensors under ``optimizer/PARAMETER/NAME``, torch's generator as ``r
 from __future__ import annotations
 
 import json
+import subprocess
 from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
@@ -37,6 +38,19 @@ TRAINING_SCHEMA, TRAINING_VERSION = "deep-contact.training", 1
 def all_versions() -> dict[str, str]:
     """``simulate.versions``, and those of what trains."""
     return {**versions(), **{name: metadata.version(name) for name in ("torch", "safetensors")}}
+
+
+def commit() -> str | None:
+    """The commit of the checkout that this package runs from, with a + where it was changed; None elsewhere."""
+    git = ["git", "-C", str(Path(__file__).resolve().parent)]
+    try:
+        found = [
+            subprocess.run([*git, *command], capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+            for command in (["rev-parse", "--short", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
+        ]
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return found[0] + ("+" if found[1] else "")
 
 
 def save_checkpoint(path: Path | str, model: Any, manifest: Mapping[str, Any]) -> None:

@@ -60,7 +60,7 @@ class Simulate(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(Common):
-    """The thesis protocol: None against Builtin against Copy, then accelerated; a table, its plots, and a world."""
+    """The thesis protocol: None, Builtin, Copy and ContactNet, then accelerated; a table, its plots, and a world."""
 
     out: Path = Path("out/demo")
     """Folder of demo.png, protocol.png, protocol.json, grids.png and, in world/, the files of the world shown."""
@@ -79,7 +79,7 @@ class Demo(Common):
             worlds=self.worlds, bodies=self.bodies, steps=self.steps, threads=self.threads
         )
         pairs: list[tuple[str, evaluate.Acceleration]] = [(start, "none") for start in options.starts]
-        pairs += [("none", "aitken"), ("builtin", "aitken")]
+        pairs += [("cnn", "none"), ("none", "aitken"), ("builtin", "aitken"), ("cnn", "aitken")]
         runs, result = run_protocol(options, pairs, self.out, self.json)
         summary, sim = simulate(
             Thesis(bodies=self.bodies),

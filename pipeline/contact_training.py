@@ -19,7 +19,7 @@ from dc_kernels.arrays import require
 
 from . import models, plots
 from .call_loss import ERRORS, CallBatch, errors_left, predicted
-from .checkpoint import all_versions, load_training, save_checkpoint, save_training
+from .checkpoint import all_versions, commit, load_training, save_checkpoint, save_training
 from .contact_options import ContactTrainOptions
 from .contact_plots import contact_curves_figure, contact_predictions_figure
 from .contactnet import EvenShare
@@ -261,6 +261,7 @@ class ContactTraining:
                 "minutes": self.seconds / 60.0,
                 "tuning": self.tuned,
                 "metrics": {k: v for k, v in last.items() if k != "step"},
+                "commit": commit(),
                 "versions": all_versions(),
             }
         )

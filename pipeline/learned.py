@@ -42,7 +42,7 @@ class CallOptions:
     """Call it before the first sweep."""
     middle: bool = True
     """Call it while the solve has not converged."""
-    most: int = 200
+    most: int = 60
     """Calls of a world in a solve, at most [1]."""
     harm: float = 3.0
     """A correction is taken back where the step of a sweep then is so many times that before it, or more [1]."""

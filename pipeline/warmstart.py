@@ -32,6 +32,9 @@ class Driver(Protocol):
     def solve(self) -> None:
         """The solve phase, in place of ``sim.solve()``."""
 
+    def explain(self) -> str:
+        """What it did, in words."""
+
 
 Maker = Callable[["dc.Simulation"], "Strategy | Driver"]
 
