@@ -27,7 +27,7 @@ from dc_kernels.types import NORMS
 
 TRUST = 4  # calls that may fail beyond two in three before a world is left to the solver
 RUNAWAY = 1e4  # times the impulses, which no correction may reach: float32 has 7 digits
-EVERY, EVERY_ACCELERATED = 10, 15  # sweeps between two calls: where the solver extrapolates by itself, more
+EVERY, EVERY_ACCELERATED = 12, 15  # sweeps between two calls: where the solver extrapolates by itself, more
 PARTS = ("solve", "splat", "network", "gather")
 COUNTS = ("solves", "empty", "early", "calls", "refused", "failed", "undone")
 
@@ -37,7 +37,7 @@ class CallOptions:
     """When the network is called."""
 
     every: int | None = None
-    """Sweeps between two calls; None: 10, or 15 where the solver extrapolates by itself [1]."""
+    """Sweeps between two calls; None: 12, or 15 where the solver extrapolates by itself [1]."""
     begin: bool = True
     """Call it before the first sweep."""
     middle: bool = True
