@@ -120,6 +120,7 @@ class LearnedSolve:
         *,
         grid: dc.Grid | None = None,
         compile: bool = False,
+        bfloat16: bool = False,
     ) -> None:
         """Allocate what the network reads.
 
@@ -129,6 +130,7 @@ class LearnedSolve:
             options: when it is called.
             grid: of its images; None: over all that stands, at the model's spacing.
             compile: run the network through ``torch.compile``.
+            bfloat16: run the convolutions in bfloat16, for large batches on a CPU that has it; costs a copy.
 
         Raises:
             ValueError: for a simulation that the network cannot read.
@@ -140,7 +142,8 @@ class LearnedSolve:
         self.model = model.eval()
         grid = grid or grid_of(sim, model.config.spacing)
         self.reader = SolveReader(sim, grid, limit=self.options.limit)
-        self._trunk = torch.compile(model.trunk) if compile else model.trunk
+        trunk = torch.compile(model.trunk) if compile else model.trunk
+        self._trunk = _in_bfloat16(torch, trunk) if bfloat16 else trunk
         self._head = torch.compile(model.head) if compile else model.head
         plain = sim.config.acceleration == "none"
         self.every = self.options.every or (EVERY if plain else EVERY_ACCELERATED)
@@ -297,3 +300,14 @@ class LearnedSolve:
                 "of these were taken back",
             ]
         )
+
+
+def _in_bfloat16(torch: Any, trunk: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A trunk whose convolutions run in bfloat16, its answer in float32."""
+
+    def run(images: Any) -> Any:
+        with torch.autocast("cpu", torch.bfloat16):
+            answer = trunk(images)
+        return answer.float()
+
+    return run

@@ -173,3 +173,21 @@ def test_held_out_seeds_are_refused():
         record(EvenShare(), SMALL[0], 99_999, np.random.default_rng(0))
     with pytest.raises(ValueError, match="those from 80000 on are for the gains"):
         train_contactnet(ContactTrainOptions(rounds=2, seed=79_999), progress=False)
+
+
+def test_the_network_in_bfloat16_answers_nearly_the_same():
+    from pipeline.warmstart import PRETRAINED
+
+    model, manifest = load_checkpoint(PRETRAINED)
+    assert model.network_name == "contactnet" and PRETRAINED.stat().st_size < 2e6
+    assert max(manifest["seeds"]) <= contact_training.TUNING_SEED and manifest["commit"] and manifest["metrics"]
+    sweeps = []
+    for bfloat16 in (False, True):
+        sim = RunOptions(worlds=3, seed=3).simulation(Thesis(bodies=40), dc.SolverConfig(acceleration="aitken"))
+        sim.run(110, 0.01)
+        sim.collide(0.01)
+        solve = LearnedSolve(sim, model, bfloat16=bfloat16)
+        solve.solve()
+        assert (sim.stats.numpy("change") < sim.config.tolerance).all() and solve.stats.calls.all()
+        sweeps.append(sim.stats.numpy("sweeps").copy())
+    assert (sweeps[0] != 0).all() and np.abs(np.log(sweeps[0] / sweeps[1])).max() < 1.5
