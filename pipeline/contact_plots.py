@@ -14,6 +14,16 @@ from .plots import CYCLE, MUTED, figure
 SHOWN = 0.995  # quantile of the true corrections that the axes reach to
 
 
+def curve_label(name: str) -> str:
+    """A name of validation in words: "validation/after_20", "validation/aitken_100", "validation/gain"."""
+    kind, _, number = name.removeprefix("validation/").partition("_")
+    if kind == "after":
+        return f"all, {number} sweeps after the call"
+    if not number:
+        return "all"
+    return f"{'plain' if kind == 'none' else kind.capitalize()}, {number} discs"
+
+
 def contact_curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> Any:
     """Error left over that of an even share of Aitken's step, by step.
 
@@ -30,11 +40,10 @@ def contact_curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> An
             left.plot(*zip(*points), color=MUTED, linewidth=0.6, label="training")
         for i, name in enumerate(names):
             points = [(row["step"], row[name]) for row in rows if name in row]
-            label = name.removeprefix("validation/").replace("_", " ")
-            left.plot(*zip(*points), marker="o", markersize=3, color=CYCLE[i % len(CYCLE)], label=label)
+            left.plot(*zip(*points), marker="o", markersize=3, color=CYCLE[i % len(CYCLE)], label=curve_label(name))
         left.axhline(0.0, color=MUTED, linewidth=1.0)
         left.set(xlabel="step", ylabel="log of the error left / that of an even share", title="gain of the network")
-        left.legend(fontsize=8)
+        left.legend(fontsize=7.5, ncols=3, loc="upper right")
         points = [(row["step"], row["train/rate"]) for row in rows if "train/rate" in row]
         if points:
             right.plot(*zip(*points), color=CYCLE[2])
