@@ -75,12 +75,6 @@ def train_contactnet(options: ContactTrainOptions | None = None, progress: bool 
     """
     options = options or ContactTrainOptions()
     options.check()
-    last = options.seed + options.rounds * seeds_of(settings_of(options))
-    if last > TUNING_SEED:
-        raise ValueError(
-            f"the worlds' seeds go from {options.seed} to {last}; those from {TUNING_SEED} on are for the gains, from "
-            f"{VALIDATION_SEED} on for validation, from {HELD_OUT_SEED} on for tests"
-        )
     torch.set_num_threads(options.threads)
     with processes() as group, interruptible() as stop:
         return ContactTraining(options, group).run(stop, progress and group.first)
@@ -90,8 +84,18 @@ class ContactTraining:
     """A training under way."""
 
     def __init__(self, options: ContactTrainOptions, group: Processes) -> None:
-        """Make network and optimiser, and continue where an earlier run stopped."""
+        """Make network and optimiser, and continue where an earlier run stopped.
+
+        Raises:
+            ValueError: see ``train_contactnet``.
+        """
         self.options, self.group = options, group
+        last = options.seed + options.rounds * group.size * seeds_of(settings_of(options))
+        if last > TUNING_SEED:
+            raise ValueError(
+                f"the worlds' seeds go from {options.seed} to {last}; those from {TUNING_SEED} on are for the gains, "
+                f"from {VALIDATION_SEED} on for validation, from {HELD_OUT_SEED} on for tests"
+            )
         seed_everything(options.seed)
         names = ("spacing", "channels", "near", "hidden")
         self.model = models.build("contactnet", {name: getattr(options, name) for name in names})

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -191,3 +194,49 @@ def test_the_network_in_bfloat16_answers_nearly_the_same():
         assert (sim.stats.numpy("change") < sim.config.tolerance).all() and solve.stats.calls.all()
         sweeps.append(sim.stats.numpy("sweeps").copy())
     assert (sweeps[0] != 0).all() and np.abs(np.log(sweeps[0] / sweeps[1])).max() < 1.5
+
+
+SCRIPT = """
+import sys
+import torch
+from pathlib import Path
+from pipeline import contact_training, tuning
+from pipeline.contact_options import ContactTrainOptions
+from pipeline.rollouts import Setting
+from pipeline.training import Processes
+
+small = dict(bodies=30, worlds=3, solves=6, calls=2, steps=120, max_sweeps=400)
+contact_training.SETTINGS = tuple(Setting(acceleration=a, **small) for a in ("none", "aitken"))
+few = (tuning.Crowd(bodies=30, worlds=2, acceleration="aitken", steps=(100,)),)
+contact_training.choose_gains = lambda model, seed: tuning.choose_gains(model, seed, few)
+seeds = []
+record = contact_training.record
+def noted(model, setting, seed, generator):
+    seeds.append(seed)
+    return record(model, setting, seed, generator)
+contact_training.record = noted
+step = contact_training.ContactTraining.step
+def kept(self, *arguments):
+    result = step(self, *arguments)
+    torch.save((seeds, self.model.state_dict()), f"{sys.argv[1]}/rank{self.group.rank}.pt")
+    return result
+contact_training.ContactTraining.step = kept
+options = ContactTrainOptions(out=Path(sys.argv[1]), rounds=1, steps=3, contacts=400)
+contact_training.train_contactnet(options, progress=False)
+"""
+
+
+def test_two_processes_record_worlds_of_their_own_and_agree(tmp_path):
+    script = tmp_path / "train.py"
+    script.write_text(SCRIPT)
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", str(script)]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).resolve().parent.parent)}
+    done = subprocess.run([*command, str(tmp_path)], env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr[-3000:]
+    (seeds, first), (others, second) = (torch.load(tmp_path / f"rank{rank}.pt") for rank in (0, 1))
+    assert not set(seeds[2:]) & set(others[2:])  # the first two are those of validation
+    fresh = models.build("contactnet").state_dict()
+    for name, tensor in first.items():
+        assert torch.equal(tensor, second[name]), name
+    assert not torch.equal(first["last.weight"], fresh["last.weight"])
+    assert load_checkpoint(tmp_path / contact_training.NETWORK)[1]["rounds"] == 1
