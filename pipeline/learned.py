@@ -1,6 +1,7 @@
 """A contact solve with a network in the loop: a start, then corrections while it has not converged.
 
-    solve = LearnedSolve(sim, load_contactnet())
+    model, manifest = load_checkpoint(PRETRAINED)
+    solve = LearnedSolve(sim, model)
     sim.collide(dt)
     solve.solve()  # in the place of sim.solve()
     sim.advance()
