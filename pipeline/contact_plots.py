@@ -72,7 +72,7 @@ def contact_predictions_figure(before: np.ndarray, after: np.ndarray, label: np.
             mesh = axes.pcolormesh(edges, edges, np.ma.masked_equal(count.T, 0.0), cmap="viridis", norm=norm)
             axes.plot((-most, most), (-most, most), color=CYCLE[0], linewidth=1.0)
             left = float(((true - found) ** 2).sum() / max((true**2).sum(), 1e-30))
-            axes.set_title(f"{name} impulses of {len(true):,} contacts: squared error {left:.2f} of that before")
+            axes.set_title(f"{name}, {len(true):,} contacts\nsquared error {left:.2f} of that before")
             axes.set(xlabel="true correction [N s]", ylabel="correction by the network [N s]")
             axes.set_box_aspect(1.0)
             bar = fig.colorbar(mesh, ax=axes, pad=0.01, aspect=28)
