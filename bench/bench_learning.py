@@ -96,14 +96,10 @@ def drivers() -> dict[str, Any]:
 
 def thesis_simulation(worlds: int, acceleration: str, bodies: int = 100, cap: int = 1000) -> Any:
     """Held-out thesis worlds with the protocol's settings."""
-    from dataclasses import replace
-
     from pipeline.evaluate import EvaluationOptions
 
     options = EvaluationOptions(worlds=worlds, bodies=bodies, max_sweeps=cap, history=False)
-    sim = options.simulation(acceleration)  # type: ignore[arg-type]
-    sim.config = replace(sim.config, history=False)
-    return sim
+    return options.simulation(acceleration)  # type: ignore[arg-type]
 
 
 def wall_times(batch: int, rounds: int) -> dict[str, Any]:

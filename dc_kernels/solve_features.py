@@ -21,7 +21,6 @@ from .inputs import check_count
 from .interop import address
 from .program import Fed, Kernel, Program
 from .solve_channels import IMAGE, LOCAL, OUTPUT
-from .solver import solver_scalars
 from .transfer import Splat, allocate_image, chunks_of, stencil_scalars, transfer_kernels
 
 if TYPE_CHECKING:
@@ -229,12 +228,10 @@ class SolveReader:
         self.before, self.known = np.zeros((room, 2), dtype), np.zeros((room, 2), dtype)
         self._gathers: dict[int, tuple[np.ndarray, list[Fed]]] = {}
         self._places = {name: kernel_vectors(getattr(self, name), backend) for name in PLACES}
-        scalars = solver_scalars(sim.config)
         self._values = {
             **sim.values,
             **self._places,
             "accelerated": int(sim.config.acceleration != "none"),
-            "tolerance": scalars["tolerance"],
             "cap": self.cap,
             "limit_factor": self.limit,
             "active": self._array(self.active),

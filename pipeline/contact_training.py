@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+import dc_kernels as dc
 from dc_kernels.arrays import require
 
 from . import models, plots
@@ -162,7 +163,7 @@ class ContactTraining:
         calls: list[Recorded] = []
         for setting in settings:
             if setting.bodies not in self.grids:
-                sim = RunOptions().simulation(Thesis(bodies=setting.bodies), _config())
+                sim = RunOptions().simulation(Thesis(bodies=setting.bodies), dc.SolverConfig())
                 self.grids[setting.bodies] = grid_of(sim, options.spacing)
             kept = record(self.model, setting, seed, generator)
             seed += setting.worlds
@@ -307,9 +308,3 @@ def describe_contact_training(summary: dict[str, Any]) -> str:
         )
     lines.append(f"{summary['out']}: {', '.join(summary['files'])}")
     return "\n".join(lines)
-
-
-def _config() -> Any:
-    import dc_kernels as dc
-
-    return dc.SolverConfig()

@@ -213,17 +213,17 @@ class LearnedSolve:
         if not len(worlds):
             return asking
         reader = self.reader
-        self._timed("splat", reader.read, worlds, begin=begin)
+        contacts = self._read(worlds, begin)
         if begin:
             # where no contact would take a step beyond the tolerance, the first sweep is the last
-            steps = reader.scale[: len(worlds), 0] * np.sqrt(np.diff(reader.packed_start[: len(worlds) + 1]))
-            needed = steps >= self.sim.config.tolerance
+            needed = reader.scale[: len(worlds), 0] * np.sqrt(contacts) >= self.sim.config.tolerance
             if not needed.all():
+                asking = asking.copy()
+                asking[worlds[~needed]] = False
                 worlds = worlds[needed]
-                asking = asking & np.isin(np.arange(len(asking)), worlds)
                 if not len(worlds):
                     return asking
-                self._timed("splat", reader.read, worlds, begin=begin)
+                contacts = self._read(worlds, begin)
         if self.watch is not None:
             self.watch(worlds, begin)
         with self._torch.inference_mode():
@@ -237,7 +237,6 @@ class LearnedSolve:
                 )
         taken = self._timed("gather", reader.correct, output)
         if begin:
-            contacts = np.diff(reader.packed_start[: len(worlds) + 1])
             self._before[worlds] = contacts * reader.scale[: len(worlds), 0].astype(float) ** 2
         else:
             self._before[worlds] = self._step()[worlds]
@@ -248,6 +247,11 @@ class LearnedSolve:
         self._failures[refused] += 1
         self.stats.refused[refused] += 1
         return asking
+
+    def _read(self, worlds: np.ndarray, begin: bool) -> np.ndarray:
+        """Read the features of some worlds; contacts of each, (asked,)."""
+        self._timed("splat", self.reader.read, worlds, begin=begin)
+        return np.diff(self.reader.packed_start[: len(worlds) + 1])
 
     def _lost(self, worlds: np.ndarray) -> np.ndarray:
         """Whether a correction might leave impulses beside which velocities are summed up to no digit, (asked,)."""

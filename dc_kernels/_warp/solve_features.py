@@ -335,6 +335,21 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             if mb > zero:
                 place_b[m] = position[b]
 
+    @wp.func(module=module)
+    def correction(
+        m: int,
+        x: vec2,
+        output: wp.array2d(dtype=real),
+        step: wp.array(dtype=vec2),
+        rate: wp.array(dtype=real),
+        scale: vec4,
+    ):
+        """What an output adds to the impulses x of a contact, before the cone."""
+        s = step[m]
+        dn = (one + rate[m]) * output[m, 0] * s[0] + scale[3] * (output[m, 2] + output[m, 4] * x[0] / scale[1])
+        dt = (one + rate[m]) * output[m, 1] * s[1] + scale[3] * (output[m, 3] + output[m, 5] * x[1] / scale[1])
+        return vec2(dn, dt)
+
     @wp.kernel(module=module, enable_backward=False)
     def correct_impulses(
         world_offset: int,
@@ -378,10 +393,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             x = impulse[c]
             before[c] = x
             known[c] = x
-            s = step[m]
-            dn = (one + rate[m]) * output[m, 0] * s[0] + scale[3] * (output[m, 2] + output[m, 4] * x[0] / scale[1])
-            dt = (one + rate[m]) * output[m, 1] * s[1] + scale[3] * (output[m, 3] + output[m, 5] * x[1] / scale[1])
-            squares += dn * dn + dt * dt
+            change = correction(m, x, output, step, rate, scale)
+            squares += change[0] * change[0] + change[1] * change[1]
         rms = wp.sqrt(squares / real(count))
         # a comparison with NaN is false
         if not (rms <= limit_factor * scale[3]):
@@ -389,13 +402,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         for k0 in range(count):
             c = first + k0
             m = base + k0
-            s = step[m]
             x = impulse[c]
-            dn = (one + rate[m]) * output[m, 0] * s[0] + scale[3] * (output[m, 2] + output[m, 4] * x[0] / scale[1])
-            dt = (one + rate[m]) * output[m, 1] * s[1] + scale[3] * (output[m, 3] + output[m, 5] * x[1] / scale[1])
-            new_n = wp.max(x[0] + dn, zero)
+            change = correction(m, x, output, step, rate, scale)
+            new_n = wp.max(x[0] + change[0], zero)
             limit = friction[c] * new_n
-            x = vec2(new_n, wp.clamp(x[1] + dt, -limit, limit))
+            x = vec2(new_n, wp.clamp(x[1] + change[1], -limit, limit))
             impulse[c] = x
             known[c] = x
         replaced[w] = 1
