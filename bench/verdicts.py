@@ -1,7 +1,7 @@
 """Scenes with a verdict: what is checked, the value, its limit; a table of them, a picture of each that fails.
 
-A case is a function ``case(quick) -> Iterator[Check]``, registered by ``Cases.add``; its docstring gives the formula and
-its source. Tests run the same cases with ``quick=True``.
+A case is a function ``case(quick) -> Iterator[Check]``, registered by ``Cases.add``; its docstring gives the formula
+and its source. Tests run the same cases with ``quick=True``.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def judge(cases: Cases, quick: bool, pictures: Path) -> dict[str, Any]:
                 if not check.passed:
                     passed = False
                     picture(check, pictures / f"{name}_{len(checks)}.png")
-        except Exception as error:  # noqa: BLE001 - one broken scene must not hide the others' verdicts
+        except Exception as error:  # one broken scene must not hide the verdicts of the others
             checks.append((f"{type(error).__name__}: {error}", math.nan, 0.0, False))
             passed = False
         seconds = time.perf_counter() - begin
