@@ -174,7 +174,9 @@ def rolling(quick: bool) -> Iterator[Check]:
                 for dtype, acceleration in settings:
                     for dt in (1 / 64,) if quick else (1 / 16, 1 / 64, 1 / 256):
                         x, v, sim = roll(theta, k, mu, dt, dtype, acceleration)
-                        where = f"k {k}, {math.degrees(theta):.0f} deg, mu {share:g}, {dtype} {acceleration}, dt {dt:.3g}"
+                        where = (
+                            f"k {k}, {math.degrees(theta):.0f} deg, mu {share:g}, {dtype} {acceleration}, dt {dt:.3g}"
+                        )
                         # an impulse acts on the surface by 1 / (k m)
                         limit = leftover(dtype, round(1 / dt), abs(alpha), mass=k * 0.25)
                         yield near(f"{where}: v, w", v, (a, 0.0, alpha), limit, sim)
@@ -246,7 +248,9 @@ def spinning_disc_dropped(quick: bool) -> Iterator[Check]:
         for k in (0.5, 1.0):
             final = radius * spin * k / (1 + k)
             limit = leftover(dtype, 320, spin, mass=k * radius)
-            yield near(f"set down, k {k}, {dtype}: v, w", drop(0.0, k, 1 / 128, dtype), (final, 0, -final / radius), limit)
+            yield near(
+                f"set down, k {k}, {dtype}: v, w", drop(0.0, k, 1 / 128, dtype), (final, 0, -final / radius), limit
+            )
     for dt in (1 / 64, 1 / 256):
         height = 0.3
         speed = math.sqrt(2 * G * height) + G * dt
@@ -269,7 +273,16 @@ def board_on_rollers(quick: bool) -> Iterator[Check]:
             builder = world(tilted(theta))
             floor(builder, friction=mu)
             rollers = [
-                disc(builder, (x, radius), radius, k=k, mu=mu, mass=small, velocity=(v0, 0), angular_velocity=-v0 / radius)
+                disc(
+                    builder,
+                    (x, radius),
+                    radius,
+                    k=k,
+                    mu=mu,
+                    mass=small,
+                    velocity=(v0, 0),
+                    angular_velocity=-v0 / radius,
+                )
                 for x in (-0.8, 0.8)
             ]
             board = box(builder, (0.0, 2 * radius + 0.05), 2.0, 0.05, mu=mu, mass=big, velocity=(2 * v0, 0.0))
@@ -304,7 +317,9 @@ def cylinder_in_a_corner(quick: bool) -> Iterator[Check]:
         sim.run(n, dt)
         slows = 2 * mu * (1 + mu) * G / (radius * (1 + mu**2))
         limit = leftover(dtype, n, spin, mass=0.5 * radius)
-        yield near(f"{dtype} {acceleration}: v, w", velocity(sim)[body], (0.0, 0.0, -(spin - slows * n * dt)), limit, sim)
+        yield near(
+            f"{dtype} {acceleration}: v, w", velocity(sim)[body], (0.0, 0.0, -(spin - slows * n * dt)), limit, sim
+        )
         force = sim.contacts.numpy("impulse")[:2, 0] / dt
         expected = np.array([1.0, mu]) * G / (1 + mu**2)
         # forces: the impulses over dt, with what one step leaves of them
