@@ -173,11 +173,12 @@ def contact_problem(
     velocity = torch.cat([moved, batch.angular_velocity[:, None]], dim=1)
     dt = batch.dt[of_contact[order]]
     normal_speed = _normal_speed(velocity, values)
+    before = _normal_speed(torch.cat([batch.velocity, batch.angular_velocity[:, None]], dim=1), values)
     bias = torch.where(gap > slop, gap / dt, 0.0)
     bounced = torch.where(
-        normal_speed > 0,
-        torch.maximum(bias, e * normal_speed),
-        torch.where(normal_speed < -restitution_threshold, torch.minimum(bias, e * normal_speed), bias),
+        before > 0,
+        torch.maximum(bias, e * before),
+        torch.where(before < -restitution_threshold, torch.minimum(bias, e * before), bias),
     )
     stays_open = (gap > slop) & (gap + normal_speed * dt >= 0)
     bias = torch.where(e > 0, torch.where(stays_open, OPEN * gap / dt, bounced), bias)

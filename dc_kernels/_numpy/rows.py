@@ -37,6 +37,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
         padding_body: int,
         position: Array,
         angle: Array,
+        velocity: Array,
+        angular_velocity: Array,
         step_dt: Array,
         predicted: Array,
         joint_start: Array,
@@ -144,11 +146,13 @@ def kernels(dtype: str, variant: str) -> Kernels:
             counted = True
             if e > 0 and g > slop and g + un * dt >= 0:
                 bias, counted = OPEN * g / dt, False  # what another impact pushes across it bounces in the next step
-            elif e > 0 and un > 0:
-                # Moreau (1988): a separating contact may be left approaching with e times its speed at most
-                bias = max(bias, e * un)
-            elif e > 0 and un < -restitution_threshold:
-                bias = min(bias, e * un)  # Newton's impact law
+            elif e > 0:
+                before = jn @ np.concatenate([velocity[a], [angular_velocity[a]], velocity[b], [angular_velocity[b]]])
+                if before > 0:
+                    # Moreau (1988): a separating contact may be left approaching with e times its speed at most
+                    bias = max(bias, e * before)
+                elif before < -restitution_threshold:
+                    bias = min(bias, e * before)  # Newton's impact law, of the speed before the step's forces
             write(
                 block, lane, n, jn, jt, a, b, en=en, et=et, bias=bias, mu=friction[c], gap=g + slop, lo=0.0
             )  # fmt: skip
@@ -166,11 +170,15 @@ def kernels(dtype: str, variant: str) -> Kernels:
             n = d / length if length > 0 else np.array([1.0, 0.0], d.dtype)
             jn = direction(n, ra, rb)
             en = effective_mass(jn, a, b)
+            v = np.concatenate([predicted[a, :3], predicted[b, :3]])
+            un, ut = jn @ v, direction(tangent(n), ra, rb) @ v
+            # acceleration of the distance as line and arms turn, and what it lengthens the joint by
+            bend = v[2] ** 2 * dot(n, ra) - v[5] ** 2 * dot(n, rb) + (ut**2 / length if length > 0 else 0.0)
+            grow = min(max(0.5 * dt * dt * bend, -limit), limit)
             off = length - joint_length[j]
-            bias = min(max(baumgarte * off, -limit), limit) / dt
-            un = jn @ np.concatenate([predicted[a, :3], predicted[b, :3]])
+            bias = (min(max(baumgarte * off, -limit), limit) + grow) / dt
             write(
-                block, lane, n, jn, np.zeros(6), a, b, en=en, et=0.0, bias=bias, mu=0.0, gap=off, lo=-np.inf
+                block, lane, n, jn, np.zeros(6), a, b, en=en, et=0.0, bias=bias, mu=0.0, gap=off + grow, lo=-np.inf
             )  # fmt: skip
             squares += (en * (un + bias)) ** 2
         row_scale[w] = np.sqrt(squares)
