@@ -170,10 +170,11 @@ def kernels(dtype: str, variant: str) -> Kernels:
             n = d / length if length > 0 else np.array([1.0, 0.0], d.dtype)
             jn = direction(n, ra, rb)
             en = effective_mass(jn, a, b)
-            v = np.concatenate([predicted[a, :3], predicted[b, :3]])
-            un, ut = jn @ v, direction(tangent(n), ra, rb) @ v
+            un = jn @ np.concatenate([predicted[a, :3], predicted[b, :3]])
             # acceleration of the distance as line and arms turn, and what it lengthens the joint by
-            bend = v[2] ** 2 * dot(n, ra) - v[5] ** 2 * dot(n, rb) + (ut**2 / length if length > 0 else 0.0)
+            wa, wb = angular_velocity[a], angular_velocity[b]
+            ut = direction(tangent(n), ra, rb) @ np.array([*velocity[a], wa, *velocity[b], wb])
+            bend = wa**2 * dot(n, ra) - wb**2 * dot(n, rb) + (ut**2 / length if length > 0 else 0.0)
             grow = min(max(0.5 * dt * dt * bend, -limit), limit)
             off = length - joint_length[j]
             bias = (min(max(baumgarte * off, -limit), limit) + grow) / dt

@@ -290,13 +290,13 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 ia = inv_inertia[a]
                 ib = inv_inertia[b]
                 en = inverse(va[3] + vb[3] + ia * ran * ran + ib * rbn * rbn)
+                un = (n[0] * (vb[0] - va[0]) + n[1] * (vb[1] - va[1])) + (rbn * vb[2] - ran * va[2])
+                # before the step's forces, which the joints of a chain at rest will balance
                 tan = tangent(n)
-                dvx = vb[0] - va[0]
-                dvy = vb[1] - va[1]
-                un = (n[0] * dvx + n[1] * dvy) + (rbn * vb[2] - ran * va[2])
-                ut = (tan[0] * dvx + tan[1] * dvy) + (cross(rb, tan) * vb[2] - cross(ra, tan) * va[2])
-                # towards the centres of mass, and across the line
-                bend = va[2] * va[2] * wp.dot(n, ra) - vb[2] * vb[2] * wp.dot(n, rb)
+                wa = angular_velocity[a]
+                wb = angular_velocity[b]
+                ut = wp.dot(tan, velocity[b] - velocity[a]) + (cross(rb, tan) * wb - cross(ra, tan) * wa)
+                bend = wa * wa * wp.dot(n, ra) - wb * wb * wp.dot(n, rb)
                 if length > real(0.0):
                     bend += ut * ut / length
                 grow = wp.clamp(real(0.5) * dt * dt * bend, -limit, limit)
