@@ -35,10 +35,10 @@ DTS = (1 / 32, 1 / 64, 1 / 128, 1 / 256, 1 / 512)
 
 @cases.add
 def free_fall(quick: bool) -> Iterator[Check]:
-    """v = v0 - g t, y = y0 + v0 t - g t^2 / 2 (Galilei); semi-implicit Euler is lower by g t dt / 2 exactly.
+    """Free fall: v = v0 - g t, y = y0 + v0 t - g t^2 / 2 (Galilei); in steps lower by g t dt / 2 exactly.
 
-    With n = t / dt: v_n = v0 - n g dt, y_n = y0 + n v0 dt - n (n + 1) g dt^2 / 2 (Hairer, Lubich, Wanner, Geometric
-    Numerical Integration, 2006, I.1.2). The body also turns by w0 t.
+    Semi-implicit Euler with n = t / dt: v_n = v0 - n g dt, y_n = y0 + n v0 dt - n (n + 1) g dt^2 / 2 (Hairer, Lubich,
+    Wanner, Geometric Numerical Integration, 2006, I.1.2). The body also turns by w0 t.
     """
     for dtype in ("float64", "float32"):
         for dt in DTS[1:4:2]:
@@ -63,7 +63,7 @@ def free_fall(quick: bool) -> Iterator[Check]:
 
 @cases.add
 def applied_force_and_torque(quick: bool) -> Iterator[Check]:
-    """v = F t / m, w = M t / I (Newton, Euler); the ways are longer by a t dt / 2."""
+    """Constant force and torque: v = F t / m, w = M t / I (Newton, Euler); the ways are longer by a t dt / 2."""
     dt, n = 1 / 64, 64
     for dtype in ("float64", "float32"):
         builder = world((0.0, 0.0))
@@ -109,7 +109,7 @@ def coulomb_stop(quick: bool) -> Iterator[Check]:
 def incline_box(quick: bool) -> Iterator[Check]:
     """A box on a slope rests if tan(theta) <= mu, else a = g (sin(theta) - mu cos(theta)) (Coulomb 1785).
 
-    A constant force: v is exact in steps, x = a t^2 / 2 (1 + dt / t). Once with tilted gravity, once with a tilted floor.
+    A constant force: v is exact in steps, x = a t^2 / 2 (1 + dt / t). With tilted gravity and with a tilted floor.
     """
     for theta in np.radians((10.0, 20.0, 35.0)):
         sine, cosine, tangent = math.sin(theta), math.cos(theta), math.tan(theta)
@@ -160,7 +160,7 @@ def rolling(quick: bool) -> Iterator[Check]:
     """A round body rolls down with a = g sin(theta) / (1 + k) if tan(theta) <= mu (1 + 1 / k), else it slips.
 
     k = I / (m r^2): 1/2 for a solid disc, so 2/3 g sin(theta) up to tan(theta) = 3 mu; 1 for a ring: half, up to 2 mu.
-    Slipping: a = g (sin(theta) - mu cos(theta)), spin mu g cos(theta) / (k r) (Routh 1905). Constant forces: exact in v.
+    Slipping: a = g (sin(theta) - mu cos(theta)), spin mu g cos(theta) / (k r) (Routh 1905). Exact in v.
     """
     for k in (0.5, 1.0, 0.1):
         for theta in np.radians((10.0, 30.0)):
@@ -175,7 +175,7 @@ def rolling(quick: bool) -> Iterator[Check]:
                     for dt in (1 / 64,) if quick else (1 / 16, 1 / 64, 1 / 256):
                         x, v, sim = roll(theta, k, mu, dt, dtype, acceleration)
                         where = (
-                            f"k {k}, {math.degrees(theta):.0f} deg, mu {share:g}, {dtype} {acceleration}, dt {dt:.3g}"
+                            f"k {k}, {math.degrees(theta):.0f} deg, {share:g} mu, {dtype} {acceleration}, dt {dt:.3g}"
                         )
                         # an impulse acts on the surface by 1 / (k m)
                         limit = leftover(dtype, round(1 / dt), abs(alpha), mass=k * 0.25)
@@ -262,9 +262,9 @@ def spinning_disc_dropped(quick: bool) -> Iterator[Check]:
 
 @cases.add
 def board_on_rollers(quick: bool) -> Iterator[Check]:
-    """A board (M) on two rollers (m, k) moves twice as far as they do; on a slope a = g sin(theta) (2 M + 2 m) / (4 M + 2 m (1 + k)).
+    """A board (M) on two rollers (m, k) moves twice as far as they do, on a slope too.
 
-    a: of the rollers. Power equals the change of energy: (2 M + 2 m) g sin(theta) v against
+    There the rollers have a = g sin(theta) (2 M + 2 m) / (4 M + 2 m (1 + k)): power (2 M + 2 m) g sin(theta) v equals
     d/dt [M (2 v)^2 / 2 + 2 (1 + k) m v^2 / 2] (d'Alembert; Irodov, chapter 1.5). Exact in v, as the geometry stays.
     """
     big, small, radius, mu = 3.0, 0.7, 0.2, 0.9

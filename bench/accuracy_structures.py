@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 
@@ -36,7 +37,7 @@ def rms(values: np.ndarray) -> float:
 
 @cases.add
 def overhang(quick: bool) -> Iterator[Check]:
-    """n blocks reach out half a block's length times 1 + 1/2 + ... + 1/n, and no further (Paterson, Zwick 2009, Overhang).
+    """A stack of n blocks reaches out half a length times 1 + 1/2 + ... + 1/n at most (Paterson, Zwick 2009, Overhang).
 
     Block k from above overhangs the one below by l / (2 k) at most, the centre of what it carries then above its edge.
     """
@@ -69,7 +70,7 @@ def voussoirs(number: int, thickness: float) -> list[np.ndarray]:
     angles = np.linspace(0.0, math.pi, number + 1)
     inner, outer = 1 - thickness / 2, 1 + thickness / 2
     ray = np.stack((np.cos(angles), np.sin(angles)), axis=1)
-    return [np.stack((inner * a, outer * a, outer * b, inner * b)) for a, b in zip(ray[:-1], ray[1:], strict=True)]
+    return [np.stack((inner * a, outer * a, outer * b, inner * b)) for a, b in itertools.pairwise(ray)]
 
 
 def arch_imbalance(number: int, thickness: float) -> float:
@@ -113,7 +114,7 @@ def least_thickness(number: int) -> float:
 
 @cases.add
 def arch_thickness(quick: bool) -> Iterator[Check]:
-    """A semicircular arch needs t / R = 0.1075 at least (Couplet 1730, Milankovitch 1907; Cocchetti, Colasante, Rizzi 2011).
+    """A semicircular arch needs t / R = 0.1075 at least (Couplet 1730; Milankovitch 1907, who gave the number).
 
     Of a finite number of blocks, which can open at their joints only, it needs less: that limit is a linear programme
     over thrust lines (Heyman 1966), which tends to 0.1075. Simulated 10 % above and below it, friction 2.
