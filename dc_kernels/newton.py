@@ -1,0 +1,237 @@
+"""Newton's method for Delassus problems on which first-order methods stall; needs SciPy for sparse LU factors.
+
+A proximal point method: from x_k solve the problem with W + reg D and q - reg D x_k, D the diagonal of W, and let reg
+fall while that is easy. Each of these problems is regular, whatever W; it is solved by semismooth Newton on the
+nonsymmetric formulation of Alart and Curnier (1991) with a line search, and by sweeps where that gets nowhere: sweeps
+find active sets, Newton the long modes of a fixed one. Where piles are hyperstatic, impulses drift along null vectors
+of W until some contact slips or opens; a small reg takes such ways in one step, which no descent method does.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .arrays import kernel_array, kernel_vectors, require, to_numpy
+from .backend import bind
+from .delassus import HUGE, Search, delassus_kernels
+
+FIRST_SWEEPS = 60  # before Newton: active sets are roughly known then
+PATIENCE = 100  # sweeps without a map halved, after which they have stalled
+FACTORIZATIONS = 400  # at most in a solve
+REG_FIRST, REG_LEAST, REG_MOST = 1e-3, 1e-13, 1e3
+STEPS = (1.0, 0.5, 0.25, 0.1)  # of the line search
+INNER = 15  # Newton steps for one regularised problem
+FAILURES = 3  # line searches that may fail in it, each followed by sweeps
+QUICK = 4  # Newton steps of an easy one, after which reg falls
+ACCURACY = 1e-3  # to which it is solved, relative to the map it started from
+SWEEPS, SWEEPS_MOST = 100, 3000  # beside a failed line search; twice as many after each failed problem
+AFTER = 10  # sweeps without regularisation after each problem
+
+
+def search_automatically(search: Search, *, newton_only: bool = False) -> None:
+    """Sweeps, Newton where they stall, sweeps again where that fails too; or 60 sweeps and Newton.
+
+    Raises:
+        ImportError: ``newton_only`` without SciPy.
+    """
+    if newton_only:
+        require("scipy", "pipeline")
+        search.sweep("anderson", FIRST_SWEEPS)
+        _newton(search)
+        return
+    looks = max(1, PATIENCE // search.every)
+    search.sweep("anderson", FIRST_SWEEPS)
+    search.sweep("anderson", search.max_sweeps, patience=looks)
+    if search.done:
+        return
+    try:
+        require("scipy", "pipeline")
+    except ImportError:
+        search.sweep("hybrid", search.max_sweeps, patience=10 * looks)
+    else:
+        _newton(search)
+    search.sweep("aitken", search.max_sweeps)
+
+
+def _newton(search: Search) -> None:
+    if not search.done and search.problem.count:
+        Newton(search).run()
+
+
+class Newton:
+    """The method on one problem, in the units in which it is of order 1; impulses are flat, (2n,)."""
+
+    def __init__(self, search: Search) -> None:
+        """Set up W as a sparse matrix."""
+        sparse = require("scipy.sparse", "pipeline")
+        problem = search.problem
+        self.search, self.problem = search, problem
+        self.unit, speed = problem.units
+        factor = self.unit / speed
+        n = self.n = problem.count
+        row = np.repeat(np.arange(n), np.diff(problem.row_start))
+        self.own = row == problem.column
+        block = problem.block * factor
+        rows = (2 * row[:, None, None] + np.array([[0, 0], [1, 1]])).ravel()
+        columns = (2 * problem.column[:, None, None] + np.array([[0, 1], [0, 1]])).ravel()
+        entries = sparse.csc_matrix((block.ravel(), (rows, columns)), shape=(2 * n, 2 * n))
+        entries.eliminate_zeros()
+        self.matrix = entries.tocsr()
+        triplets = entries.tocoo()
+        self.rows, self.columns, self.values = triplets.row, triplets.col, triplets.data
+        self.q = (problem.q / speed).ravel()
+        diagonal = np.stack([problem.diagonal[:, 0, 0], problem.diagonal[:, 1, 1]], axis=1) * factor
+        self.diagonal = np.where(diagonal > 0.0, diagonal, 1.0).ravel()
+        self.rubs = (problem.mu > 0.0) & ~problem.bilateral
+        self.blocks, self.reg_of_blocks = block.reshape(-1, 4), -1.0
+        self.values_of_kernel: dict[str, Any] = {}
+
+    # ------------------------------------------------------------------ the outer iteration
+
+    def run(self) -> None:
+        """Until the search is done, or all factorisations or sweeps are spent."""
+        search = self.search
+        x = search.best.ravel() / self.unit
+        now = search.worst(search.maps)
+        reg, sweeps, wait = REG_FIRST, SWEEPS, 0
+        while not search.done and search.factorizations < FACTORIZATIONS and search.sweeps < search.max_sweeps:
+            goal = max(ACCURACY * now, 0.1 * search.tolerance)
+            y, solved, steps = self.proximal(x, reg, goal, sweeps)
+            then = self.offer(y)
+            if solved:
+                x, now = y, then
+                wait -= 1
+                if steps <= QUICK and wait <= 0:
+                    reg = max(0.1 * reg, REG_LEAST)
+                sweeps = max(SWEEPS, sweeps // 2)
+            else:
+                reg, wait = min(10.0 * reg, REG_MOST), 2
+                sweeps = min(2 * sweeps, SWEEPS_MOST)
+                if then < now:
+                    x, now = y, then
+            y = self.sweep(x, x, 0.0, AFTER, 0.0)
+            then = self.offer(y)
+            if then < now or not solved:
+                x, now = y, then
+
+    def offer(self, x: np.ndarray) -> float:
+        """Keep impulses if they are the best; their map."""
+        impulses = x.reshape(-1, 2) * self.unit
+        self.search.offer(impulses)
+        return self.search.worst((float(self.search.rows[-1][0, 1]), float(self.search.rows[-1][0, 2])))
+
+    def proximal(self, start: np.ndarray, reg: float, goal: float, sweeps: int) -> tuple[np.ndarray, bool, int]:
+        """The problem regularised about ``start``: its solution, or how far one came; Newton steps taken."""
+        x = start
+        u = self.matrix @ x + self.q
+        error, failures = self.residual(x, u), 0
+        for step in range(INNER):
+            if error <= goal:
+                return x, True, step
+            if self.search.factorizations >= FACTORIZATIONS:
+                break
+            target = self.newton_point(x, u, reg)
+            moved = False
+            for length in STEPS if target is not None else ():
+                y = self.problem.inside((x + length * (target - x)).reshape(-1, 2)).ravel()
+                v = self.regular_velocity(y, start, reg)
+                then = self.residual(y, v)
+                if then < error * (1.0 - 1e-3 * length):
+                    x, u, error, moved = y, v, then, True
+                    break
+            if not moved or length < 0.3:
+                failures += not moved
+                if failures > FAILURES:
+                    return x, False, step
+                x = self.sweep(x, start, reg, sweeps * max(failures, 1), goal)
+                u = self.regular_velocity(x, start, reg)
+                error = self.residual(x, u)
+        return x, error <= goal, INNER
+
+    def regular_velocity(self, x: np.ndarray, start: np.ndarray, reg: float) -> np.ndarray:
+        """Velocity in the problem that is regularised about ``start``."""
+        return self.matrix @ x + self.q + reg * self.diagonal * (x - start)
+
+    # ------------------------------------------------------------------ one regularised problem
+
+    def residual(self, x: np.ndarray, u: np.ndarray) -> float:
+        """Norm of Alart and Curnier's function, each impulse as the velocity it changes."""
+        d = self.diagonal
+        z = x - u / d
+        normal = np.where(self.problem.bilateral, z[::2], np.maximum(z[::2], 0.0))
+        limit = self.problem.mu * np.maximum(x[::2], 0.0)
+        wrong = np.empty_like(x)
+        wrong[::2] = x[::2] - normal
+        wrong[1::2] = x[1::2] - np.clip(z[1::2], -limit, limit)
+        return float(np.linalg.norm(d * wrong))
+
+    def newton_point(self, x: np.ndarray, u: np.ndarray, reg: float) -> np.ndarray | None:
+        """Where all equations hold on the present active sets; None where the factorisation fails.
+
+        Unknown are the normal impulses of contacts that press and the tangential ones of those that stick; the friction
+        of a contact that slips is +-mu times its normal impulse, all others are 0.
+        """
+        sparse, linalg = require("scipy.sparse", "pipeline"), require("scipy.sparse.linalg", "pipeline")
+        n, mu = self.n, self.problem.mu
+        z = x - u / self.diagonal
+        presses = (z[::2] > 0.0) | self.problem.bilateral
+        limit = mu * np.maximum(x[::2], 0.0)
+        over, under = z[1::2] > limit, z[1::2] < -limit
+        sticks = presses & self.rubs & ~over & ~under
+        unknown = np.stack([presses, sticks], axis=1).ravel()
+        place = np.flatnonzero(unknown)
+        if not len(place):
+            return np.zeros_like(x)
+        index = np.full(2 * n, -1)
+        index[place] = np.arange(len(place))
+        source, weight = index.copy(), np.ones(2 * n)  # each impulse is a multiple of an unknown one
+        slips = presses & ~sticks
+        source[1::2][slips] = index[::2][slips]
+        weight[1::2] = np.where(slips, mu * (over.astype(float) - under), 1.0)
+        used = (index[self.rows] >= 0) & (source[self.columns] >= 0)
+        row, column = index[self.rows[used]], source[self.columns[used]]
+        values = self.values[used] * weight[self.columns[used]]
+        own = np.arange(len(place))
+        entries = (np.r_[values, reg * self.diagonal[place]], (np.r_[row, own], np.r_[column, own]))
+        matrix = sparse.csc_matrix(entries, shape=(len(place), len(place)))
+        near = np.where(source >= 0, weight * x[place][source], 0.0)  # the impulses on these sets
+        wanted = -(u + self.matrix @ (near - x) + reg * self.diagonal * (near - x))[place]
+        self.search.factorizations += 1
+        try:
+            with np.errstate(all="ignore"):
+                change = linalg.splu(
+                    matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.1, options={"SymmetricMode": True}
+                ).solve(wanted)
+        except RuntimeError:  # exactly singular
+            return None
+        found = x[place] + change
+        return np.where(source >= 0, weight * found[source], 0.0) if np.isfinite(found).all() else None
+
+    def sweep(self, x: np.ndarray, start: np.ndarray, reg: float, sweeps: int, goal: float) -> np.ndarray:
+        """Sweeps on the problem regularised about ``start``: Anderson's with reg, Aitken's without; the last ones."""
+        search = self.search
+        sweeps = min(sweeps, search.max_sweeps - search.sweeps)
+        if sweeps <= 0:
+            return x
+        values, last, _ = search.arguments("anderson" if reg else "aitken", sweeps, 0, x.reshape(-1, 2) * self.unit)
+        if reg:
+            real = np.dtype(search.dtype)
+            block = self.blocks.copy()
+            block[self.own, 0] += reg * self.diagonal[::2]
+            block[self.own, 3] += reg * self.diagonal[1::2]
+            inverse = to_numpy(values["inverse"]) / real.type(1.0 + reg)
+            q = (self.q - reg * self.diagonal * start).reshape(-1, 2)
+            for name, array in (("block", block), ("inverse", inverse), ("q", q)):
+                values[name] = kernel_vectors(np.ascontiguousarray(array, real), search.backend)
+        values.update(
+            tolerance=HUGE if goal else 1e-30,
+            scaled_tolerance=0.5 * goal if goal else HUGE,
+            every=max(20, search.every) if goal else sweeps,
+        )
+        counters = np.zeros(3, np.int32)
+        values["counters"] = kernel_array(counters, search.backend)
+        bind(delassus_kernels(search.backend, search.dtype)["solve_delassus"], 1, values, "cpu")()
+        search.sweeps += int(counters[0])
+        return last.astype(np.float64).ravel()
