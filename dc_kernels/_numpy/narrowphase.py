@@ -164,30 +164,36 @@ def hull_hull(a: Hull, b: Hull, reach: Any, slack: Any, epsilon: float) -> Manif
         m.normal = -m.normal
     else:
         m = clip(edge_a, False, False, separation_a, slack, a, b, epsilon)
-    if m.points and catches_corner(a, m.normal):
-        face = 0 if dot(a.normals[0], m.normal) >= 0 else 1
+    face = catches_corner(a, m.normal, edge_a) if m.points else None
+    if face is not None:
         m = clip(face, False, True, 0.0, np.inf, a, b, epsilon)
     return m
 
 
-def catches_corner(segment: Hull, normal: Array) -> bool:
-    """Whether a normal at an inner corner of a chain lies outside those of the two segments that meet there."""
+def catches_corner(segment: Hull, normal: Array, nearest: int) -> int | None:
+    """The segment's face if a normal at an inner corner of a chain lies outside those of the two segments there.
+
+    ``nearest``: the face with less of the other hull beyond it, on which the segments of a flat chain have to agree.
+    """
     v1, v2 = segment.vertices[:2]
-    side = 1.0 if dot(segment.normals[0], normal) >= 0 else -1.0
-    own = segment.normals[0 if side > 0 else 1]
+    face = 0 if dot(segment.normals[0], normal) >= 0 else 1
+    side = 1.0 if face == 0 else -1.0
+    own = segment.normals[face]
     if abs(cross(own, normal)) <= 1e-3:
-        return False
+        return None
     at_start = dot(normal, v2 - v1) < 0
     ghost = segment.before if at_start else segment.beyond
     if ghost is None:
-        return False
+        return None
     neighbour = v1 - ghost if at_start else ghost - v2
     turn = side * (cross(neighbour, v2 - v1) if at_start else cross(v2 - v1, neighbour))
+    if abs(turn) <= 1e-3 * length(neighbour) * length(v2 - v1):
+        return nearest
     if turn <= 0:
-        return True  # a hollow or flat corner has no normals of its own
+        return face  # a hollow corner has no normals of its own
     theirs = side * np.array([neighbour[1], -neighbour[0]])
     # farther from this segment's normal than the neighbour's is
-    return bool(dot(normal, own) * length(theirs) < dot(theirs, own))
+    return face if dot(normal, own) * length(theirs) < dot(theirs, own) else None
 
 
 def kernels(dtype: str, only_discs: bool) -> Kernels:

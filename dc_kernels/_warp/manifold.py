@@ -336,7 +336,11 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
                     turn = cross(neighbour, v2 - v1) * side
                 if neighbour[0] != real(0.0) or neighbour[1] != real(0.0):
                     theirs = vec2(neighbour[1], -neighbour[0]) * side
-                    if turn <= real(0.0):
+                    if wp.abs(turn) <= real(1e-3) * wp.length(neighbour) * wp.length(v2 - v1):
+                        # segments of a flat chain have to agree on a side: that with less of the hull beyond it
+                        bad = True
+                        face = edge_a
+                    elif turn <= real(0.0):
                         bad = True
                     else:
                         # between: no farther from this segment's normal than the neighbour's is
