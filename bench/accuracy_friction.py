@@ -11,6 +11,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+import dc_kernels as dc
+
 from .accuracy_common import (
     EXACT,
     G,
@@ -133,7 +135,7 @@ def incline_box(quick: bool) -> Iterator[Check]:
             along = np.array([math.cos(theta), math.sin(theta)])
             out = np.array([-along[1], along[0]])
             builder = world()
-            ground = builder.add_body(-out, angle=theta, type=0)
+            ground = builder.add_body(-out, angle=theta, type=dc.BodyType.STATIC)
             builder.add_box(ground, 40.0, 1.0, friction=mu)
             body = box(builder, 0.1 * out, 0.4, 0.1, mu=mu, angle=theta)
             sim = simulation(builder, dtype, acceleration)
@@ -308,7 +310,7 @@ def cylinder_in_a_corner(quick: bool) -> Iterator[Check]:
     radius, mu, spin, dt = 0.3, 0.25, 30.0, 1 / 128
     for dtype, acceleration in EXACT:
         builder = world()
-        ground = builder.add_body(type=0)
+        ground = builder.add_body(type=dc.BodyType.STATIC)
         builder.add_chain(ground, [(-5.0, 0.0), (0.0, 0.0), (0.0, 5.0)], friction=mu)
         # turning clockwise it drives itself towards the wall at its right
         body = disc(builder, (-radius, radius), radius, mu=mu, angular_velocity=-spin)
