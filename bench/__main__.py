@@ -22,6 +22,7 @@ NAMES = (
     "learning",
     "train",
     "startup",
+    "accuracy",
     "error_time",
 )
 
