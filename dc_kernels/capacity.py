@@ -10,7 +10,7 @@ import numpy as np
 from .arrays import ArrayGroup, Contacts, Joints, Model, allocate, to_numpy
 from .rows import COLUMNS
 from .solver import SolveStats
-from .types import CACHE, COLORS, COUNTERS, LANES, MOTION, NORMS, PAIRS, ROWS, Flag, SolverConfig
+from .types import CACHE, COLORS, COUNTERS, HISTORY, LANES, MOTION, NORMS, PAIRS, ROWS, Flag, SolverConfig
 
 GROWTH = 1.25  # of what a step needed, so that a growing pile reallocates rarely
 PADDING = 8  # bodies between the padding bodies of two shards: more than a cache line
@@ -86,8 +86,13 @@ class Storage:
         pairs: float,
         contacts: float,
         shards: int,
+        at_once: int,
     ) -> None:
-        """Allocate for so many pairs a shape and contacts a body, and a padding body for each shard of worlds."""
+        """Allocate for so many pairs a shape and contacts a body, and a padding body for each shard of worlds.
+
+        ``at_once``: worlds whose solves may be in flight together.
+        """
+        self.at_once = at_once
         self.model = model
         self.joints = joints
         self.width = len(COLUMNS[variant]) * LANES
@@ -109,6 +114,7 @@ class Storage:
             "world counter": worlds * COUNTERS,
             "world norm": worlds * NORMS,
             "row direction": 0,
+            "row history": 0,
         }
         self._count(config)
         make = (self.sizes, model.dtype, model.device, model.backend)
@@ -130,12 +136,21 @@ class Storage:
         """Allocate what a new configuration needs."""
         if (config.history, config.max_sweeps) != (before.history, before.max_sweeps):
             self.stats.allocate_history(config)
+        self.provide(config)
+
+    def provide(self, config: SolverConfig) -> bool:
+        """Allocate what an iteration needs and has not got yet; whether there was any."""
+        missing: list[tuple[ArrayGroup, str, str, int]] = []
         if config.method == "jacobi" and self.sizes["body sum"] == 1:
-            self.sizes["body sum"] = self.sizes["body+1"]
-            self._reallocate(self.motion, ("summed",))
+            missing.append((self.motion, "summed", "body sum", self.sizes["body+1"]))
         if config.acceleration == "nncg" and self.sizes["row direction"] == 0:
-            self.sizes["row direction"] = self.sizes["row pair"]
-            self._reallocate(self.rows, ("row_direction",))
+            missing.append((self.rows, "row_direction", "row direction", self.sizes["row pair"]))
+        if config.acceleration == "adaptive" and self.sizes["row history"] == 0:
+            missing.append((self.rows, "row_history", "row history", self.at_once * self.history_width))
+        for group, name, axis, size in missing:
+            self.sizes[axis] = size
+            self._reallocate(group, (name,))
+        return bool(missing)
 
     def grow(self, flags: np.ndarray, config: SolverConfig, error: bool) -> None:
         """More room for the worlds whose flags say that they ran out of it.
@@ -172,6 +187,14 @@ class Storage:
         )
         if self.sizes["row direction"] or config.acceleration == "nncg":
             self.sizes["row direction"] = self.sizes["row pair"]
+        if self.sizes["row history"] or config.acceleration == "adaptive":
+            self.sizes["row history"] = self.at_once * self.history_width
+
+    @property
+    def history_width(self) -> int:
+        """Numbers that a world's solve with acceleration "adaptive" may have to look back on."""
+        rows = int(self.block_room.max(initial=0)) * 2 * LANES
+        return HISTORY * rows + 4 * int(np.diff(self.model.numpy("body_start")).max(initial=0))
 
     def _assign_starts(self) -> None:
         self.pairs.assign("pair_start", starts(self.pair_room))
@@ -199,8 +222,8 @@ class Storage:
             for name in names:
                 move_segments(before[name], group.array(name), old, new, group.numpy(count))
         self._reallocate(self.pairs, ("pair_a", "pair_b", "temp_a", "temp_b"))
-        rows = ("slot", "rows", "row_body", "row_impulse", "row_change", "row_before", "row_direction")
-        self._reallocate(self.rows, rows)
+        packed = ("slot", "rows", "row_body", "row_impulse", "row_change")
+        self._reallocate(self.rows, (*packed, "row_before", "row_direction", "row_history"))
         self.pairs.assign("pair_valid", np.zeros(self.model.world_count, np.int32))
         self._assign_starts()
 

@@ -48,6 +48,7 @@ def solver_scalars(config: SolverConfig) -> dict[str, Any]:
         "cap": config.aitken_cap,
         "threshold": config.aitken_threshold,
         "patience": config.aitken_patience,
+        "stretch": config.stretch,
         "resume": 0,
         "pause": NEVER,
     }
@@ -66,6 +67,7 @@ ITERATION = (
     "aitken_cap",
     "aitken_threshold",
     "aitken_patience",
+    "stretch",
 )
 
 

@@ -16,7 +16,7 @@ from .backend import Launch, bind, in_turn, kernel_table, recorded
 from .capacity import PADDING, Cache, Motion, Pairs, Rows, Storage
 from .inputs import check_count
 from .solver import SCHEDULES, SolveStats, check_iteration, solver_scalars
-from .types import CAPACITY_FLAGS, COUNTERS, NEVER, BodyType, ShapeType, SolverConfig
+from .types import ACCELERATIONS, CAPACITY_FLAGS, COUNTERS, NEVER, BodyType, ShapeType, SolverConfig
 
 Start = Callable[["Simulation"], None]
 _COLLIDE = ("predict", "update_pairs", "narrowphase", "match_contacts", "color_constraints", "pack_rows")
@@ -102,8 +102,11 @@ class Simulation:
         self.variant = self._row_variant()
         self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, self.only_discs and specialize)
         self._config = config or SolverConfig()
+        # on a CPU a shard solves world after world
+        self._one_by_one = schedule == "world" and self.device == "cpu"
+        at_once = len(self._shards) if self._one_by_one else model.world_count
         self.storage = Storage(
-            model, joints, self._config, self.variant, pairs_per_shape, contacts_per_body, len(self._shards)
+            model, joints, self._config, self.variant, pairs_per_shape, contacts_per_body, len(self._shards), at_once
         )
         self._rename_groups()
         self._peak = {"pairs": 0, "contacts": 0, "blocks": 0}
@@ -209,6 +212,9 @@ class Simulation:
         shard = next((i for i, (a, n) in enumerate(self._shards) if a <= first < a + n), 0)
         padding = self.model.body_count + PADDING * shard
         values = {**self.values, **(changed or {}), "world_offset": first, "padding_body": padding}
+        width = self.storage.history_width
+        values["history_offset"] = width * (shard if self._one_by_one else first)
+        values["history_step"] = 0 if self._one_by_one else width
         return bind(self.kernels[name], count, values, self.device)
 
     @property
@@ -297,8 +303,9 @@ class Simulation:
             config: settings of this one solve, which may differ from the simulation's in those of the iteration
                 (``solver.ITERATION``); None: the simulation's.
             pause: stop after about so many sweeps in each world, 0 before the first, with ``resume`` to go on; with
-                acceleration "aitken" at the end of a period. Impulses, ``motion.solved`` and ``stats`` are then those
-                of a solve in flight; ``running`` tells which worlds have not finished.
+                acceleration "aitken", which a solve that pauses takes for "adaptive", at the end of a period. Impulses,
+                ``motion.solved`` and ``stats`` are then those of a solve in flight; ``running`` tells which worlds have
+                not finished.
 
         Raises:
             ValueError: out of turn, or for another setting or a pause out of range.
@@ -343,7 +350,11 @@ class Simulation:
             if key not in self._solves:
                 if config is not None:
                     check_iteration(config, self._config)
+                    if self.storage.provide(config):
+                        self._bind_all()
                 changed = solver_scalars(config or self._config)
+                if (pause is not None or resume) and changed["acceleration"] == ACCELERATIONS["adaptive"]:
+                    changed["acceleration"] = ACCELERATIONS["aitken"]  # what a stretch remembers outlives no launch
                 changed.update(resume=int(resume), pause=NEVER if pause is None else pause)
                 self._solves[key] = [self._record("solve", *shard, changed) for shard in self._shards]
             self._run_launches(self._solves[key])

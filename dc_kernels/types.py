@@ -51,14 +51,21 @@ LANES = 8
 COLORS = 64  # colours of the contact graph: bits of a mask; the last one is the serial overflow colour
 SERIAL_COLOR = COLORS - 1
 METHODS = {"pgs": 0, "jacobi": 1}  # how kernels know a choice of SolverConfig
-ACCELERATIONS = {"none": 0, "sor": 1, "aitken": 2, "nncg": 3}
+ACCELERATIONS = {"none": 0, "sor": 1, "aitken": 2, "nncg": 3, "adaptive": 4}
 STOPS = {"change": 0, "residual": 1}
 # a world's iteration in flight: sweeps done, sweeps into the Aitken period, its length, finished, periods without
-# progress, plain sweeps to follow them, a period's end put off by a pause, sweep whose step was measured for a pause
-COUNTERS = 8
+# progress, plain sweeps to follow them, a period's end put off by a pause, sweep whose step was measured for a pause;
+# of "adaptive": sweeps into the stretch, its method, length of the stretch before, periods without Anderson's update to
+# come, how many when it next does harm, iterates remembered, whether the period began with an update
+COUNTERS = 16
 # change of this sweep, |step|^2 of the sweep before the period's last, of the period or sweep before, least so far, of
-# the last two sweeps before a pause
-NORMS = 6
+# the last two sweeps before a pause; of "adaptive": rate of each method, |step|^2 of the stretch's first sweep,
+# Nesterov's t, |step|^2 before Anderson's update, its eight sums of products
+NORMS = 20
+ADAPT_AITKEN, ADAPT_MOMENTUM, ADAPT_ANDERSON = 0, 1, 2  # methods of "adaptive"
+HISTORY = 4  # arrays of row impulses that "adaptive" looks back on: two iterates and their steps
+ANDERSON_PERIOD = 3  # sweeps between two updates
+ANDERSON_REST, ANDERSON_REST_MAX = 4, 64  # periods without it after one that did harm
 NEVER = 2**30  # sweeps until a pause, where there is none
 BAND = 8  # rows of an image that are cleared and marked together
 CHUNK = 4096  # points that one thread index gathers
@@ -195,6 +202,7 @@ ROWS = _table(
     ("row_change", "row pair", "real", "N s", "what the last sweep, or its acceleration, changed the impulses by"),
     ("row_before", "row pair", "real", "N s", "step of the sweep before the last, where a solve pauses"),
     ("row_direction", "row direction", "real", "N s", "search direction of nonlinear CG"),
+    ("row_history", "row history", "real", "N s, m/s", "of a solve with adaptive: iterates and steps, velocities"),
     ("row_scale", "world", "real", "N s", "norm that the residual is relative to"),
     ("deepest", "world", "real", "m", "least gap, 0 where nothing overlaps"),
 )
@@ -229,8 +237,9 @@ class SolverConfig:
 
     method: Literal["pgs", "jacobi"] = "pgs"
     """Projected Gauss-Seidel in colour order, or Jacobi with mass splitting (Tonge et al. 2012)."""
-    acceleration: Literal["none", "sor", "aitken", "nncg"] = "aitken"
-    """Over-relaxation, Aitken extrapolation with back-off, or nonsmooth nonlinear CG (Silcowitz et al. 2010)."""
+    acceleration: Literal["none", "sor", "aitken", "nncg", "adaptive"] = "adaptive"
+    """Over-relaxation, Aitken extrapolation with back-off, nonsmooth nonlinear CG (Silcowitz et al. 2010), or Aitken,
+    momentum and Anderson's update in turns, chosen by what they gained."""
     max_sweeps: int = 1000
     """Sweeps after which a solve ends unconverged [1]."""
     tolerance: float = 1e-4
@@ -254,6 +263,8 @@ class SolverConfig:
     aitken_patience: int = 20
     """Periods without a smaller step after which plain sweeps follow, 2 aitken_period_max and twice as many each
     time: extrapolation alone can cycle for good where plain Gauss-Seidel converges [1]."""
+    stretch: int = 120
+    """Sweeps after which "adaptive" compares its methods: 80 to 240 are within 5 % of each other [1]."""
     position_correction: Literal["ngs", "baumgarte", "none"] = "ngs"
     """A phase of its own after the velocities (Box2D 2.3), a velocity bias, or nothing."""
     position_iterations: int = 3
@@ -295,6 +306,7 @@ class SolverConfig:
             "aitken_period": (3, 2**29, True),
             "aitken_period_max": (3, 2**29, True),
             "aitken_patience": (1, 2**31 - 1, True),
+            "stretch": (10, 2**30, True),
             "aitken_cap": (0.0, float("inf"), True),
             "aitken_threshold": (0.0, 1.0, False),
             "position_iterations": (0, 2**31 - 1, True),

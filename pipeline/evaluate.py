@@ -47,7 +47,7 @@ __all__ = [
 
 HELD_OUT_SEED = 100_000  # of the first test world: no training uses seeds from here on
 
-Acceleration = Literal["none", "sor", "aitken", "nncg"]
+Acceleration = Literal["none", "sor", "aitken", "nncg", "adaptive"]
 Loop = Literal["closed", "open"]
 TRAJECTORY: Acceleration = "none"  # of the open loop's Builtin
 SKIPPED, DROPPED = ("empty", "early"), ("refused", "undone")  # of a driver's totals

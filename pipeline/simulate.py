@@ -72,7 +72,7 @@ class SolverOptions:
 
     method: Literal["pgs", "jacobi"] = DEFAULT.method
     """Gauss-Seidel in colour order, or Jacobi with mass splitting."""
-    acceleration: Literal["none", "sor", "aitken", "nncg"] = DEFAULT.acceleration
+    acceleration: Literal["none", "sor", "aitken", "nncg", "adaptive"] = DEFAULT.acceleration
     """Acceleration of the method."""
     tolerance: float = DEFAULT.tolerance
     """Impulse change of a sweep, or residual, at which a solve ends [N s or 1]."""

@@ -222,6 +222,7 @@ class Pair:
         """Launch a kernel of both backends on equal arrays and compare all of them; Warp's results remain."""
         dim = self.sim.model.world_count if dim is None else dim
         shared = {"world_offset": 0, "padding_body": self.sim.model.body_count}
+        shared |= {"history_offset": 0, "history_step": 0}
         values: Mapping[str, Any] = {**self.sim.values, **shared, **more}
         arrays = [key for key in argument_names(self.oracle[name]) if not np.isscalar(values[key])]
         copies = {key: to_numpy(values[key]).copy() for key in arrays}
@@ -250,6 +251,12 @@ KERNEL_CASES = {
     "kinematic zero start": (kinematic, 20, {"start": "zero", "acceleration": "none"}),
     "frozen": (frozen, 5, {}),
     "worlds": (worlds, 15, {"acceleration": "nncg"}),
+    "discs adaptive": (discs, 25, {"start": "zero", "stretch": 10, "max_sweeps": 24}),
+    "pendulum adaptive": (
+        pendulum,
+        10,
+        {"stretch": 10, "max_sweeps": 24, "method": "jacobi", "acceleration": "adaptive"},
+    ),
 }
 
 
@@ -329,6 +336,9 @@ RUN_CASES = {
     "kinematic": (kinematic, "color", {}),
     "frozen": (frozen, "world", {}),
     "worlds": (worlds, "world", {"acceleration": "none"}),
+    "mixed adaptive": (mixed, "world", {"stretch": 10, "max_sweeps": 60}),
+    "boxes adaptive by colour": (boxes, "color", {"stretch": 10, "max_sweeps": 60}),
+    "worlds adaptive": (worlds, "world", {"stretch": 10, "max_sweeps": 60, "tolerance": 1e-9}),
     "impatient": (mixed, "world", {"aitken_patience": 1, "aitken_period_max": 4, "max_sweeps": 60}),
     "impatient by colour": (boxes, "color", {"aitken_patience": 1, "aitken_period_max": 4, "max_sweeps": 60}),
 }

@@ -10,7 +10,7 @@ from dc_kernels import measure
 from dc_kernels.types import COLORS, LANES, SERIAL_COLOR
 
 DT = 0.01
-METHODS = [(m, a) for m in ("pgs", "jacobi") for a in ("none", "sor", "aitken", "nncg")]
+METHODS = [(m, a) for m in ("pgs", "jacobi") for a in ("none", "sor", "aitken", "nncg", "adaptive")]
 
 
 def box(builder, side=1.6, height=4.0, **material):
@@ -107,7 +107,7 @@ def test_schedules_give_the_same_bits(variant, dtype):
     assert bits(sims[0]) == bits(sims[1])
     for sim in sims:
         sim.collide(DT)
-    assert min(sims[0].contacts.numpy("contact_count")) > 2 * LANES
+    assert min(sims[0].contacts.numpy("contact_count")) >= 2 * LANES
     for method, acceleration in METHODS:
         omega = 0.8 if method == "jacobi" else 1.4
         for stop in ("change", "residual"):

@@ -6,13 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from ..types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, NEVER, NORMS, SERIAL_COLOR, STOPS
+from ..types import ACCELERATIONS, COLORS, COUNTERS, HISTORY, LANES, METHODS, NEVER, NORMS, SERIAL_COLOR, STOPS
+from .adaptive import MOMENTUM, Adaptive, reset_adaptive
 from .common import Array, Kernels
 from .row import Row, by_lane, jacobi_row, natural_map_row, push_row, read_row, sweep_row
 
 JACOBI = METHODS["jacobi"]
 AITKEN = ACCELERATIONS["aitken"]
 NNCG = ACCELERATIONS["nncg"]
+ADAPTIVE = ACCELERATIONS["adaptive"]
 BY_RESIDUAL = STOPS["residual"]
 HUGE = 3e38
 TINY = 1e-30
@@ -90,14 +92,36 @@ def kernels(dtype: str, variant: str) -> Kernels:
             w, world, body_start, joint_start, joint_slot, joint_impulse, contact_start, contact_count, slot, impulse,
             predicted, color_block, solved, row_impulse,
         )  # fmt: skip
-        counters[w * COUNTERS : (w + 1) * COUNTERS] = 0, 0, period, 0, 0, 2 * period_max, 0, -1
+        counters[w * COUNTERS : w * COUNTERS + 8] = 0, 0, period, 0, 0, 2 * period_max, 0, -1
         norms[w * NORMS : (w + 1) * NORMS] = 0.0, *(HUGE,) * (NORMS - 1)
+        reset_adaptive(counters[w * COUNTERS : (w + 1) * COUNTERS], norms[w * NORMS : (w + 1) * NORMS])
 
     def prepare_sweep(w: int, method: int, body_start: Array, solved: Array, summed: Array) -> None:
         """A place to sum up Jacobi's changes."""
         if method == JACOBI:
             bodies = slice(body_start[w], body_start[w + 1])
             summed[bodies] = solved[bodies]
+
+    def extrapolate(world: list[Row], alpha: Any, solved: Array, row_impulse: Array, row_change: Array) -> None:
+        """Move on: x <- clamp(x + alpha change); change is then what x moved by, and velocities follow."""
+        for row in world:
+            impulse, step = by_lane(row_impulse)[row.at], by_lane(row_change)[row.at]
+            new = impulse + alpha * step
+            new[0] = max(new[0], row.low)
+            limit = row.friction * new[0]
+            new[1] = min(max(new[1], -limit), limit)
+            step[:] = new - impulse
+            impulse[:] = new
+            row.change(solved, step)
+
+    def refresh(
+        w: int, world: list[Row], body_start: Array, predicted: Array, solved: Array, row_impulse: Array
+    ) -> None:
+        """Velocities anew from the impulses."""
+        bodies = slice(body_start[w], body_start[w + 1])
+        solved[bodies] = predicted[bodies]
+        for row in world:
+            row.change(solved, by_lane(row_impulse)[row.at])
 
     def end_period(
         w: int,
@@ -123,15 +147,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
             ratio = np.sqrt(now / norm[1])
             # the limit of the geometric series, if it is not too far away
             alpha = ratio / (1.0 - ratio) if ratio < cap * (1.0 - ratio) else cap
-            for row in world:
-                impulse, step = by_lane(row_impulse)[row.at], by_lane(row_change)[row.at]
-                new = impulse + alpha * step
-                new[0] = max(new[0], row.low)
-                limit = row.friction * new[0]
-                new[1] = min(max(new[1], -limit), limit)
-                step[:] = new - impulse
-                impulse[:] = new
-                row.change(solved, step)
+            extrapolate(world, alpha, solved, row_impulse, row_change)
         if now > threshold * threshold * norm[2]:
             counter[2] = min(2 * counter[2], period_max)
         else:
@@ -162,16 +178,20 @@ def kernels(dtype: str, variant: str) -> Kernels:
         cap: float,
         threshold: float,
         patience: int,
+        stretch: int,
+        history_at: int,
         pause_at: int,
         body_start: Array,
         color_block: Array,
         row_scale: Array,
+        predicted: Array,
         solved: Array,
         summed: Array,
         row_impulse: Array,
         row_change: Array,
         row_before: Array,
         row_direction: Array,
+        row_history: Array,
         counters: Array,
         norms: Array,
         history: Array,
@@ -194,6 +214,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
             converged = largest < tolerance
         counter[3] = int(last or converged)
         if counter[3]:
+            if acceleration == ADAPTIVE and counter[9] == MOMENTUM:
+                refresh(w, world, body_start, predicted, solved, row_impulse)
             return False
         used = blocks_of(w, color_block)
         x, change = by_lane(row_impulse)[used], by_lane(row_change)[used]
@@ -213,6 +235,24 @@ def kernels(dtype: str, variant: str) -> Kernels:
                     w, world, period_min, period_max, cap, threshold, patience, color_block, solved, row_impulse,
                     row_change, counters, norms, True,
                 )  # fmt: skip
+        if acceleration == ADAPTIVE:
+            bodies = slice(body_start[w], body_start[w + 1])
+            past = row_history[history_at:]
+            Adaptive(
+                counter,
+                norm,
+                x,
+                change,
+                past[: HISTORY * x.size].reshape(HISTORY, *x.shape),
+                solved[bodies],
+                past[HISTORY * x.size :][: solved[bodies].size].reshape(-1, 4),
+                end_period=lambda: end_period(
+                    w, world, period_min, period_max, cap, threshold, NEVER, color_block, solved, row_impulse,
+                    row_change, counters, norms, True,
+                ),
+                extrapolate=lambda: extrapolate(world, 1.0, solved, row_impulse, row_change),
+                refresh=lambda: refresh(w, world, body_start, predicted, solved, row_impulse),
+            ).adapt(stretch, period_min, cap)  # fmt: skip
         if acceleration == NNCG:
             now = np.sum(change**2)
             beta = x.dtype.type(0)
@@ -250,6 +290,9 @@ def kernels(dtype: str, variant: str) -> Kernels:
         cap: float,
         threshold: float,
         patience: int,
+        stretch: int,
+        history_offset: int,
+        history_step: int,
         resume: int,
         pause: int,
         body_start: Array,
@@ -272,6 +315,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         row_change: Array,
         row_before: Array,
         row_direction: Array,
+        row_history: Array,
         counters: Array,
         norms: Array,
         solved: Array,
@@ -283,6 +327,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
     ) -> None:
         """The solve of a world, to its end or to a pause, or on from there."""
         w = tid + world_offset
+        history_at = history_offset + tid * history_step
         if flags[w]:
             return
         world = world_rows(w, color_block, rows, row_body, predicted)
@@ -323,8 +368,9 @@ def kernels(dtype: str, variant: str) -> Kernels:
             largest = max(changes)
             paused = conclude_sweep(
                 w, largest, world, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
-                period_max, cap, threshold, patience, pause_at, body_start, color_block, row_scale, solved, summed,
-                row_impulse, row_change, row_before, row_direction, counters, norms, history,
+                period_max, cap, threshold, patience, stretch, history_at, pause_at, body_start, color_block, row_scale,
+                predicted, solved, summed, row_impulse, row_change, row_before, row_direction, row_history, counters,
+                norms, history,
             )  # fmt: skip
         sweeps[w] = counter[0]
         change[w] = norms[w * NORMS]
@@ -439,16 +485,21 @@ def kernels(dtype: str, variant: str) -> Kernels:
         cap: float,
         threshold: float,
         patience: int,
+        stretch: int,
+        history_offset: int,
+        history_step: int,
         body_start: Array,
         flags: Array,
         color_block: Array,
         rows: Array,
         row_body: Array,
         row_scale: Array,
+        predicted: Array,
         summed: Array,
         row_change: Array,
         row_before: Array,
         row_direction: Array,
+        row_history: Array,
         solved: Array,
         row_impulse: Array,
         counters: Array,
@@ -457,13 +508,15 @@ def kernels(dtype: str, variant: str) -> Kernels:
     ) -> None:
         """Colour schedule: stop or accelerate."""
         w = tid + world_offset
+        history_at = history_offset + tid * history_step
         if flags[w] or counters[w * COUNTERS + 3]:
             return
         world = world_rows(w, color_block, rows, row_body, solved)
         conclude_sweep(
             w, norms[w * NORMS], world, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
-            period_max, cap, threshold, patience, NEVER, body_start, color_block, row_scale, solved, summed,
-            row_impulse, row_change, row_before, row_direction, counters, norms, history,
+            period_max, cap, threshold, patience, stretch, history_at, NEVER, body_start, color_block, row_scale,
+            predicted, solved, summed, row_impulse, row_change, row_before, row_direction, row_history, counters, norms,
+            history,
         )  # fmt: skip
 
     def finish(

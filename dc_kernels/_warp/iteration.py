@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import warp as wp
 
 from ..rows import COLUMNS
-from ..types import ACCELERATIONS, COLORS, COUNTERS, LANES, METHODS, NORMS, SERIAL_COLOR, STOPS
+from ..types import ACCELERATIONS, ADAPT_MOMENTUM, COLORS, COUNTERS, LANES, METHODS, NORMS, SERIAL_COLOR, STOPS
+from .adaptive import adaptive_functions
 from .common import kernel_module, scalar_types
 from .lanes import has_lanes, lane_functions, range_functions
 from .row import row_functions
@@ -18,6 +19,8 @@ SERIAL = wp.constant(SERIAL_COLOR)
 JACOBI = wp.constant(METHODS["jacobi"])
 AITKEN = wp.constant(ACCELERATIONS["aitken"])
 NNCG = wp.constant(ACCELERATIONS["nncg"])
+ADAPTIVE = wp.constant(ACCELERATIONS["adaptive"])
+MOMENTUM = wp.constant(ADAPT_MOMENTUM)
 BY_RESIDUAL = wp.constant(STOPS["residual"])
 N_COUNTERS = wp.constant(COUNTERS)
 N_NORMS = wp.constant(NORMS)
@@ -97,6 +100,60 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         for block in range(first, last):
             for lane in range(N_LANES):
                 apply_row(block, lane, rows, row_body, solved, delta)
+
+    @wp.func(module=module)
+    def end_period(
+        w: int,
+        period_min: int,
+        period_max: int,
+        cap: real,
+        threshold: real,
+        patience: int,
+        color_block: wp.array(dtype=wp.int32),
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        solved: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+        row_change: wp.array(dtype=real),
+        counters: wp.array(dtype=wp.int32),
+        norms: wp.array(dtype=real),
+        move: int,
+    ):
+        """The end of an Aitken period: extrapolate, unless ``move`` is 0, and choose the length of the next."""
+        q = w * N_COUNTERS
+        p = w * N_NORMS
+        i0 = color_block[w * ENDS] * 2 * N_LANES
+        i1 = color_block[w * ENDS + N_COLORS] * 2 * N_LANES
+        before = norms[p + 1]
+        now = squares(row_change, i0, i1)
+        if now < before and move == 1:
+            ratio = wp.sqrt(now / before)
+            alpha = cap
+            if ratio < cap * (real(1.0) - ratio):
+                alpha = ratio / (real(1.0) - ratio)
+            extrapolate(rows, row_impulse, row_change, color_block[w * ENDS], color_block[w * ENDS + N_COLORS], alpha)
+            apply_world(w, color_block, rows, row_body, solved, row_change)
+        period = counters[q + 2]
+        if now > threshold * threshold * norms[p + 2]:
+            period = wp.min(2 * period, period_max)
+        else:
+            period = wp.max(period_min, period / 2)
+        norms[p + 2] = now
+        counters[q + 2] = period
+        inside = int(0)
+        stalled = counters[q + 4] + 1
+        if now < norms[p + 3]:
+            norms[p + 3] = now
+            stalled = 0
+        if stalled >= patience:
+            inside = -counters[q + 5]
+            counters[q + 5] = 2 * counters[q + 5]
+            stalled = 0
+        counters[q + 4] = stalled
+        counters[q + 1] = inside
+
+    adaptive = adaptive_functions(dtype, variant, apply_world, end_period, extrapolate)
+    adapt, refresh, reset_adaptive = adaptive.adapt, adaptive.refresh, adaptive.reset_adaptive
 
     @wp.func(module=module)
     def natural_map(
@@ -197,6 +254,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         norms[p] = real(0.0)
         for i in range(1, N_NORMS):
             norms[p + i] = huge
+        reset_adaptive(w, counters, norms)
 
     @wp.func(module=module)
     def prepare_sweep(
@@ -210,57 +268,6 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         if method == JACOBI:
             for b in range(body_start[w], body_start[w + 1]):
                 summed[b] = solved[b]
-
-    @wp.func(module=module)
-    def end_period(
-        w: int,
-        period_min: int,
-        period_max: int,
-        cap: real,
-        threshold: real,
-        patience: int,
-        color_block: wp.array(dtype=wp.int32),
-        rows: wp.array(dtype=real),
-        row_body: wp.array(dtype=wp.int32),
-        solved: wp.array(dtype=vec4),
-        row_impulse: wp.array(dtype=real),
-        row_change: wp.array(dtype=real),
-        counters: wp.array(dtype=wp.int32),
-        norms: wp.array(dtype=real),
-        move: int,
-    ):
-        """The end of an Aitken period: extrapolate, unless ``move`` is 0, and choose the length of the next."""
-        q = w * N_COUNTERS
-        p = w * N_NORMS
-        i0 = color_block[w * ENDS] * 2 * N_LANES
-        i1 = color_block[w * ENDS + N_COLORS] * 2 * N_LANES
-        before = norms[p + 1]
-        now = squares(row_change, i0, i1)
-        if now < before and move == 1:
-            ratio = wp.sqrt(now / before)
-            alpha = cap
-            if ratio < cap * (real(1.0) - ratio):
-                alpha = ratio / (real(1.0) - ratio)
-            extrapolate(rows, row_impulse, row_change, color_block[w * ENDS], color_block[w * ENDS + N_COLORS], alpha)
-            apply_world(w, color_block, rows, row_body, solved, row_change)
-        period = counters[q + 2]
-        if now > threshold * threshold * norms[p + 2]:
-            period = wp.min(2 * period, period_max)
-        else:
-            period = wp.max(period_min, period / 2)
-        norms[p + 2] = now
-        counters[q + 2] = period
-        inside = int(0)
-        stalled = counters[q + 4] + 1
-        if now < norms[p + 3]:
-            norms[p + 3] = now
-            stalled = 0
-        if stalled >= patience:
-            inside = -counters[q + 5]
-            counters[q + 5] = 2 * counters[q + 5]
-            stalled = 0
-        counters[q + 4] = stalled
-        counters[q + 1] = inside
 
     @wp.func(module=module)
     def conclude_sweep(
@@ -277,18 +284,22 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         cap: real,
         threshold: real,
         patience: int,
+        stretch: int,
+        history_at: int,
         pause_at: int,
         body_start: wp.array(dtype=wp.int32),
         color_block: wp.array(dtype=wp.int32),
         rows: wp.array(dtype=real),
         row_body: wp.array(dtype=wp.int32),
         row_scale: wp.array(dtype=real),
+        predicted: wp.array(dtype=vec4),
         solved: wp.array(dtype=vec4),
         summed: wp.array(dtype=vec4),
         row_impulse: wp.array(dtype=real),
         row_change: wp.array(dtype=real),
         row_before: wp.array(dtype=real),
         row_direction: wp.array(dtype=real),
+        row_history: wp.array(dtype=real),
         counters: wp.array(dtype=wp.int32),
         norms: wp.array(dtype=real),
         history: wp.array2d(dtype=real),
@@ -320,6 +331,8 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             done = 1
         counters[q + 3] = done
         if done == 1:
+            if acceleration == ADAPTIVE and counters[q + 9] == MOMENTUM:
+                refresh(w, body_start, color_block, rows, row_body, predicted, solved, row_impulse)
             return 1
         i0 = color_block[w * ENDS] * 2 * N_LANES
         i1 = color_block[w * ENDS + N_COLORS] * 2 * N_LANES
@@ -342,6 +355,11 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
                     w, period_min, period_max, cap, threshold, patience, color_block, rows, row_body, solved,
                     row_impulse, row_change, counters, norms, 1,
                 )  # fmt: skip
+        if acceleration == ADAPTIVE:
+            adapt(
+                w, stretch, history_at, period_min, period_max, cap, threshold, body_start, color_block, rows, row_body,
+                predicted, solved, row_impulse, row_change, row_history, counters, norms,
+            )  # fmt: skip
         if acceleration == NNCG:
             now = squares(row_change, i0, i1)
             beta = real(0.0)

@@ -291,21 +291,102 @@ for (int b = b0; b < b1; ++b) {{
     return {"sweep": sweep, "apply": apply, "push": push, "extrapolate": extrapolate}
 
 
-_SQUARES = """
+def _sums(terms: tuple[str, ...], loads: str, end: str) -> str:
+    """Sums over i0..i1, whose length is a multiple of 8, in eight parts each; ``loads`` names the values at i."""
+    scalar = " ".join(f"t{k} += {term};" for k, term in enumerate(terms))
+    total = "t{k} = ((s{k}[0] + s{k}[1]) + (s{k}[2] + s{k}[3])) + ((s{k}[4] + s{k}[5]) + (s{k}[6] + s{k}[7]));"
+    parts = ", ".join(f"t{k} = 0" for k in range(len(terms)))
+    return f"""
 #if defined(__CUDA_ARCH__)
-S_TYPE out = 0;
-for (int i = i0; i < i1; ++i) out += x.data[i] * x.data[i];
-return out;
+S_TYPE {parts};
+typedef S_TYPE V;
+for (int i = i0; i < i1; ++i) {{
+    {loads}
+    {scalar}
+}}
 #else
 #pragma clang fp contract(off)
+S_TYPE {parts};
 typedef S_TYPE V __attribute__((ext_vector_type(8), aligned(4)));
-V sum = (S_TYPE)0;
-for (int i = i0; i < i1; i += 8) {
-    const V d = *(const V*)(x.data + i);
-    sum += d * d;
-}
-return ((sum[0] + sum[1]) + (sum[2] + sum[3])) + ((sum[4] + sum[5]) + (sum[6] + sum[7]));
+V {", ".join(f"s{k} = (S_TYPE)0" for k in range(len(terms)))};
+for (int i = i0; i < i1; i += 8) {{
+    {loads}
+    {" ".join(f"s{k} += {term};" for k, term in enumerate(terms))}
+}}
+{" ".join(total.format(k=k) for k in range(len(terms)))}
 #endif
+{end}
+"""
+
+
+_SQUARES = _sums(("d * d",), "const V d = *(const V*)(x.data + i);", "return t0;")
+_ALONG = _sums(
+    ("d * m",),
+    "const V d = *(const V*)(change.data + i), m = *(const V*)(x.data + i) - *(const V*)(before.data + at + (i - i0));",
+    "return t0;",
+)
+# f: steps, e: iterates, minus those remembered
+_PRODUCTS = _sums(
+    ("f1 * f1", "f1 * f2", "f2 * f2", "f1 * d", "f2 * d", "e1 * e1", "e1 * e2", "e2 * e2"),
+    """
+    const int stride = i1 - i0;
+    const S_TYPE* H = history.data + at + (i - i0);
+    const V d = *(const V*)(change.data + i), v = *(const V*)(x.data + i);
+    const V e1 = v - *(const V*)H, f1 = d - *(const V*)(H + stride);
+    V e2 = v - *(const V*)(H + 2 * stride), f2 = d - *(const V*)(H + 3 * stride);
+    if (kept < 2) { e2 = (S_TYPE)0; f2 = (S_TYPE)0; }
+    """,
+    "S_TYPE* out = norms.data + sums;" + " ".join(f"out[{k}] = t{k};" for k in range(8)),
+)
+_REMEMBER = """
+const int stride = i1 - i0;
+for (int i = i0; i < i1; ++i) {
+    S_TYPE* H = history.data + at + (i - i0);
+    H[2 * stride] = H[0];
+    H[3 * stride] = H[stride];
+    H[0] = x.data[i];
+    H[stride] = change.data[i];
+}
+"""
+_COMBINE = """
+#if !defined(__CUDA_ARCH__)
+#pragma clang fp contract(off)
+#endif
+const int stride = i1 - i0;
+for (int i = i0; i < i1; ++i) {
+    S_TYPE* H = history.data + at + (i - i0);
+    const S_TYPE v = x.data[i], d = change.data[i];
+    S_TYPE move = a * (v - H[0]);
+    if (kept > 1) move += b * (v - H[2 * stride]);
+    H[2 * stride] = H[0];
+    H[3 * stride] = H[stride];
+    H[0] = v;
+    H[stride] = d;
+    change.data[i] = -move;
+}
+"""
+_ONWARD = """
+#if !defined(__CUDA_ARCH__)
+#pragma clang fp contract(off)
+#endif
+for (int i = i0; i < i1; ++i) {
+    const S_TYPE v = x.data[i];
+    S_TYPE* b = before.data + at + (i - i0);
+    x.data[i] = v + beta * (v - b[0]);
+    b[0] = v;
+}
+"""
+_ONWARD_BODIES = """
+#if !defined(__CUDA_ARCH__)
+#pragma clang fp contract(off)
+#endif
+S_TYPE* now = (S_TYPE*)bodies.data;
+S_TYPE* last = before.data + at - 4 * b0;
+for (int i = 4 * b0; i < 4 * b1; ++i) {
+    const S_TYPE v = now[i];
+    now[i] = v + beta * (v - last[i]);
+    last[i] = v;
+}
 """
 _CONJUGATE = """
 #if !defined(__CUDA_ARCH__)
@@ -322,12 +403,18 @@ for (int i = i0; i < i1; ++i) {
 
 @cache
 def range_functions(dtype: str) -> dict[str, Any]:
-    """Whole ranges of row impulses i0..i1 (a multiple of 8 long): ``squares`` and ``conjugate``.
+    """Whole ranges of row impulses i0..i1 (a multiple of 8 long), and of bodies b0..b1.
 
     ``conjugate`` is a step of nonsmooth nonlinear CG (Silcowitz, Niebe, Erleben 2010): x moves on by beta times the
-    direction, the direction becomes that step plus the last change, and ``change`` holds what x moved by.
+    direction, the direction becomes that step plus the last change, and ``change`` holds what x moved by. ``squares``
+    and ``along``: sums of change^2 and change (x - before). ``onward``, ``onward_bodies``: x moves on by
+    beta (x - before), and before, which begins at ``at``, is what x was. The history holds two iterates and their
+    steps, the latest first: x1, change1, x2, change2, from ``at`` on; ``remember`` puts x and change in front.
+    ``products`` writes the sums that least squares over the differences to them need; ``combine`` leaves the update in
+    ``change``, and remembers.
     """
-    real = scalar_types(dtype).real
+    t = scalar_types(dtype)
+    real, vec4 = t.real, t.vec4
     name = {"float32": "float", "float64": "double"}[dtype]
 
     @wp.func_native(_SQUARES.replace("S_TYPE", name))
@@ -343,7 +430,72 @@ def range_functions(dtype: str) -> dict[str, Any]:
         beta: real,
     ): ...
 
-    return {"squares": squares, "conjugate": conjugate}
+    @wp.func_native(_ALONG.replace("S_TYPE", name))
+    def along(
+        change: wp.array(dtype=real),
+        x: wp.array(dtype=real),
+        before: wp.array(dtype=real),
+        at: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+    ) -> real: ...
+
+    @wp.func_native(_ONWARD.replace("S_TYPE", name))
+    def onward(
+        x: wp.array(dtype=real), before: wp.array(dtype=real), at: wp.int32, i0: wp.int32, i1: wp.int32, beta: real
+    ): ...
+
+    @wp.func_native(_ONWARD_BODIES.replace("S_TYPE", name))
+    def onward_bodies(
+        bodies: wp.array(dtype=vec4), before: wp.array(dtype=real), at: wp.int32, b0: wp.int32, b1: wp.int32, beta: real
+    ): ...
+
+    @wp.func_native(_PRODUCTS.replace("S_TYPE", name))
+    def products(
+        x: wp.array(dtype=real),
+        change: wp.array(dtype=real),
+        history: wp.array(dtype=real),
+        at: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+        kept: wp.int32,
+        norms: wp.array(dtype=real),
+        sums: wp.int32,
+    ): ...
+
+    @wp.func_native(_COMBINE.replace("S_TYPE", name))
+    def combine(
+        x: wp.array(dtype=real),
+        change: wp.array(dtype=real),
+        history: wp.array(dtype=real),
+        at: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+        kept: wp.int32,
+        a: real,
+        b: real,
+    ): ...
+
+    @wp.func_native(_REMEMBER.replace("S_TYPE", name))
+    def remember(
+        x: wp.array(dtype=real),
+        change: wp.array(dtype=real),
+        history: wp.array(dtype=real),
+        at: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+    ): ...
+
+    return {
+        "squares": squares,
+        "conjugate": conjugate,
+        "along": along,
+        "onward": onward,
+        "onward_bodies": onward_bodies,
+        "products": products,
+        "combine": combine,
+        "remember": remember,
+    }
 
 
 @wp.func_native("""

@@ -61,6 +61,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         cap: real,
         threshold: real,
         patience: int,
+        stretch: int,
+        history_offset: int,
+        history_step: int,
         resume: int,
         pause: int,
         # Model, state, joints, contacts:
@@ -86,6 +89,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         row_change: wp.array(dtype=real),
         row_before: wp.array(dtype=real),
         row_direction: wp.array(dtype=real),
+        row_history: wp.array(dtype=real),
         counters: wp.array(dtype=wp.int32),
         norms: wp.array(dtype=real),
         # out:
@@ -100,7 +104,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
 
         Without ``replaced`` a solve that pauses ends with the bits of one that does not.
         """
-        w = wp.tid() + world_offset
+        tid = wp.tid()
+        w = tid + world_offset
+        history_at = history_offset + tid * history_step
         if flags[w] != 0:
             return
         done = int(0)
@@ -143,8 +149,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             )
             done = conclude_sweep(
                 w, largest, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min, period_max,
-                cap, threshold, patience, pause_at, body_start, color_block, rows, row_body, row_scale, solved, summed,
-                row_impulse, row_change, row_before, row_direction, counters, norms, history,
+                cap, threshold, patience, stretch, history_at, pause_at, body_start, color_block, rows, row_body,
+                row_scale, predicted, solved, summed, row_impulse, row_change, row_before, row_direction, row_history,
+                counters, norms, history,
             )  # fmt: skip
         done_sweeps = counters[w * N_COUNTERS]
         sweeps[w] = done_sweeps
@@ -266,16 +273,21 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         cap: real,
         threshold: real,
         patience: int,
+        stretch: int,
+        history_offset: int,
+        history_step: int,
         body_start: wp.array(dtype=wp.int32),
         flags: wp.array(dtype=wp.int32),
         color_block: wp.array(dtype=wp.int32),
         rows: wp.array(dtype=real),
         row_body: wp.array(dtype=wp.int32),
         row_scale: wp.array(dtype=real),
+        predicted: wp.array(dtype=vec4),
         summed: wp.array(dtype=vec4),
         row_change: wp.array(dtype=real),
         row_before: wp.array(dtype=real),
         row_direction: wp.array(dtype=real),
+        row_history: wp.array(dtype=real),
         solved: wp.array(dtype=vec4),
         row_impulse: wp.array(dtype=real),
         counters: wp.array(dtype=wp.int32),
@@ -283,13 +295,16 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         history: wp.array2d(dtype=real),
     ):
         """Colour schedule: stop or accelerate."""
-        w = wp.tid() + world_offset
+        tid = wp.tid()
+        w = tid + world_offset
+        history_at = history_offset + tid * history_step
         if flags[w] != 0 or counters[w * N_COUNTERS + 3] != 0:
             return
         conclude_sweep(
             w, norms[w * N_NORMS], method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
-            period_max, cap, threshold, patience, NO_PAUSE, body_start, color_block, rows, row_body, row_scale, solved,
-            summed, row_impulse, row_change, row_before, row_direction, counters, norms, history,
+            period_max, cap, threshold, patience, stretch, history_at, NO_PAUSE, body_start, color_block, rows,
+            row_body, row_scale, predicted, solved, summed, row_impulse, row_change, row_before, row_direction,
+            row_history, counters, norms, history,
         )  # fmt: skip
 
     @wp.kernel(module=module, enable_backward=False)

@@ -1,0 +1,296 @@
+"""Acceleration "adaptive": Aitken extrapolation, momentum or Anderson's update, whichever has paid most.
+
+A solve is cut into stretches. The step of the first sweep after a stretch tells by how much a sweep of it shrank the
+error; the next stretch goes to the method with the best rate, and one that rests gains on it, so that it is tried again
+when the active set has changed. The first stretch is Aitken's: most solves end in it and cost no more than with Aitken.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..types import (
+    ADAPT_AITKEN,
+    ADAPT_ANDERSON,
+    ADAPT_MOMENTUM,
+    ANDERSON_PERIOD,
+    ANDERSON_REST,
+    ANDERSON_REST_MAX,
+    COLORS,
+    COUNTERS,
+    HISTORY,
+    LANES,
+    NEVER,
+    NORMS,
+)
+from .common import kernel_module, scalar_types
+from .lanes import range_functions
+
+ENDS = wp.constant(COLORS + 1)
+N_COLORS = wp.constant(COLORS)
+N_LANES = wp.constant(LANES)
+N_HISTORY = wp.constant(HISTORY)
+N_COUNTERS = wp.constant(COUNTERS)
+N_NORMS = wp.constant(NORMS)
+AITKEN = wp.constant(ADAPT_AITKEN)
+MOMENTUM = wp.constant(ADAPT_MOMENTUM)
+ANDERSON = wp.constant(ADAPT_ANDERSON)
+PERIOD = wp.constant(ANDERSON_PERIOD)
+REST = wp.constant(ANDERSON_REST)
+REST_MAX = wp.constant(ANDERSON_REST_MAX)
+ALWAYS = wp.constant(NEVER)
+
+
+@cache
+def adaptive_functions(dtype: str, variant: str, apply_world, end_period, extrapolate) -> SimpleNamespace:
+    """``adapt``, what follows a sweep, and ``reset_adaptive``.
+
+    Args:
+        dtype: "float32" or "float64".
+        variant: of the rows.
+        apply_world: velocities follow impulses.
+        end_period: of Aitken's extrapolation.
+        extrapolate: x <- clamp(x + alpha change).
+    """
+    t = scalar_types(dtype)
+    real, vec4 = t.real, t.vec4
+    module = kernel_module("solver", dtype, variant)
+    ranges = range_functions(dtype)
+    squares, along = ranges["squares"], ranges["along"]
+    onward, onward_bodies = ranges["onward"], ranges["onward_bodies"]
+    products, combine, remember = ranges["products"], ranges["combine"], ranges["remember"]
+    tiny = real(1e-30)
+    untried = real(1e9)
+    half = real(0.5)
+    one = real(1.0)
+    zero = real(0.0)
+    # of the best rate, gained by a method with each stretch of another: it is tried again after some
+    optimism = real(0.15)
+    least_rate = real(1e-4)
+    damping = real(1e-5)  # of the normal equations, relative to their trace: what float32 resolves
+
+    @wp.func(module=module)
+    def reset_adaptive(w: int, counters: wp.array(dtype=wp.int32), norms: wp.array(dtype=real)):
+        """Nothing tried yet."""
+        q = w * N_COUNTERS
+        for i in range(8, N_COUNTERS):
+            counters[q + i] = 0
+        counters[q + 12] = REST
+        p = w * N_NORMS
+        for i in range(3):
+            norms[p + 6 + i] = untried
+
+    @wp.func(module=module)
+    def refresh(
+        w: int,
+        body_start: wp.array(dtype=wp.int32),
+        color_block: wp.array(dtype=wp.int32),
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        predicted: wp.array(dtype=vec4),
+        solved: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+    ):
+        """Velocities anew from the impulses: momentum adds up their round-off."""
+        for b in range(body_start[w], body_start[w + 1]):
+            solved[b] = predicted[b]
+        apply_world(w, color_block, rows, row_body, solved, row_impulse)
+
+    @wp.func(module=module)
+    def begin_stretch(
+        w: int,
+        now: real,
+        body_start: wp.array(dtype=wp.int32),
+        solved: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+        row_history: wp.array(dtype=real),
+        history_at: int,
+        i0: int,
+        i1: int,
+        counters: wp.array(dtype=wp.int32),
+        norms: wp.array(dtype=real),
+    ):
+        """Judge the stretch before by ``now``, the squared step of the sweep after it, and choose the next method."""
+        q = w * N_COUNTERS
+        p = w * N_NORMS
+        length = counters[q + 10]
+        chosen = counters[q + 9]
+        if length > 0:
+            rate = zero
+            if now > tiny:
+                rate = half * wp.log(norms[p + 9] / now) / real(length)
+            norms[p + 6 + chosen] = rate
+            best = least_rate
+            for i in range(3):
+                if norms[p + 6 + i] < untried:
+                    best = wp.max(best, norms[p + 6 + i])
+            for i in range(3):
+                if i != chosen and norms[p + 6 + i] < untried:
+                    norms[p + 6 + i] = wp.min(norms[p + 6 + i] + optimism * best, half * untried)
+        chosen = int(0)
+        for i in range(1, 3):
+            if norms[p + 6 + i] > norms[p + 6 + chosen]:
+                chosen = i
+        counters[q + 9] = chosen
+        counters[q + 1] = 0
+        norms[p + 9] = now
+        if chosen == MOMENTUM:
+            norms[p + 10] = one
+            for i in range(i0, i1):
+                row_history[history_at + i - i0] = row_impulse[i]
+            h = history_at + N_HISTORY * (i1 - i0)
+            for b in range(body_start[w], body_start[w + 1]):
+                for k in range(4):
+                    row_history[h + k] = solved[b][k]
+                h += 4
+        if chosen == ANDERSON:
+            counters[q + 11] = 0  # periods without it to come
+            counters[q + 13] = 0  # points remembered
+            counters[q + 14] = 0  # whether the last period began with its update
+
+    @wp.func(module=module)
+    def anderson_period(
+        w: int,
+        period_min: int,
+        period_max: int,
+        cap: real,
+        threshold: real,
+        color_block: wp.array(dtype=wp.int32),
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        solved: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+        row_change: wp.array(dtype=real),
+        row_history: wp.array(dtype=real),
+        history_at: int,
+        i0: int,
+        i1: int,
+        counters: wp.array(dtype=wp.int32),
+        norms: wp.array(dtype=real),
+    ):
+        """The end of a period: Anderson's update from this and two remembered iterates; Aitken's while that rests."""
+        q = w * N_COUNTERS
+        p = w * N_NORMS
+        now = squares(row_change, i0, i1)
+        if counters[q + 14] == 1 and now > norms[p + 11]:  # the update did harm
+            counters[q + 13] = 0
+            counters[q + 11] = counters[q + 12]
+            counters[q + 12] = wp.min(2 * counters[q + 12], REST_MAX)
+        elif now < real(0.25) * norms[p + 2]:
+            counters[q + 12] = wp.max(REST, counters[q + 12] / 2)
+        counters[q + 14] = 0
+        kept = counters[q + 13]
+        rest = counters[q + 11]
+        counters[q + 11] = wp.max(rest - 1, 0)
+        if rest == 0 and kept > 0:
+            # least squares: || change - a (change - change_1) - b (change - change_2) || -> min
+            products(row_impulse, row_change, row_history, history_at, i0, i1, kept, norms, p + 12)
+            g11 = norms[p + 12]
+            g12 = norms[p + 13]
+            g22 = norms[p + 14]
+            shift = damping * (g11 + g22)
+            g11 = g11 + shift
+            g22 = g22 + shift
+            a = zero
+            b = zero
+            if kept == 1:
+                if g11 > tiny:
+                    a = norms[p + 15] / g11
+            else:
+                det = g11 * g22 - g12 * g12
+                if det > tiny * tiny:
+                    a = (norms[p + 15] * g22 - norms[p + 16] * g12) / det
+                    b = (norms[p + 16] * g11 - norms[p + 15] * g12) / det
+            length = a * a * norms[p + 17] + (a * b + a * b) * norms[p + 18] + b * b * norms[p + 19]
+            scale = one
+            if length > (cap * cap) * now:
+                scale = cap * wp.sqrt(now / length)
+            combine(row_impulse, row_change, row_history, history_at, i0, i1, kept, a * scale, b * scale)
+            norms[p + 11] = now
+            counters[q + 14] = 1
+            extrapolate(rows, row_impulse, row_change, color_block[w * ENDS], color_block[w * ENDS + N_COLORS], one)
+            apply_world(w, color_block, rows, row_body, solved, row_change)
+            counters[q + 2] = wp.max(PERIOD, period_min)
+            norms[p + 2] = now
+            counters[q + 13] = wp.min(kept + 1, 2)
+            counters[q + 1] = 0
+        else:
+            remember(row_impulse, row_change, row_history, history_at, i0, i1)
+            counters[q + 13] = wp.min(kept + 1, 2)
+            end_period(
+                w, period_min, period_max, cap, threshold, ALWAYS, color_block, rows, row_body, solved, row_impulse,
+                row_change, counters, norms, 1,
+            )  # fmt: skip
+
+    @wp.func(module=module)
+    def adapt(
+        w: int,
+        stretch: int,
+        history_at: int,
+        period_min: int,
+        period_max: int,
+        cap: real,
+        threshold: real,
+        body_start: wp.array(dtype=wp.int32),
+        color_block: wp.array(dtype=wp.int32),
+        rows: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        predicted: wp.array(dtype=vec4),
+        solved: wp.array(dtype=vec4),
+        row_impulse: wp.array(dtype=real),
+        row_change: wp.array(dtype=real),
+        row_history: wp.array(dtype=real),
+        counters: wp.array(dtype=wp.int32),
+        norms: wp.array(dtype=real),
+    ):
+        """What follows a sweep that did not end the solve."""
+        q = w * N_COUNTERS
+        p = w * N_NORMS
+        i0 = color_block[w * ENDS] * 2 * N_LANES
+        i1 = color_block[w * ENDS + N_COLORS] * 2 * N_LANES
+        done = counters[q + 8] + 1
+        counters[q + 8] = done
+        if done == 1:
+            begin_stretch(
+                w, squares(row_change, i0, i1), body_start, solved, row_impulse, row_history, history_at,
+                i0, i1, counters, norms,
+            )  # fmt: skip
+        chosen = counters[q + 9]
+        if chosen == MOMENTUM:
+            ended = done >= stretch
+            if ended:
+                refresh(w, body_start, color_block, rows, row_body, predicted, solved, row_impulse)
+            else:
+                before = norms[p + 10]
+                if along(row_change, row_impulse, row_history, history_at, i0, i1) < zero:
+                    before = one  # the sweep goes against the momentum: begin anew (O'Donoghue and Candes 2015)
+                after = half * (one + wp.sqrt(one + real(4.0) * before * before))
+                beta = (before - one) / after
+                norms[p + 10] = after
+                onward(row_impulse, row_history, history_at, i0, i1, beta)
+                h = history_at + N_HISTORY * (i1 - i0)
+                onward_bodies(solved, row_history, h, body_start[w], body_start[w + 1], beta)
+        else:
+            inside = counters[q + 1] + 1
+            counters[q + 1] = inside
+            period = counters[q + 2]
+            if inside == period - 1:
+                norms[p + 1] = squares(row_change, i0, i1)
+            if inside >= period:
+                if chosen == AITKEN:
+                    end_period(
+                        w, period_min, period_max, cap, threshold, ALWAYS, color_block, rows, row_body, solved,
+                        row_impulse, row_change, counters, norms, 1,
+                    )  # fmt: skip
+                else:
+                    anderson_period(
+                        w, period_min, period_max, cap, threshold, color_block, rows, row_body, solved, row_impulse,
+                        row_change, row_history, history_at, i0, i1, counters, norms,
+                    )  # fmt: skip
+            ended = done >= stretch and counters[q + 1] == 0
+        if ended:
+            counters[q + 10] = done
+            counters[q + 8] = 0
+
+    return SimpleNamespace(reset_adaptive=reset_adaptive, refresh=refresh, adapt=adapt)
