@@ -90,6 +90,14 @@ def leftover(dtype: str, steps: int, scale: float, mass: float = 1.0) -> float:
     return steps * (4 * float(np.finfo(dtype).eps) * scale + 10 * TOLERANCE[dtype] / mass)
 
 
+def creep(dtype: str, time: float, condition: float = 1.0) -> float:
+    """How far something of 1 kg that stands may move in a time [s], in m: at the speed that a solve leaves.
+
+    The next solve removes that speed, so it doesn't add up over the steps; ``condition`` multiplies it.
+    """
+    return time * condition * leftover(dtype, 1, 1.0)
+
+
 def order(steps: Sequence[float], errors: Sequence[float]) -> float:
     """Slope of log error over log time step, by least squares over at least four.
 

@@ -6,6 +6,7 @@ surfaces overlap at the start; what falls moves as the closed form says, or by a
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 
@@ -18,6 +19,7 @@ from .accuracy_common import (
     at_least,
     box,
     cases,
+    creep,
     disc,
     floor,
     leftover,
@@ -105,23 +107,26 @@ def toppling_box(quick: bool) -> Iterator[Check]:
     Dynamics, chapter 17). The first step's spin is alpha dt exactly; then the lever grows: alpha t is a lower bound.
     """
     dt = 1 / 128
-    for half_width, half_height in ((0.5, 0.5), (0.3, 0.6), (0.4, 1.2)):
+    sizes = ((0.5, 0.5), (0.3, 0.6), (0.4, 1.2))
+    for (half_width, half_height), dtype in itertools.product(sizes, ("float64", "float32")):
         for share in (0.5, 0.99, 0.999, 1.001, 1.01, 1.2):
             theta = math.atan(share * half_width / half_height)
             builder = world(tilted(theta))
             floor(builder, friction=2.0)
             body = box(builder, (0.0, half_height), half_width, half_height, mu=2.0)
-            sim = simulation(builder)
-            where = f"b/h {half_width / half_height:.3g}, {share:g} of the angle"
+            sim = simulation(builder, dtype)
+            where = f"b/h {half_width / half_height:.3g}, {share:g} of the angle, {dtype}"
             sim.step(dt)
             square = 4 / 3 * (half_width**2 + half_height**2)
             alpha = G * (half_height * math.sin(theta) - half_width * math.cos(theta)) / square
-            limit = leftover("float64", 1, 1.0) / half_width
+            limit = leftover(dtype, 1, 1.0) / half_width
             yield near(f"{where}: w after a step", velocity(sim)[body, 2], -max(alpha, 0.0) * dt, limit, sim)
             sim.run(127, dt)
             if share < 1:
                 start = np.array((0.0, half_height, 0.0))
-                yield near(f"{where}: stands, moved [m]", pose(sim)[body], start, leftover("float64", 128, 1.0), sim)
+                # its tilt is as much worse conditioned as it is slender
+                limit = creep(dtype, 1.0, (half_height / half_width) ** 2)
+                yield near(f"{where}: stands, moved [m]", pose(sim)[body], start, limit, sim)
             else:
                 yield at_least(f"{where}: falls, turned", -pose(sim)[body, 2], alpha / 2, sim)
 
@@ -155,7 +160,7 @@ def ladder(quick: bool) -> Iterator[Check]:
                 body = builder.add_body(at, type=dc.BodyType.STATIC)
                 # the friction of a pair is the root of both shapes': the ladder has 1
                 builder.add_box(body, *half, friction=mu**2)
-            rod = builder.add_body((foot + top) / 2)
+            rod = builder.add_body((foot + top) / 2, mass=1.0)
             builder.add_capsule(rod, foot - (foot + top) / 2, top - (foot + top) / 2, radius, friction=1.0)
             sim = simulation(builder)
             start = pose(sim)[rod]
@@ -163,20 +168,20 @@ def ladder(quick: bool) -> Iterator[Check]:
             moved = float(np.abs(pose(sim)[rod] - start).max())
             where = f"mu {mu_f}, {mu_w}, {share:g} of the angle"
             if share > 1:
-                yield Check(f"{where}: stands, moved [m]", moved, leftover("float64", 128, 1.0), sim)
+                yield Check(f"{where}: stands, moved [m]", moved, creep("float64", 2.0), sim)
             else:
                 yield at_least(f"{where}: slips [m]", moved, 0.02, sim)
 
 
-def three_discs(phi: float, mu_dd: float, mu_f: float) -> tuple[dc.Simulation, float]:
-    """A disc on two others, the line of centres phi from the vertical; simulation and radius."""
+def three_discs(phi: float, mu_dd: float, mu_f: float, dtype: str = "float64") -> dc.Simulation:
+    """A disc on two others, the line of centres phi from the vertical; radius 0.5."""
     radius = 0.5
     builder = world()
     # the friction of a pair is the root of both shapes'
     floor(builder, friction=mu_f**2 / mu_dd if mu_dd else 0.0)
     for x, y in ((-math.sin(phi), 0.0), (math.sin(phi), 0.0), (0.0, math.cos(phi))):
         disc(builder, (2 * radius * x, radius + 2 * radius * y), radius, mu=mu_dd)
-    return simulation(builder), radius
+    return simulation(builder, dtype)
 
 
 @cases.add
@@ -198,16 +203,17 @@ def three_disc_pile(quick: bool) -> Iterator[Check]:
             ("mu_f 0.99", 1.0, 0.99 * need / 3, False),
             ("both 1.01", 1.01 * need, 1.01 * need / 3, True),
         ):
-            sim, _ = three_discs(phi, mu_dd, mu_f)
-            start = pose(sim)
-            sim.run(128, 1 / 64)
-            moved = float(np.abs(pose(sim) - start).max())
-            where = f"{degrees:g} deg, {name} of its threshold"
-            if stands:
-                yield Check(f"{where}: stands, moved [m]", moved, leftover("float64", 128, 1.0), sim)
-            else:
-                yield at_least(f"{where}: falls [m]", moved, 0.01, sim)
-    sim, _ = three_discs(math.radians(40.0), 1.0, 1.0)
+            for dtype in ("float64", "float32"):
+                sim = three_discs(phi, mu_dd, mu_f, dtype)
+                start = pose(sim)
+                sim.run(128, 1 / 64)
+                moved = float(np.abs(pose(sim) - start).max())
+                where = f"{degrees:g} deg, {name} of its threshold, {dtype}"
+                if stands:
+                    yield Check(f"{where}: stands, moved [m]", moved, creep(dtype, 2.0), sim)
+                else:
+                    yield at_least(f"{where}: falls [m]", moved, 0.01, sim)
+    sim = three_discs(math.radians(40.0), 1.0, 1.0)
     sim.run(32, 1 / 64)
     force, lower, upper = loads(sim, 1 / 64)
     between = (upper == 3) & (lower > 0)
@@ -240,7 +246,7 @@ def three_disc_slide(quick: bool) -> Iterator[Check]:
     steps = tuple(1 / n for n in (64, 128, 256, 512, 1024))
     errors = []
     for dt in steps:
-        sim, _ = three_discs(p0, 0.0, 0.0)
+        sim = three_discs(p0, 0.0, 0.0)
         sim.run(round(end / dt), dt)
         errors.append(float(pose(sim)[3, 1] - radius - 2 * radius * math.cos(p)))
     force, lower, _ = loads(sim, steps[-1])

@@ -16,6 +16,7 @@ from .accuracy_common import (
     at_least,
     box,
     cases,
+    creep,
     floor,
     leftover,
     near,
@@ -43,26 +44,30 @@ def overhang(quick: bool) -> Iterator[Check]:
     """
     half, thick = 0.5, 0.1
     for number in (3, 5) if quick else (3, 5, 8):
-        for share in (0.5, 0.99, 1.01):
-            builder = world()
-            # the table ends at x = 0
-            table = builder.add_body((-5.0, -1.0), type=dc.BodyType.STATIC)
-            builder.add_box(table, 5.0, 1.0)
-            x = 0.0
-            bodies = []
-            for i in range(number):
-                x += share * half / (number - i)
-                bodies.append(box(builder, (x - half, (2 * i + 1) * thick), half, thick))
-            sim = simulation(builder, max_sweeps=20_000)
-            start = pose(sim)
-            sim.run(128, 1 / 64)
-            moved = float(np.abs(pose(sim) - start).max())
-            where = f"{number} blocks, {share:g} of the overhang"
-            if share < 1:
-                yield Check(f"{where}: stands, moved [m]", moved, number**2 * leftover("float64", 128, 1.0), sim)
-            else:
-                # each part turns about an edge by g (0.01 l / 2) / (its inertia's arm) or more: a tenth of that in 2 s
-                yield at_least(f"{where}: falls [m]", moved, 0.01, sim)
+        for dtype in ("float64", "float32"):
+            for share in (0.5, 0.99, 1.01):
+                builder = world()
+                # the table ends at x = 0
+                table = builder.add_body((-5.0, -1.0), type=dc.BodyType.STATIC)
+                builder.add_box(table, 5.0, 1.0)
+                x = 0.0
+                for i in range(number):
+                    x += share * half / (number - i)
+                    box(builder, (x - half, (2 * i + 1) * thick), half, thick)
+                sim = simulation(builder, dtype, max_sweeps=20_000)
+                moved = movement(sim)
+                where = f"{number} blocks, {share:g} of the overhang, {dtype}"
+                if share < 1:
+                    yield Check(f"{where}: stands, moved [m]", moved, creep(dtype, 2.0, number**2), sim)
+                else:
+                    yield at_least(f"{where}: falls [m]", moved, 0.01, sim)
+
+
+def movement(sim: dc.Simulation) -> float:
+    """Largest change of a place or an angle in two seconds [m]."""
+    start = pose(sim)
+    sim.run(128, 1 / 64)
+    return float(np.abs(pose(sim) - start).max())
 
 
 def voussoirs(number: int, thickness: float) -> list[np.ndarray]:
@@ -122,20 +127,20 @@ def arch_thickness(quick: bool) -> Iterator[Check]:
     for number in (9, 21) if quick else (9, 15, 21, 31):
         limit = least_thickness(number)
         yield near(f"{number} blocks: t / R {limit:.4f} to 0.1075, of few blocks", limit, 0.1075, 0.5 / number)
-        for share in (1.1, 0.9):
-            builder = world()
-            ground = builder.add_body(type=dc.BodyType.STATIC)
-            builder.add_box(ground, 3.0, 0.5, center=(0.0, -0.5), friction=2.0)
-            for corners in voussoirs(number, share * limit):
-                builder.add_polygon(builder.add_body(), corners, friction=2.0)
-            sim = simulation(builder, max_sweeps=20_000)
-            start = pose(sim)
-            sim.run(128, 1 / 64)
-            moved = float(np.abs(pose(sim) - start).max())
-            if share > 1:
-                yield Check(f"{number} blocks, 1.1 of it: stands, moved [m]", moved, 1e-4, sim)
-            else:
-                yield at_least(f"{number} blocks, 0.9 of it: falls [m]", moved, 0.05, sim)
+        for dtype in ("float64", "float32"):
+            for share in (1.1, 0.9):
+                builder = world()
+                ground = builder.add_body(type=dc.BodyType.STATIC)
+                builder.add_box(ground, 3.0, 0.5, center=(0.0, -0.5), friction=2.0)
+                for corners in voussoirs(number, share * limit):
+                    builder.add_polygon(builder.add_body(mass=1.0), corners, friction=2.0)
+                sim = simulation(builder, dtype, max_sweeps=20_000)
+                moved = movement(sim)
+                where = f"{number} blocks, {share} of it, {dtype}"
+                if share > 1:
+                    yield Check(f"{where}: stands, moved [m]", moved, creep(dtype, 2.0, number**2), sim)
+                else:
+                    yield at_least(f"{where}: falls [m]", moved, 0.05, sim)
 
 
 @cases.add
@@ -184,10 +189,12 @@ def rocking_block(quick: bool) -> Iterator[Check]:
         after = spin[down + 3, np.arange(len(starts))] + p * p * math.sin(alpha) * 3 * dt
         ratios.append(rms(after / spin.max(axis=0) - (1 - 1.5 * math.sin(alpha) ** 2)))
     yield order_check("the quarter period", steps, times)
-    yield relative(
-        f"quarter period, dt 1/{1 / steps[-1]:.0f}", exact.mean() + times[-1], exact.mean(), 4 * steps[-1] / exact.min()
-    )
-    yield Check(f"restitution of spin, dt 1/{1 / steps[-1]:.0f}", ratios[-1], 0.01)
+    dt = steps[-1]
+    # half a step off at the start, up to two at the impact; the spin then grows by p^2 sin(alpha) dt a step
+    yield Check(f"quarter period, dt 1/{1 / dt:.0f} [s]", times[-1], 2.5 * dt)
+    yield order_check("the restitution of the spin", steps, ratios)
+    limit = 2 * p * p * math.sin(alpha) * dt / float(spin.max(axis=0).min())
+    yield Check(f"restitution of the spin, dt 1/{1 / dt:.0f}", ratios[-1], limit)
 
 
 @cases.add
