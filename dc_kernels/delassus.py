@@ -7,6 +7,7 @@ round-off: no solver here needs more than its diagonal to be positive.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from .arrays import FLOATS, check_values, kernel_array, kernel_vectors, to_numpy
+from .arrays import FLOATS, check_values, kernel_array, kernel_vectors, require, to_numpy
 from .backend import bind, check_backend
 from .types import SolverConfig
 
@@ -55,7 +56,7 @@ class DelassusProblem:
     """Normal and tangential velocity without impulses, (n, 2) [m/s]; restitution and gaps are part of it."""
     mu: np.ndarray
     """Coulomb coefficient, (n,) [1]."""
-    bilateral: np.ndarray | None = None
+    bilateral: np.ndarray = None  # type: ignore[assignment]  # given as None it becomes an array
     """Rows without bound on the normal impulse and without friction: joints, (n,) bool; None: none are."""
     slot: np.ndarray | None = None
     """Where the impulses lie in the arrays of the simulation they are from: contacts, then joints, (n,)."""
@@ -94,7 +95,7 @@ class DelassusProblem:
                 f"row_start runs from {start[0]} to {start[-1]}; it must run from 0 to {blocks}, the blocks"
             )
         _refuse("column", self.column, (self.column < 0) | (self.column >= n), f"in [0, {n})")
-        row = np.repeat(np.arange(n), np.diff(start))
+        row = self.row
         place = row * np.int64(max(n, 1)) + self.column
         twice = np.zeros(blocks, bool)
         order = np.argsort(place, kind="stable")
@@ -102,18 +103,11 @@ class DelassusProblem:
         if twice.any():
             k = int(np.flatnonzero(twice)[0])
             raise ValueError(f"column[{k}] is {self.column[k]} once more in row {row[k]}; a block is given once")
-        diagonal = np.zeros((n, 2, 2))
-        own = row == self.column
-        diagonal[row[own]] = self.block[own]
-        object.__setattr__(self, "diagonal", diagonal)
+        diagonal = self.diagonal
         _refuse("the normal diagonal of W", diagonal[:, 0, 0], ~(diagonal[:, 0, 0] > 0.0), "> 0")
         tangent = diagonal[:, 1, 1]
         _refuse("the tangential diagonal of W", tangent, (tangent < 0.0) & ~free, ">= 0")
         _refuse("the tangential diagonal of W", tangent, (tangent == 0.0) & (self.mu > 0.0), "> 0 where mu > 0")
-
-    if TYPE_CHECKING:
-        diagonal: np.ndarray
-        """The blocks of the diagonal, (n, 2, 2)."""
 
     @classmethod
     def from_compressed(
@@ -180,16 +174,23 @@ class DelassusProblem:
         return len(self.mu)
 
     @functools.cached_property
-    def _matrix_rows(self) -> np.ndarray:
-        """Row of each block."""
+    def row(self) -> np.ndarray:
+        """Row of each block, (blocks,)."""
         return np.repeat(np.arange(self.count), np.diff(self.row_start))
+
+    @functools.cached_property
+    def diagonal(self) -> np.ndarray:
+        """Blocks of the diagonal, (n, 2, 2) [1/kg]; 0 where none is given."""
+        diagonal = np.zeros((self.count, 2, 2))
+        own = self.row == self.column
+        diagonal[self.row[own]] = self.block[own]
+        return diagonal
 
     def product(self, impulses: Any) -> np.ndarray:
         """W r, (n, 2) [m/s]."""
         x = self.check_impulses("impulses", impulses)
         terms = np.einsum("kij,kj->ki", self.block, x[self.column])
-        rows = self._matrix_rows
-        return np.stack([np.bincount(rows, terms[:, i], self.count) for i in (0, 1)], axis=1)
+        return np.stack([np.bincount(self.row, terms[:, i], self.count) for i in (0, 1)], axis=1)
 
     def velocity(self, impulses: Any) -> np.ndarray:
         """Velocities u = W r + q, (n, 2) [m/s]."""
@@ -372,6 +373,15 @@ def solve(
 
         search_automatically(search, newton_only=method == "newton")
     return search.solution()
+
+
+def warmup(dtype: Literal["float32", "float64"] = "float64") -> None:
+    """Load all that a solve needs, which the first one would do otherwise (seconds, if nothing is compiled yet)."""
+    block = np.eye(2)[None]
+    one = DelassusProblem(row_start=[0, 1], column=[0], block=block, q=[[-1.0, 0.5]], mu=[0.3])  # type: ignore[arg-type]
+    solve(one, "aitken", dtype=dtype)
+    with contextlib.suppress(ImportError):  # "auto" does without
+        require("scipy.sparse.linalg", "pipeline")
 
 
 class Search:

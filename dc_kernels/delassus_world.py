@@ -143,25 +143,25 @@ def refine(sim: Simulation, tolerance: float, *, max_sweeps: int = 100_000) -> d
     for world in np.flatnonzero((residual > tolerance) & (flags == 0)):
         w = int(world)
         given = problem(sim, w)
-        start = _read(sim, w, given)
+        start = read_impulses(sim, given)
         solution = solve(given, tolerance=tolerance, max_sweeps=max_sweeps, start=start)
-        _write(sim, w, given, solution)
+        write_impulses(sim, w, given, solution)
         found[w] = solution
     return found
 
 
-def _read(sim: Simulation, world: int, given: DelassusProblem) -> np.ndarray:
-    """Impulses of a world's contacts and joints, (n, 2)."""
-    assert given.slot is not None and given.bilateral is not None
+def read_impulses(sim: Simulation, given: DelassusProblem) -> np.ndarray:
+    """Present impulses of a problem's contacts and joints, (n, 2) [N s]."""
+    assert given.slot is not None
     x = np.zeros((given.count, 2))
     x[~given.bilateral] = sim.contacts.numpy("impulse")[given.slot[~given.bilateral]]
     x[given.bilateral, 0] = sim.joints.numpy("joint_impulse")[given.slot[given.bilateral]]
     return x
 
 
-def _write(sim: Simulation, world: int, given: DelassusProblem, solution: DelassusSolution) -> None:
+def write_impulses(sim: Simulation, world: int, given: DelassusProblem, solution: DelassusSolution) -> None:
     """Impulses to the simulation, with all that follows from them; undone where its residual does not fall."""
-    assert given.slot is not None and given.bilateral is not None
+    assert given.slot is not None
     first = int(sim.contacts.numpy("contact_start")[world])
     slots = slice(first, first + int(sim.contacts.numpy("contact_count")[world]))
     joints = slice(*sim.model.numpy("joint_start")[world : world + 2])

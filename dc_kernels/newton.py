@@ -71,7 +71,7 @@ class Newton:
         self.unit, speed = problem.units
         factor = self.unit / speed
         n = self.n = problem.count
-        row = np.repeat(np.arange(n), np.diff(problem.row_start))
+        row = problem.row
         self.own = row == problem.column
         block = problem.block * factor
         rows = (2 * row[:, None, None] + np.array([[0, 0], [1, 1]])).ravel()

@@ -1,4 +1,4 @@
-"""The command line ``deep-contact``: simulate, demo, protocol, evaluate, explain, figures, generate, train.
+"""The command line ``deep-contact``: simulate, demo, protocol, evaluate, explain, figures, generate, train, fclib.
 
 Options are the fields of the dataclasses below, which tyro turns into flags.
 """
@@ -22,6 +22,7 @@ from dc_kernels.types import SolverConfig
 
 from . import evaluate, figures, generate, grid_plots, plots, run_plots, warmstart
 from .contact_options import ContactTrainOptions
+from .fclib_runs import ExportOptions, SolveOptions, describe_export, describe_solve, export, solve_files
 from .recipe import GenerateOptions, Recipe, load_recipe
 from .scenes import AnyScene, Thesis
 from .simulate import Output, RunOptions, SolverOptions, atomic_path, simulate, torch_threads, write_json
@@ -216,7 +217,49 @@ class TrainContactnet(Common):
         return summary
 
 
-Command = Simulate | Demo | Protocol | Evaluate | Explain | Figures | Generate | Train | TrainContactnet
+@dataclass(frozen=True, kw_only=True)
+class Export:
+    """Simulate a scene and write contact problems of some steps as FCLIB files."""
+
+    scene: AnyScene
+    """What to run; each scene has options of its own."""
+    run: RunOptions = field(default_factory=RunOptions)
+    solver: SolverOptions = field(default_factory=SolverOptions)
+    export: ExportOptions = field(default_factory=ExportOptions)
+
+    def __call__(self, progress: bool) -> tuple[dict[str, Any], str]:
+        result = export(self.scene, self.run, self.solver, self.export, progress)
+        return result, describe_export(result)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solve:
+    """Solve the contact problem of an FCLIB file, or those of all files of a folder."""
+
+    path: Positional[Path]
+    """File or folder."""
+    options: SolveOptions = field(default_factory=SolveOptions)
+
+    def __call__(self, progress: bool) -> tuple[dict[str, Any], str]:
+        result = solve_files(self.path, self.options, progress)
+        return result, describe_solve(result)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fclib(Common):
+    """Contact problems in FCLIB's HDF5 layout: export those of a scene, solve those of others."""
+
+    action: Export | Solve
+    """What to do."""
+
+    def __call__(self) -> dict[str, Any]:
+        result, text = self.action(not self.json)
+        if not self.json:
+            print(text)
+        return result
+
+
+Command = Simulate | Demo | Protocol | Evaluate | Explain | Figures | Generate | Train | TrainContactnet | Fclib
 
 
 def run_protocol(
