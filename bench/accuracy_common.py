@@ -21,7 +21,7 @@ cases = Cases()
 
 TOLERANCE = {"float64": 1e-13, "float32": 1e-6}
 """Largest impulse change [N s] at which an exact solve ends: what rounding of impulses near 1 N s lets it reach."""
-EXACT = (("float64", "none"), ("float64", "aitken"), ("float32", "aitken"))
+EXACT = (("float64", "none"), ("float64", "aitken"), ("float64", "adaptive"), ("float32", "adaptive"))
 """Scalars and accelerations of the cases with a discrete closed form."""
 ORDER_OFF = 0.15
 """How far a measured order may lie from the one of the theory."""
@@ -73,7 +73,7 @@ def disc(
 
 
 def simulation(
-    builder: dc.ModelBuilder, dtype: str = "float64", acceleration: str = "aitken", **settings: Any
+    builder: dc.ModelBuilder, dtype: str = "float64", acceleration: str = "adaptive", **settings: Any
 ) -> dc.Simulation:
     """Solved as far as the scalar allows; impacts bounce at any speed."""
     options: dict[str, Any] = {"tolerance": TOLERANCE[dtype], "max_sweeps": 5000, "restitution_threshold": 0.0}

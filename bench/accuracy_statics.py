@@ -50,8 +50,9 @@ def stack_loads(quick: bool) -> Iterator[Check]:
         for dtype, method, acceleration in (
             ("float64", "pgs", "none"),
             ("float64", "pgs", "aitken"),
+            ("float64", "pgs", "adaptive"),
             ("float64", "jacobi", "aitken"),
-            ("float32", "pgs", "aitken"),
+            ("float32", "pgs", "adaptive"),
         ):
             builder = world()
             bodies = [floor(builder)]
