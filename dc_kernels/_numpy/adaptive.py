@@ -19,7 +19,7 @@ from .common import Array
 
 AITKEN, MOMENTUM, ANDERSON = ADAPT_AITKEN, ADAPT_MOMENTUM, ADAPT_ANDERSON
 UNTRIED = 1e9
-TINY = 1e-30
+DAMPING = 1e-5
 
 
 def reset_adaptive(counter: Array, norm: Array) -> None:
@@ -78,7 +78,8 @@ class Adaptive:
         chosen = counter[9]
         rates = norm[6:9]
         if counter[10] > 0:
-            rates[chosen] = 0.5 * np.log(norm[9] / now) / counter[10] if now > TINY else 0.0
+            gained = 0.5 * np.log(norm[9] / now) / counter[10] if now > 0 else 0.0
+            rates[chosen] = min(gained, 0.5 * UNTRIED)
             best = max([1e-4, *rates[rates < UNTRIED]])
             for i in range(3):
                 if i != chosen and rates[i] < UNTRIED:
@@ -131,16 +132,16 @@ class Adaptive:
             e2, f2 = np.zeros_like(e1), np.zeros_like(f1)
         pairs = ((f1, f1), (f1, f2), (f2, f2), (f1, self.change), (f2, self.change), (e1, e1), (e1, e2), (e2, e2))
         norm[12:20] = [np.sum(p * q) for p, q in pairs]
-        g11, g12, g22, r1, r2, e11, e12, e22 = norm[12:20]
-        shift = 1e-5 * (g11 + g22)
-        g11, g22 = g11 + shift, g22 + shift
+        e11, e12, e22 = norm[17:20]
         a = b = norm.dtype.type(0)
-        if kept == 1:
-            if g11 > TINY:
+        trace = norm[12] + norm[14]
+        if trace > 0:
+            g11, g12, g22, r1, r2 = norm[12:17] / trace
+            g11, g22 = g11 + norm.dtype.type(DAMPING), g22 + norm.dtype.type(DAMPING)
+            if kept == 1:
                 a = r1 / g11
-        else:
-            det = g11 * g22 - g12 * g12
-            if det > TINY * TINY:
+            else:
+                det = g11 * g22 - g12 * g12
                 a, b = (r1 * g22 - r2 * g12) / det, (r2 * g11 - r1 * g12) / det
         length = a * a * e11 + 2 * a * b * e12 + b * b * e22
         scale = cap * np.sqrt(now / length) if length > cap * cap * now else 1.0

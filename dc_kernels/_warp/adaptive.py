@@ -60,7 +60,6 @@ def adaptive_functions(dtype: str, variant: str, apply_world, end_period, extrap
     squares, along = ranges["squares"], ranges["along"]
     onward, onward_bodies = ranges["onward"], ranges["onward_bodies"]
     products, combine, remember = ranges["products"], ranges["combine"], ranges["remember"]
-    tiny = real(1e-30)
     untried = real(1e9)
     half = real(0.5)
     one = real(1.0)
@@ -118,8 +117,8 @@ def adaptive_functions(dtype: str, variant: str, apply_world, end_period, extrap
         chosen = counters[q + 9]
         if length > 0:
             rate = zero
-            if now > tiny:
-                rate = half * wp.log(norms[p + 9] / now) / real(length)
+            if now > zero:
+                rate = wp.min(half * wp.log(norms[p + 9] / now) / real(length), half * untried)
             norms[p + 6 + chosen] = rate
             best = least_rate
             for i in range(3):
@@ -186,22 +185,24 @@ def adaptive_functions(dtype: str, variant: str, apply_world, end_period, extrap
         if rest == 0 and kept > 0:
             # least squares: || change - a (change - change_1) - b (change - change_2) || -> min
             products(row_impulse, row_change, row_history, history_at, i0, i1, kept, norms, p + 12)
-            g11 = norms[p + 12]
-            g12 = norms[p + 13]
-            g22 = norms[p + 14]
-            shift = damping * (g11 + g22)
-            g11 = g11 + shift
-            g22 = g22 + shift
             a = zero
             b = zero
-            if kept == 1:
-                if g11 > tiny:
-                    a = norms[p + 15] / g11
-            else:
-                det = g11 * g22 - g12 * g12
-                if det > tiny * tiny:
-                    a = (norms[p + 15] * g22 - norms[p + 16] * g12) / det
-                    b = (norms[p + 16] * g11 - norms[p + 15] * g12) / det
+            trace = norms[p + 12]
+            if kept > 1:
+                trace += norms[p + 14]
+            if trace > zero:
+                # relative to the trace: products of squares of small impulses would underflow
+                g11 = norms[p + 12] / trace + damping
+                r1 = norms[p + 15] / trace
+                if kept == 1:
+                    a = r1 / g11
+                else:
+                    g12 = norms[p + 13] / trace
+                    g22 = norms[p + 14] / trace + damping
+                    r2 = norms[p + 16] / trace
+                    det = g11 * g22 - g12 * g12
+                    a = (r1 * g22 - r2 * g12) / det
+                    b = (r2 * g11 - r1 * g12) / det
             length = a * a * norms[p + 17] + (a * b + a * b) * norms[p + 18] + b * b * norms[p + 19]
             scale = one
             if length > (cap * cap) * now:
