@@ -94,7 +94,7 @@ class Case:
 
 CASES: dict[str, Case] = {
     "thesis_100": Case(
-        "thesis world, 100 discs", scenes.Thesis(), (80, 100, 120, 140, 180, 1_000), (7, 8, 9), learned=True, cap=10_000
+        "thesis world, 100 discs", scenes.Thesis(), (80, 100, 120, 140, 180, 1_000), (7, 8), learned=True, cap=10_000
     ),
     "thesis_1000": Case(
         "thesis world, 1 000 discs",
