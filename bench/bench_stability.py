@@ -10,9 +10,16 @@ from .verdicts import Cases, judge, table
 
 SUMMARY = "stacks, arches, mass ratios, bullets, overlaps, tumbler, invariance: criterion, value, verdict of each scene"
 KEYS = ("scenes", "failed")
-THREADS = 1
+THREADS = 2
 PICTURES = Path("out/stability")
-MODULES = ("stability_structures", "stability_extremes")
+MODULES = (
+    "stability_structures",
+    "stability_extremes",
+    "stability_scale",
+    "stability_input",
+    "stability_invariance",
+    "stability_fuzz",
+)
 
 
 def cases() -> Cases:
