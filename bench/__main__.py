@@ -1,4 +1,4 @@
-"""``python -m bench NAME [--quick] [--json]``: run one bench; without a name, list them."""
+"""``python -m bench NAME [ARGUMENT ...] [--quick] [--json]``: run one bench; without a name, list them."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ NAMES = (
     "startup",
     "accuracy",
     "error_time",
+    "fc2d",
 )
 
 
@@ -56,6 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one bench: table first, then the JSON line if asked for; 0, or 2 for a name that is not there."""
     parser = argparse.ArgumentParser(prog="python -m bench", description="Benches of deep-contact.")
     parser.add_argument("name", nargs="?", help="which bench; without it they are listed")
+    parser.add_argument("more", nargs="*", metavar="argument", help="what a bench takes beside: fc2d a folder")
     parser.add_argument("--quick", action="store_true", help="fewer repeats and worlds: ends within 40 s")
     parser.add_argument("--json", action="store_true", help="print one JSON line last")
     options = parser.parse_args(arguments)
@@ -69,8 +71,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     wp.config.log_level = wp.LOG_WARNING  # its lines on loading modules would stand between ours
     bench = load(options.name)
+    takes = getattr(bench, "TAKES", "")
+    if len(options.more) > len(takes.split()):
+        wanted = f"{takes} and no more" if takes else "no argument"
+        print(f"bench {options.name} takes {wanted}; there is {' '.join(options.more)!r}", file=sys.stderr)
+        return 2
     print(timing.machine_line(timing.machine(bench.THREADS)))
-    values = bench.measure(options.quick)
+    values = bench.measure(options.quick, *options.more)
     print(bench.report(values), flush=True)
     if options.json:
         print(timing.json_line(options.name, values, bench.KEYS, quick=options.quick, threads=bench.THREADS))
