@@ -202,20 +202,25 @@ class DelassusProblem:
         Nothing here has units to be told apart: impulses [N s] and velocities [m/s] are subtracted as numbers, as the
         field does it. With q = 0 it is not relative: r = 0 is the solution, with map 0.
         """
-        return self._map(impulses, np.ones(self.count))
+        return self.natural_maps(impulses)[0]
 
     def scaled_map(self, impulses: Any) -> float:
         """The same with each impulse times its normal diagonal of W, which makes it the velocity it changes.
 
         It does not depend on units or on how heavy the bodies are: with W times 1e6 and r by 1e6 it stays.
         """
-        return self._map(impulses, self.diagonal[:, 0, 0])
+        return self.natural_maps(impulses)[1]
 
-    def _map(self, impulses: Any, factor: np.ndarray) -> float:
+    def natural_maps(self, impulses: Any) -> tuple[float, float]:
+        """Both."""
         x = self.check_impulses("impulses", impulses)
-        total = float(np.linalg.norm(natural_map(factor[:, None] * x, self.velocity(x), self.mu, self.bilateral)))
-        scale = float(np.linalg.norm(self.q))
-        return total / scale if scale > 0.0 else total
+        u = self.velocity(x)
+        scale = float(np.linalg.norm(self.q)) or 1.0
+        given, scaled = (
+            float(np.linalg.norm(natural_map(y, u, self.mu, self.bilateral))) / scale
+            for y in (x, self.diagonal[:, :1, 0] * x)
+        )
+        return given, scaled
 
     def check_impulses(self, name: str, impulses: Any) -> np.ndarray:
         """Impulses as (n, 2) float64, from (n, 2) or (2n,).
@@ -417,7 +422,7 @@ class Search:
 
     def measure(self, impulses: np.ndarray) -> tuple[float, float]:
         """Both natural maps."""
-        return self.problem.natural_map(impulses), self.problem.scaled_map(impulses)
+        return self.problem.natural_maps(impulses)
 
     def worst(self, maps: tuple[float, float]) -> float:
         """The map that decides."""

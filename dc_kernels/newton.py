@@ -9,13 +9,11 @@ of W until some contact slips or opens; a small reg takes such ways in one step,
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from .arrays import kernel_array, kernel_vectors, require, to_numpy
+from .arrays import kernel_vectors, require, to_numpy
 from .backend import bind
-from .delassus import HUGE, Search, delassus_kernels
+from .delassus import HUGE, METHODS, Search, delassus_kernels
 
 FIRST_SWEEPS = 60  # before Newton: active sets are roughly known then
 PATIENCE = 100  # sweeps without a map halved, after which they have stalled
@@ -85,8 +83,15 @@ class Newton:
         diagonal = np.stack([problem.diagonal[:, 0, 0], problem.diagonal[:, 1, 1]], axis=1) * factor
         self.diagonal = np.where(diagonal > 0.0, diagonal, 1.0).ravel()
         self.rubs = (problem.mu > 0.0) & ~problem.bilateral
-        self.blocks, self.reg_of_blocks = block.reshape(-1, 4), -1.0
-        self.values_of_kernel: dict[str, Any] = {}
+        # arguments of the kernel, kept: to make them anew takes a millisecond
+        self.blocks, self.kernel_reg = block.reshape(-1, 4), -1.0
+        self.packed = problem.packed(search.dtype, search.backend)
+        self.kernel_values, self.kernel_impulse, _ = search.arguments("anderson", 1, 0, search.best)
+        real = np.dtype(search.dtype)
+        self.kernel_block = np.zeros((len(block), 4), real)
+        self.kernel_inverse, self.kernel_q = np.zeros((2, n, 2), real)
+        for name in ("block", "inverse", "q"):
+            self.kernel_values[name] = kernel_vectors(getattr(self, f"kernel_{name}"), search.backend)
 
     # ------------------------------------------------------------------ the outer iteration
 
@@ -211,27 +216,26 @@ class Newton:
 
     def sweep(self, x: np.ndarray, start: np.ndarray, reg: float, sweeps: int, goal: float) -> np.ndarray:
         """Sweeps on the problem regularised about ``start``: Anderson's with reg, Aitken's without; the last ones."""
-        search = self.search
+        search, values = self.search, self.kernel_values
         sweeps = min(sweeps, search.max_sweeps - search.sweeps)
         if sweeps <= 0:
             return x
-        values, last, _ = search.arguments("anderson" if reg else "aitken", sweeps, 0, x.reshape(-1, 2) * self.unit)
-        if reg:
-            real = np.dtype(search.dtype)
-            block = self.blocks.copy()
+        if reg != self.kernel_reg:
+            block, inverse = self.kernel_block, self.kernel_inverse
+            block[...] = self.blocks
             block[self.own, 0] += reg * self.diagonal[::2]
             block[self.own, 3] += reg * self.diagonal[1::2]
-            inverse = to_numpy(values["inverse"]) / real.type(1.0 + reg)
-            q = (self.q - reg * self.diagonal * start).reshape(-1, 2)
-            for name, array in (("block", block), ("inverse", inverse), ("q", q)):
-                values[name] = kernel_vectors(np.ascontiguousarray(array, real), search.backend)
+            inverse[...] = to_numpy(self.packed["inverse"]) / inverse.dtype.type(1.0 + reg)
+            self.kernel_reg = reg
+        self.kernel_q[...] = (self.q - reg * self.diagonal * start).reshape(-1, 2)
+        self.kernel_impulse[...] = x.reshape(-1, 2)
         values.update(
+            method=METHODS["anderson" if reg else "aitken"],
+            max_sweeps=sweeps,
             tolerance=HUGE if goal else 1e-30,
             scaled_tolerance=0.5 * goal if goal else HUGE,
             every=max(20, search.every) if goal else sweeps,
         )
-        counters = np.zeros(3, np.int32)
-        values["counters"] = kernel_array(counters, search.backend)
         bind(delassus_kernels(search.backend, search.dtype)["solve_delassus"], 1, values, "cpu")()
-        search.sweeps += int(counters[0])
-        return last.astype(np.float64).ravel()
+        search.sweeps += int(to_numpy(values["counters"])[0])
+        return self.kernel_impulse.astype(np.float64).ravel()
