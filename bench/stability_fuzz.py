@@ -20,7 +20,7 @@ from .verdicts import Cases, Check
 cases = Cases()
 KINDS = ("disc", "disc off centre", "capsule", "box", "polygon", "rounded")
 STEPS = 12
-EXAMPLES = 600
+EXAMPLES = 300
 FIELDS = ("position", "angle", "velocity", "angular_velocity", "time", "flags")
 
 
