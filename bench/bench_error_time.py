@@ -72,7 +72,7 @@ def measure_case(case: Any, quick: bool, advance: Any) -> tuple[dict[str, Any], 
     references: list[Any] = []
     spreads, contacts = [], []
     for state in states:
-        sim = state.simulation("float64", specialize=False)
+        sim = state.simulation("float64")
         sim.collide(error_time_runs.DT)
         contacts.append(int(sim.contacts.numpy("contact_count")[0]))
         found = []
@@ -80,7 +80,7 @@ def measure_case(case: Any, quick: bool, advance: Any) -> tuple[dict[str, Any], 
             advance(f"reference of step {state.step} from {start}")
             if start == "zero":
                 sim.contacts.numpy("impulse")[:] = 0.0
-            found.append(error_time_references.solve(sim, case.rounds))
+            found.append(error_time_references.solve(sim, case.most))
         references.append([reference for reference in found if reference.reached])
         spreads.append(error_time_references.spread(sim, references[-1]))
     chosen = error_time_solve.settings(case.learned, quick)

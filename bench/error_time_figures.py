@@ -96,7 +96,7 @@ def _solves(axes: Any, points: Sequence[Mapping[str, Any]], error: str, colors: 
             axes.plot(
                 *zip(*curves[label], strict=True), color=colors[label], marker="o", markersize=2.5, label=label, **LINE
             )
-    axes.plot([], [], color=PALE, linewidth=0.8, label="others")
+    axes.plot([], [], color=PALE, linewidth=0.8, label="other settings")
     for point in points:
         if point["kind"] == "solve_default":
             place = (point["seconds"], point[error])
@@ -115,7 +115,6 @@ def _runs(axes: Any, points: Sequence[Mapping[str, Any]], error: str, colors: Ma
             axes.plot(*place, "*", color=plots.CYCLE[0], markersize=13, markeredgecolor="white", zorder=5)
         else:
             axes.plot(*place, "o", color=plots.CYCLE[1], markersize=4, zorder=4)
-    _names(axes, [p for p in ours if error in p.get("front_in", ()) or p["setting"] in ("default", "plain")], error)
     for engine, marker in PEERS.items():
         chosen = [p for p in points if p["engine"] == engine]
         usual = [(p["seconds"], _value(p, error)) for p in chosen if p["dt"] == error_time_runs.DT]
@@ -128,15 +127,23 @@ def _runs(axes: Any, points: Sequence[Mapping[str, Any]], error: str, colors: Ma
         axes.annotate(
             engine, usual[-1], xytext=(5, 3), textcoords="offset points", fontsize=8, color=plots.MUTED, zorder=6
         )
+    _names(axes, [p for p in ours if error in p.get("front_in", ()) or p["setting"] in ("default", "plain")], error)
 
 
 def _names(axes: Any, points: Sequence[Mapping[str, Any]], error: str) -> None:
-    """Labels beside points, in turn above and below where they crowd."""
-    for i, point in enumerate(sorted(points, key=lambda p: p["seconds"])):
+    """Labels beside points, the default's first; one that would lie over another is left out."""
+    placed: list[np.ndarray] = []
+    axes.autoscale_view()
+    low, high = np.log10(np.array([axes.get_xlim(), axes.get_ylim()])).T
+    for point in sorted(points, key=lambda p: (p["setting"] != "default", p["seconds"])):
+        place = (np.log10([point["seconds"], _value(point, error)]) - low) / np.maximum(high - low, 1e-9)
+        if any(abs(place[0] - other[0]) < 0.25 and abs(place[1] - other[1]) < 0.07 for other in placed):
+            continue
+        placed.append(place)
         axes.annotate(
             point["setting"],
             (point["seconds"], _value(point, error)),
-            xytext=(6, 6 if i % 2 else -11),
+            xytext=(6, 5),
             textcoords="offset points",
             fontsize=8,
             color=plots.INK,

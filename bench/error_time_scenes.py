@@ -77,8 +77,8 @@ class Case:
     """Worlds that are recorded."""
     cap: int = 20_000
     """Most sweeps of a solve [1]."""
-    rounds: int = 4
-    """Of the search for a reference [1]."""
+    most: int = 50_000
+    """Sweeps of the search for a reference beside Newton's method, at most [1]."""
     learned: bool = False
     """Whether ContactNet is a start: it has been trained on discs of one size."""
     seconds: float = 2.0
@@ -108,7 +108,7 @@ CASES: dict[str, Case] = {
         scenes.Thesis(bodies=10_000),
         (200, 400, 700),
         cap=1_000,
-        rounds=1,
+        most=2_000,
         repeats=1,
         seconds=1.0,
     ),

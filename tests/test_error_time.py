@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from bench import (
     error_time_scenes,
     error_time_solve,
 )
-from dc_kernels.measure import contact_slots
+from dc_kernels.delassus import DelassusProblem
 from pipeline import scenes
 
 DT = 0.01
@@ -32,7 +33,7 @@ def states():
 
 
 def prepared(state: error_time_scenes.State, dtype: str = "float64") -> dc.Simulation:
-    sim = state.simulation(dtype, specialize=False)
+    sim = state.simulation(dtype)
     sim.collide(DT)
     return sim
 
@@ -97,56 +98,38 @@ def test_lines_are_json(tmp_path):
 # ---------------------------------------------------------------- references
 
 
-def test_problem_is_the_solvers_own(states):
-    """Velocities by the sparse matrix are those that the solver's rows give, with any impulses."""
-    sim = prepared(states[1])
-    task = error_time_references.problem(sim)
-    sim.solve(dc.SolverConfig(max_sweeps=50, tolerance=0.0))
-    slots, _ = contact_slots(sim.contacts)
-    impulse = sim.contacts.numpy("impulse")[slots]
-    assert len(impulse) > 20
-    solved = sim.motion.numpy("solved")
-    a, b, normal = (sim.contacts.numpy(name)[slots] for name in ("body_a", "body_b", "normal"))
-    arms = [sim.contacts.numpy(name)[slots] for name in ("arm_a", "arm_b")]
-    speeds = []
-    for body, arm in zip((a, b), arms, strict=True):
-        turned = solved[body, 2][:, None] * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
-        speeds.append(solved[body, :2] + turned)
-    u = speeds[1] - speeds[0]
-    expected = np.stack([(u * normal).sum(axis=1), u[:, 0] * normal[:, 1] - u[:, 1] * normal[:, 0]], axis=1)
-    found = (task.matrix @ impulse.ravel() + task.free).reshape(-1, 2)
-    np.testing.assert_allclose(found[:, 1], expected[:, 1], atol=1e-12)
-    pressing = impulse[:, 0] > 1e-3
-    # a gap that is open adds a bias to the normal speed
-    closed = sim.contacts.numpy("gap")[slots] <= sim.config.slop
-    np.testing.assert_allclose(found[closed & pressing, 0], expected[closed & pressing, 0], atol=1e-12)
-    with pytest.raises(ValueError, match="variant 'discs'"):
-        error_time_references.problem(states[1].simulation("float64"))
-
-
 @pytest.mark.parametrize("which", [0, 1])
 def test_reference_solves_the_problem(states, which):
     sim = prepared(states[which])
     reference = error_time_references.solve(sim)
     assert reference.reached
     assert max(reference.residual, reference.change) <= 1e-12
-    task = error_time_references.problem(sim)
-    u = (task.matrix @ reference.impulse.ravel() + task.free).reshape(-1, 2)
+    given = DelassusProblem.from_simulation(sim)
+    u = given.velocity(reference.impulse)
     normal, tangent = reference.impulse.T
     assert normal.min() >= 0.0 and u[:, 0].min() > -1e-11
     assert np.abs(normal * u[:, 0]).max() < 1e-11
-    assert (np.abs(tangent) <= task.friction * normal + 1e-12).all()
-    assert np.abs((task.friction * normal - np.abs(tangent)) * u[:, 1]).max() < 1e-11
+    assert (np.abs(tangent) <= given.mu * normal + 1e-12).all()
+    assert np.abs((given.mu * normal - np.abs(tangent)) * u[:, 1]).max() < 1e-11
     assert error_time_references.spread(sim, [reference, reference]) == 0.0
 
 
-def test_newton_goes_where_sweeps_stall():
-    """A settled thesis world whose sweeps stand still near 1e-6, seed 7 after 180 steps, is solved to 1e-12."""
-    state = error_time_scenes.record(error_time_scenes.Case("", scenes.Thesis(), (180,), (7,)))[0]
-    sim = prepared(state)
-    sim.solve(dc.SolverConfig(max_sweeps=20_000, tolerance=1e-14))
-    assert sim.stats.numpy("residual")[0] > 1e-9
-    assert error_time_references.solve(sim).reached
+def test_references_go_where_sweeps_stall():
+    """Of settled thesis worlds some stall far from 1e-12 whatever the sweeps; most of these are solved too."""
+    stalled = reached = 0
+    for state in error_time_scenes.record(error_time_scenes.Case("", scenes.Thesis(), (180,), (7, 8, 9, 10))):
+        sim = prepared(state)
+        sim.solve(replace(sim.config, acceleration="none", max_sweeps=20_000, tolerance=0.0))
+        if sim.stats.numpy("residual")[0] > 1e-10:
+            stalled += 1
+            reached += error_time_references.solve(prepared(state)).reached
+    assert stalled >= 2
+    assert reached >= stalled / 2
+
+
+def test_references_are_of_float64(states):
+    with pytest.raises(ValueError, match="sim is float32"):
+        error_time_references.solve(prepared(states[0], "float32"))
 
 
 # ---------------------------------------------------------------- states, settings, curves
