@@ -59,6 +59,20 @@ def blocks_for(contacts: np.ndarray, joints: np.ndarray) -> np.ndarray:
     return -(-(contacts + joints) // LANES) + SPARE_BLOCKS
 
 
+def typical_weight(model: Model) -> np.ndarray:
+    """Gravity times the geometric mean of the dynamic bodies' masses, (W,) [N]; 0 in a world without any.
+
+    The geometric mean follows light bodies among heavy ones, and not to where a heavy one's round-off lies above it.
+    """
+    worlds = np.repeat(np.arange(model.world_count), np.diff(model.numpy("body_start")))
+    dynamic = model.numpy("inv_mass") > 0
+    mass = model.numpy("mass").astype(np.float64)[dynamic]
+    count = np.bincount(worlds[dynamic], minlength=model.world_count)
+    total = np.bincount(worlds[dynamic], weights=np.log(mass), minlength=model.world_count)
+    mean = np.where(count > 0, np.exp(total / np.maximum(count, 1)), 0.0)
+    return (mean * np.linalg.norm(model.numpy("gravity").astype(np.float64), axis=1)).astype(model.dtype)
+
+
 def move_segments(array: Any, target: Any, old: np.ndarray, new: np.ndarray, counts: np.ndarray) -> None:
     """Copy the used part of every world's segment to its place in a new layout."""
     source = to_numpy(array)
@@ -119,6 +133,7 @@ class Storage:
         self._count(config)
         make = (self.sizes, model.dtype, model.device, model.backend)
         self.motion = Motion(*make)
+        self.motion.assign("weight", typical_weight(model))
         self.pairs = Pairs(*make)
         self.contacts = Contacts(*make)
         self.cache = Cache(*make)

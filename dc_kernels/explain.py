@@ -63,8 +63,9 @@ def explain(sim: Simulation) -> str:
         lines.append(f"solver: PGS in colour order, {LANES} rows side by side in SIMD lanes")
     else:
         lines.append("solver: PGS in colour order, scalar rows")
+    light = f" and {config.relative_tolerance:g} of what a typical weight gives in a step" * (config.stop == "change")
     lines.append(
-        f"acceleration: {config.acceleration}; stop at {config.stop} < {config.tolerance:g} or "
+        f"acceleration: {config.acceleration}; stop at {config.stop} < {config.tolerance:g}{light} or "
         f"{config.max_sweeps} sweeps; a world without rows is not swept"
     )
     if config.position_correction == "ngs":

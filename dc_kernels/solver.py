@@ -40,6 +40,8 @@ def solver_scalars(config: SolverConfig) -> dict[str, Any]:
         "acceleration": ACCELERATIONS[config.acceleration],
         "max_sweeps": config.max_sweeps,
         "tolerance": config.tolerance,
+        # a float32 kernel argument holds no product of inf and 0
+        "relative_tolerance": min(config.relative_tolerance, 1e30),
         "stop": STOPS[config.stop],
         "residual_every": config.residual_every,
         "omega": config.omega if config.acceleration == "sor" else 1.0,
@@ -59,6 +61,7 @@ ITERATION = (
     "acceleration",
     "max_sweeps",
     "tolerance",
+    "relative_tolerance",
     "stop",
     "residual_every",
     "omega",

@@ -96,6 +96,10 @@ def kernels(dtype: str, variant: str) -> Kernels:
         norms[w * NORMS : (w + 1) * NORMS] = 0.0, *(HUGE,) * (NORMS - 1)
         reset_adaptive(counters[w * COUNTERS : (w + 1) * COUNTERS], norms[w * NORMS : (w + 1) * NORMS])
 
+    def change_bound(tolerance: float, relative: Any, stop: int) -> Any:
+        """What a world's stop is compared with: without weight only the tolerance counts."""
+        return min(tolerance, relative) if stop != BY_RESIDUAL and relative > 0 else tolerance
+
     def prepare_sweep(w: int, method: int, body_start: Array, solved: Array, summed: Array) -> None:
         """A place to sum up Jacobi's changes."""
         if method == JACOBI:
@@ -282,6 +286,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         acceleration: int,
         max_sweeps: int,
         tolerance: float,
+        relative_tolerance: float,
         stop: int,
         residual_every: int,
         omega: float,
@@ -295,6 +300,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
         history_step: int,
         resume: int,
         pause: int,
+        step_dt: Array,
+        weight: Array,
         body_start: Array,
         flags: Array,
         joint_start: Array,
@@ -330,6 +337,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         history_at = history_offset + tid * history_step
         if flags[w]:
             return
+        bound = change_bound(tolerance, relative_tolerance * weight[w] * step_dt[w], stop)
         world = world_rows(w, color_block, rows, row_body, predicted)
         counter = counters[w * COUNTERS : (w + 1) * COUNTERS]
         if not resume:
@@ -367,7 +375,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
                 changes = (sweep_row(row, solved, row_impulse, row_change, omega) for row in world)
             largest = max(changes)
             paused = conclude_sweep(
-                w, largest, world, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
+                w, largest, world, method, acceleration, max_sweeps, bound, stop, residual_every, period_min,
                 period_max, cap, threshold, patience, stretch, history_at, pause_at, body_start, color_block, row_scale,
                 predicted, solved, summed, row_impulse, row_change, row_before, row_direction, row_history, counters,
                 norms, history,
@@ -478,6 +486,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         acceleration: int,
         max_sweeps: int,
         tolerance: float,
+        relative_tolerance: float,
         stop: int,
         residual_every: int,
         period_min: int,
@@ -488,6 +497,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
         stretch: int,
         history_offset: int,
         history_step: int,
+        step_dt: Array,
+        weight: Array,
         body_start: Array,
         flags: Array,
         color_block: Array,
@@ -511,9 +522,10 @@ def kernels(dtype: str, variant: str) -> Kernels:
         history_at = history_offset + tid * history_step
         if flags[w] or counters[w * COUNTERS + 3]:
             return
+        bound = change_bound(tolerance, relative_tolerance * weight[w] * step_dt[w], stop)
         world = world_rows(w, color_block, rows, row_body, solved)
         conclude_sweep(
-            w, norms[w * NORMS], world, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
+            w, norms[w * NORMS], world, method, acceleration, max_sweeps, bound, stop, residual_every, period_min,
             period_max, cap, threshold, patience, stretch, history_at, NEVER, body_start, color_block, row_scale,
             predicted, solved, summed, row_impulse, row_change, row_before, row_direction, row_history, counters, norms,
             history,

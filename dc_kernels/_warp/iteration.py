@@ -42,7 +42,15 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     squares, conjugate = ranges["squares"], ranges["conjugate"]
     joints = variant == "joints"
     huge = real(3e38)
+    zero = real(0.0)
     tiny = real(1e-30)
+
+    @wp.func(module=module)
+    def change_bound(tolerance: real, relative: real, stop: int):
+        """What a world's stop is compared with: without weight only the tolerance counts."""
+        if stop != BY_RESIDUAL and relative > zero:
+            return wp.min(tolerance, relative)
+        return tolerance
 
     @wp.func(module=module)
     def sweep_world(
@@ -380,6 +388,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         return 0
 
     return SimpleNamespace(
+        change_bound=change_bound,
         load_impulses=load_impulses,
         start_world=start_world,
         prepare_sweep=prepare_sweep,

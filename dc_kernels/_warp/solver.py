@@ -35,7 +35,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     module = kernel_module("solver", dtype, variant)
     iteration = iteration_functions(dtype, variant)
     load_impulses, start_world, natural_map = iteration.load_impulses, iteration.start_world, iteration.natural_map
-    end_period = iteration.end_period
+    end_period, change_bound = iteration.end_period, iteration.change_bound
     prepare_sweep, sweep_world, conclude_sweep = (
         iteration.prepare_sweep,
         iteration.sweep_world,
@@ -53,6 +53,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         acceleration: int,
         max_sweeps: int,
         tolerance: real,
+        relative_tolerance: real,
         stop: int,
         residual_every: int,
         omega: real,
@@ -67,6 +68,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         resume: int,
         pause: int,
         # Model, state, joints, contacts:
+        step_dt: wp.array(dtype=real),
+        weight: wp.array(dtype=real),
         body_start: wp.array(dtype=wp.int32),
         flags: wp.array(dtype=wp.int32),
         joint_start: wp.array(dtype=wp.int32),
@@ -109,6 +112,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         history_at = history_offset + tid * history_step
         if flags[w] != 0:
             return
+        bound = change_bound(tolerance, relative_tolerance * weight[w] * step_dt[w], stop)
         done = int(0)
         if resume == 0:
             start_world(
@@ -148,7 +152,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 w, method, omega, color_block, rows, row_body, body_rows, solved, summed, row_impulse, row_change
             )
             done = conclude_sweep(
-                w, largest, method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min, period_max,
+                w, largest, method, acceleration, max_sweeps, bound, stop, residual_every, period_min, period_max,
                 cap, threshold, patience, stretch, history_at, pause_at, body_start, color_block, rows, row_body,
                 row_scale, predicted, solved, summed, row_impulse, row_change, row_before, row_direction, row_history,
                 counters, norms, history,
@@ -266,6 +270,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         acceleration: int,
         max_sweeps: int,
         tolerance: real,
+        relative_tolerance: real,
         stop: int,
         residual_every: int,
         period_min: int,
@@ -276,6 +281,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         stretch: int,
         history_offset: int,
         history_step: int,
+        step_dt: wp.array(dtype=real),
+        weight: wp.array(dtype=real),
         body_start: wp.array(dtype=wp.int32),
         flags: wp.array(dtype=wp.int32),
         color_block: wp.array(dtype=wp.int32),
@@ -300,8 +307,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         history_at = history_offset + tid * history_step
         if flags[w] != 0 or counters[w * N_COUNTERS + 3] != 0:
             return
+        bound = change_bound(tolerance, relative_tolerance * weight[w] * step_dt[w], stop)
         conclude_sweep(
-            w, norms[w * N_NORMS], method, acceleration, max_sweeps, tolerance, stop, residual_every, period_min,
+            w, norms[w * N_NORMS], method, acceleration, max_sweeps, bound, stop, residual_every, period_min,
             period_max, cap, threshold, patience, stretch, history_at, NO_PAUSE, body_start, color_block, rows,
             row_body, row_scale, predicted, solved, summed, row_impulse, row_change, row_before, row_direction,
             row_history, counters, norms, history,
