@@ -94,8 +94,8 @@ def measure_case(case: Any, quick: bool, advance: Any) -> tuple[dict[str, Any], 
     runs = error_time_runs.points(case, states[-1], error_time_runs.runs(quick), advance)
     error_time_points.mark(runs, error_time_runs.ERRORS)
     mean: dict[str, Any] = {"kind": "solve_default", "setting": "default"}
-    for name in ("sweeps", "seconds"):
-        mean[name] = sum(point[name] for point in default) / len(default)
+    mean["sweeps"] = sum(point["sweeps"] for point in default) / len(default)
+    mean["seconds"] = error_time_points.geometric_mean(point["seconds"] for point in default)
     for name in error_time_solve.ERRORS:
         mean[name] = error_time_points.geometric_mean(point["errors"][name] for point in default)
     summary = {

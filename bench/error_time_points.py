@@ -59,7 +59,7 @@ def geometric_mean(values: Iterable[float]) -> float | None:
 
 
 def mean_points(curves: Sequence[Mapping[Setting, Curve]], caps: Sequence[int]) -> list[dict[str, Any]]:
-    """A point for each setting and number of sweeps: times and sweeps as means of the states, errors geometric ones.
+    """A point for each setting and number of sweeps: geometric means over the states, of sweeps the mean.
 
     Args:
         curves: of each state; an error that is NaN there (no reference) is left out of its mean.
@@ -74,7 +74,7 @@ def mean_points(curves: Sequence[Mapping[Setting, Curve]], caps: Sequence[int]) 
             found = [at for at in (curve[setting].at(cap) for curve in curves) if at is not None]
             point: dict[str, Any] = {"kind": "solve", "setting": setting.label, **setting.fields(), "max_sweeps": cap}
             point["sweeps"] = float(np.mean([sweeps for _, sweeps, _ in found]))
-            point["seconds"] = float(np.mean([seconds for seconds, _, _ in found]))
+            point["seconds"] = geometric_mean(seconds for seconds, _, _ in found)
             for name in ERRORS:
                 point[name] = geometric_mean(errors[name] for _, _, errors in found)
             points.append(point)
@@ -133,5 +133,8 @@ def write(points: Iterable[Mapping[str, Any]], path: Path) -> None:
 
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(path) as target:
-        lines = [json.dumps({name: rounded(value) for name, value in point.items()}) for point in points]
+        lines = [
+            json.dumps({name: rounded(value) for name, value in point.items()}, separators=(",", ":"))
+            for point in points
+        ]
         target.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")

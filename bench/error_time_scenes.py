@@ -103,6 +103,12 @@ CASES: dict[str, Case] = {
         learned=True,
         cap=5_000,
     ),
+    "pyramid": Case("pyramid of 465 boxes", scenes.Pyramid(rows=30), (2, 20, 100, 300), cap=5_000),
+    "mixed": Case("300 discs, polygons, capsules", scenes.Mixed(bodies=300), (120, 160, 200, 250, 1_000), cap=5_000),
+    "mixed_masses": Case(
+        "300 discs, masses 1 to 1e4", MixedMasses(bodies=300), (120, 160, 200, 250, 1_000), cap=10_000
+    ),
+    "heavy_on_light": Case("boxes under 10 to 1e4 times their mass", HeavyOnLight(), (2, 20, 100, 300), cap=20_000),
     "thesis_10000": Case(
         "thesis world, 10 000 discs",
         scenes.Thesis(bodies=10_000),
@@ -112,12 +118,6 @@ CASES: dict[str, Case] = {
         repeats=1,
         seconds=1.0,
     ),
-    "pyramid": Case("pyramid of 465 boxes", scenes.Pyramid(rows=30), (2, 20, 100, 300), cap=5_000),
-    "mixed": Case("300 discs, polygons, capsules", scenes.Mixed(bodies=300), (120, 160, 200, 250, 1_000), cap=5_000),
-    "mixed_masses": Case(
-        "300 discs, masses 1 to 1e4", MixedMasses(bodies=300), (120, 160, 200, 250, 1_000), cap=10_000
-    ),
-    "heavy_on_light": Case("boxes under 10 to 1e4 times their mass", HeavyOnLight(), (2, 20, 100, 300), cap=20_000),
 }
 QUICK = {
     "thesis_100": Case(
