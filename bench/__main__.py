@@ -25,6 +25,7 @@ NAMES = (
     "accuracy",
     "error_time",
     "fc2d",
+    "stability",
 )
 
 

@@ -52,14 +52,14 @@ def standing(count: int, seconds: float, **settings: Any) -> Iterator[Check]:
 def stack_of_10(quick: bool) -> Iterator[Check]:
     """Statics: nothing moves, and box k carries g times the mass above it (each world's mean of its second half).
 
-    The tolerance is 1e-5 N s: with the default, 1e-4, ten boxes drift by 1 to 2 % in a minute.
+    The tolerance is 1e-5 N s: with the default, 1e-4, ten boxes drift by some 2 % in a minute.
     """
     yield from standing(10, 10.0 if quick else 60.0, tolerance=1e-5)
 
 
 @cases.add
 def stack_of_50(quick: bool) -> Iterator[Check]:
-    """As ten boxes, solved to 1e-9 N s in float64 within 20 000 sweeps.
+    """As ten boxes, solved to 1e-8 N s in float64 within 5000 sweeps.
 
     Relative velocities u left at n joints move the top by n^2 u / 2, and the condition of a column against bending
     grows with n^4, so that a first-order solver has to be pushed further the taller it is.
@@ -277,16 +277,19 @@ def piles(quick: bool) -> Iterator[Check]:
     """Discs and polygons without friction and with mu = 10 come to rest: at 20 s the energy lies below the start's.
 
     Kinetic energy at the end is held against the weight times 1 cm of all bodies together; overlap against 1 % of a
-    diameter (1 m).
+    diameter (1 m). With mu = 10 sweeps go in a circle in half of the steps with polygons: friction couples normals more
+    strongly than a sweep contracts. Plain sweeps stay bounded there, extrapolated ones may end at a cap with 50 times
+    the energy of the pile; so mu = 10 runs without acceleration.
     """
     for friction in (0.0, 10.0):
         for name in ("thesis", "mixed"):
-            sim = simulate(scenes.scene(name, friction=friction).build(1 if quick else 4))
+            settings: dict[str, Any] = {} if friction < 2.0 else {"acceleration": "none"}
+            sim = simulate(scenes.scene(name, friction=friction).build(1 if quick else 8), **settings)
             start = energy(sim)
             rows = watch(sim, 20.0, lambda s: (energy(s), depth(s)), every=0.5)
             weight = float(sim.model.numpy("mass").sum()) * G
             moving = float(measure.kinetic_energy(sim).sum())
-            what = f"{name}, mu {friction:g}"
+            what = f"{name}, mu {friction:g}, {named(settings)}"
             yield Check(f"{what}: largest energy over the start's", float(rows[:, 0].max()) / start, 1.0, sim)
             yield Check(f"{what}: kinetic energy at 20 s over weight x 1 cm", moving / (weight * 0.01), 1e-2, sim)
             yield Check(f"{what}: deepest overlap after 10 s [m]", float(rows[len(rows) // 2 :, 1].max()), 0.01, sim)
