@@ -317,6 +317,8 @@ class DelassusSolution:
     """Whether the residuals that were asked for are within the tolerance."""
     sweeps: int
     """Sweeps, those before and beside Newton's method included."""
+    pivotings: int
+    """Problems, whole or patches of at most 80 contacts, solved by Lemke's pivots."""
     factorizations: int
     """LU factorisations of Newton's method."""
     history: np.ndarray
@@ -343,7 +345,7 @@ def solve(
         method: "pgs" projected Gauss-Seidel in the order of the contacts, normal before friction; "sor" the same,
             over-relaxed; "aitken" extrapolation with back-off; "nncg" (Silcowitz et al. 2010); "anderson" with
             back-off; "hybrid" momentum, and Aitken where it does not help; "newton" from 60 sweeps on; "auto" sweeps,
-            and Newton where they stall (sweeps alone without SciPy).
+            Lemke's pivots where they stall, and Newton where that fails too (not without SciPy).
         tolerance: of the relative natural maps [1].
         max_sweeps: sweeps at most, all phases together.
         start: impulses (n, 2) [N s]; None: zero.
@@ -414,6 +416,7 @@ class Search:
         self.dtype = dtype
         self.backend = backend
         self.sweeps = 0
+        self.pivotings = 0
         self.factorizations = 0
         self.reason = REASONS[0]
         self.rows: list[np.ndarray] = []
@@ -520,6 +523,7 @@ class Search:
             scaled_residual=self.maps[1],
             converged=self.done,
             sweeps=self.sweeps,
+            pivotings=self.pivotings,
             factorizations=self.factorizations,
             history=history,
         )

@@ -1,8 +1,8 @@
-"""Newton's method for Delassus problems on which first-order methods stall; needs SciPy for sparse LU factors.
+"""Delassus problems on which first-order methods stall: pivots (``lemke``), then Newton's method, which needs SciPy.
 
-A proximal point method: from x_k solve the problem with W + reg D and q - reg D x_k, D the diagonal of W, and let reg
-fall while that is easy. Each of these problems is regular, whatever W; it is solved by semismooth Newton on the
-nonsymmetric formulation of Alart and Curnier (1991) with a line search, and by sweeps where that gets nowhere: sweeps
+Newton's is a proximal point method: from x_k solve the problem with W + reg D and q - reg D x_k, D the diagonal of W,
+and let reg fall while that is easy. Each of these problems is regular, whatever W; it is solved by semismooth Newton on
+the nonsymmetric formulation of Alart and Curnier (1991) with a line search, and by sweeps where that gets nowhere: they
 find active sets, Newton the long modes of a fixed one. Where piles are hyperstatic, impulses drift along null vectors
 of W until some contact slips or opens; a small reg takes such ways in one step, which no descent method does.
 """
@@ -14,9 +14,13 @@ import numpy as np
 from .arrays import kernel_vectors, require, to_numpy
 from .backend import bind
 from .delassus import HUGE, METHODS, Search, delassus_kernels
+from .lemke import WHOLE, lemke, solve_patch
 
 FIRST_SWEEPS = 60  # before Newton: active sets are roughly known then
 PATIENCE = 100  # sweeps without a map halved, after which they have stalled
+PATCHES = 4  # that may fail to halve the map before others try
+WORSE = 100.0  # times the map: a patch that leaves more elsewhere is taken back
+AFTER_PATCH = 30  # sweeps after each: what a patch moves its neighbours follow
 FACTORIZATIONS = 1000  # at most in a solve
 REG_FIRST, REG_LEAST, REG_MOST = 1e-3, 1e-13, 1e3
 STEPS = (1.0, 0.5, 0.25, 0.1)  # of the line search
@@ -29,7 +33,7 @@ AFTER = 10  # sweeps without regularisation after each problem
 
 
 def search_automatically(search: Search, *, newton_only: bool = False) -> None:
-    """Sweeps, Newton where they stall, sweeps again where that fails too; or 60 sweeps and Newton.
+    """Sweeps; pivots where they stall, Newton where that fails too, sweeps again; or 60 sweeps and Newton.
 
     Raises:
         ImportError: ``newton_only`` without SciPy.
@@ -37,11 +41,12 @@ def search_automatically(search: Search, *, newton_only: bool = False) -> None:
     if newton_only:
         require("scipy", "pipeline")
         search.sweep("anderson", FIRST_SWEEPS)
-        _newton(search)
+        _newton(search, patches=False)
         return
     looks = max(1, PATIENCE // search.every)
     search.sweep("anderson", FIRST_SWEEPS)
     search.sweep("anderson", search.max_sweeps, patience=looks)
+    _pivots(search)
     if search.done:
         return
     try:
@@ -49,23 +54,43 @@ def search_automatically(search: Search, *, newton_only: bool = False) -> None:
     except ImportError:
         search.sweep("hybrid", search.max_sweeps, patience=10 * looks)
     else:
-        _newton(search)
+        _newton(search, patches=True)
     search.sweep("aitken", search.max_sweeps)
 
 
-def _newton(search: Search) -> None:
+def _pivots(search: Search) -> None:
+    """Small problems by pivots and the sweeps that round them off; large ones patch by patch, while that helps."""
+    patience = PATCHES
+    x = search.best
+    while not search.done and patience > 0 and search.sweeps < search.max_sweeps:
+        patience -= 1
+        whole = search.problem.count <= WHOLE
+        y = lemke(search.problem) if whole else solve_patch(search.problem, x)
+        search.pivotings += 1
+        if y is None:
+            return
+        before = search.worst(search.maps)
+        search.offer(y)
+        x = search.sweep("aitken", AFTER_PATCH, start=y)
+        if whole:
+            return
+        if search.worst(search.maps) < 0.5 * before:
+            patience = PATCHES
+
+
+def _newton(search: Search, patches: bool) -> None:
     if not search.done and search.problem.count:
-        Newton(search).run()
+        Newton(search, patches).run()
 
 
 class Newton:
     """The method on one problem, in the units in which it is of order 1; impulses are flat, (2n,)."""
 
-    def __init__(self, search: Search) -> None:
-        """Set up W as a sparse matrix."""
+    def __init__(self, search: Search, patches: bool) -> None:
+        """Set up W as a sparse matrix; ``patches``: use pivots too, where a regularised problem is not solved."""
         sparse = require("scipy.sparse", "pipeline")
         problem = search.problem
-        self.search, self.problem = search, problem
+        self.search, self.problem, self.patches = search, problem, patches
         self.unit, speed = problem.units
         factor = self.unit / speed
         n = self.n = problem.count
@@ -116,10 +141,22 @@ class Newton:
                 sweeps = min(2 * sweeps, SWEEPS_MOST)
                 if then < now:
                     x, now = y, then
+                y = self.patched(x)
+                then = self.offer(y)
+                if then < WORSE * now:
+                    x, now = y, then
             y = self.sweep(x, x, 0.0, AFTER, 0.0)
             then = self.offer(y)
             if then < now or not solved:
                 x, now = y, then
+
+    def patched(self, x: np.ndarray) -> np.ndarray:
+        """Impulses with the worst patch solved by pivots, and sweeps after it; as they were with Newton alone."""
+        if not self.patches:
+            return x
+        self.search.pivotings += 1
+        found = solve_patch(self.problem, x.reshape(-1, 2) * self.unit)
+        return x if found is None else self.sweep(found.ravel() / self.unit, x, 0.0, AFTER_PATCH, 0.0)
 
     def offer(self, x: np.ndarray) -> float:
         """Keep impulses if they are the best; their map."""

@@ -124,7 +124,7 @@ class SolveOptions:
     """How FCLIB problems are solved."""
 
     method: Method = "auto"
-    """Sweeps and, where they stall, Newton: auto; or one of them."""
+    """Sweeps and, where they stall, pivots and Newton: auto; or one of them."""
     tolerance: float = 1e-8
     """Relative natural map at which a solve ends [1]."""
     max_sweeps: int = 100_000
@@ -142,7 +142,7 @@ def solve_files(path: Path, options: SolveOptions, progress: bool = True) -> dic
 
     Returns:
         ``method``, ``tolerance``, ``converged`` (of all), and ``files``: for each name contacts, converged, residual,
-        scaled_residual, sweeps, factorizations, seconds.
+        scaled_residual, sweeps, pivotings, factorizations, seconds.
 
     Raises:
         ValueError: naming the file, for one that cannot be read; an option out of its range.
@@ -174,6 +174,7 @@ def solve_files(path: Path, options: SolveOptions, progress: bool = True) -> dic
             "residual": solution.residual,
             "scaled_residual": solution.scaled_residual,
             "sweeps": solution.sweeps,
+            "pivotings": solution.pivotings,
             "factorizations": solution.factorizations,
             "seconds": time.perf_counter() - began,
         }
@@ -201,11 +202,11 @@ def describe_export(result: dict[str, Any]) -> str:
 def describe_solve(result: dict[str, Any]) -> str:
     """A line for each file."""
     width = max(map(len, result["files"]))
-    lines = [f"{'file'.ljust(width)}  contacts  sweeps   LU  natural map   scaled       ms"]
+    lines = [f"{'file'.ljust(width)}  contacts  sweeps  pivotings   LU  natural map   scaled       ms"]
     for name, row in result["files"].items():
         lines.append(
-            f"{name.ljust(width)}  {row['contacts']:8d}  {row['sweeps']:6d}  {row['factorizations']:3d}  "
-            f"{row['residual']:11.2e}  {row['scaled_residual']:7.1e}  {1e3 * row['seconds']:7.1f}"
+            f"{name.ljust(width)}  {row['contacts']:8d}  {row['sweeps']:6d}  {row['pivotings']:9d}  "
+            f"{row['factorizations']:3d}  {row['residual']:11.2e}  {row['scaled_residual']:7.1e}  {1e3 * row['seconds']:7.1f}"
             + ("" if row["converged"] else f"  not below {result['tolerance']:g}")
         )
     return "\n".join(lines)

@@ -12,6 +12,7 @@ from dc_kernels.arrays import to_numpy
 from dc_kernels.backend import argument_names
 from dc_kernels.delassus import METHODS, DelassusProblem, Search, delassus_kernels, solve
 from dc_kernels.delassus_world import refine
+from dc_kernels.lemke import PATCH, lemke, solve_patch
 from pipeline import scenes
 
 FIRST_ORDER = [*METHODS]
@@ -158,6 +159,48 @@ def test_units_do_not_matter(name, w, q, request):
     np.testing.assert_allclose(
         scaled_problem(problem, w, q).product(other.impulses) / q, problem.product(usual.impulses), atol=1e-6
     )
+
+
+def random_problem(draw: np.random.Generator, contacts: int, bodies: int) -> DelassusProblem:
+    """Contacts at random on few bodies of random masses, approaching; it has a solution since q = J v."""
+    jacobian = np.zeros((contacts, 2, bodies, 3))
+    for c in range(contacts):
+        angle, pair = draw.uniform(0, 2 * np.pi), draw.permutation(bodies + 1)[:2]
+        for sign, body in zip((1.0, -1.0), pair, strict=True):
+            if body < bodies:  # the last one is the ground
+                n = np.array([np.cos(angle), np.sin(angle)])
+                arm = draw.normal(size=2)
+                for k, d in enumerate((n, np.array([n[1], -n[0]]))):
+                    jacobian[c, k, body] = sign * np.array([*d, arm[0] * d[1] - arm[1] * d[0]])
+    flat = jacobian.reshape(2 * contacts, 3 * bodies)
+    w = (flat * np.repeat(10.0 ** draw.uniform(-2, 2, bodies), 3)) @ flat.T
+    return from_dense(w, flat @ draw.normal(size=3 * bodies), draw.choice([0.0, 0.1, 0.3, 0.6], contacts))
+
+
+def test_hyperstatic_problems():
+    """Up to twenty times as many contacts as bodies could need: singular, and far from unique."""
+    draw = np.random.default_rng(5)
+    for _ in range(25):
+        bodies = int(draw.integers(1, 8))
+        problem = random_problem(draw, int(draw.integers(bodies, 20 * bodies)), bodies)
+        solution = solve(problem, tolerance=1e-8)
+        assert solution.converged, (problem.count, bodies, solution.residual)
+
+
+def test_pivots_are_exact(pile, stack):
+    for problem in (pile, stack):
+        assert max(problem.natural_maps(lemke(problem))) < 1e-9
+    assert lemke(stack, max_pivots=3) is None
+
+
+def test_patch_leaves_the_rest(pile):
+    near = solve(pile, "pgs", tolerance=1e-12, max_sweeps=50).impulses
+    wrong = near.copy()
+    worst = int(np.argmax(near[:, 0]))
+    wrong[worst] *= 1.5
+    patched = solve_patch(pile, wrong)
+    assert pile.scaled_map(patched) < 0.01 * pile.scaled_map(wrong)
+    assert 1 < (patched != wrong).any(axis=1).sum() <= PATCH
 
 
 def test_heavy_on_light():
