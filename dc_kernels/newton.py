@@ -13,7 +13,8 @@ import numpy as np
 
 from .arrays import kernel_vectors, require, to_numpy
 from .backend import bind
-from .delassus import HUGE, METHODS, Search, delassus_kernels
+from .delassus import METHODS
+from .delassus_search import HUGE, Search, delassus_kernels
 from .lemke import WHOLE, lemke, solve_patch
 
 FIRST_SWEEPS = 60  # before Newton: active sets are roughly known then

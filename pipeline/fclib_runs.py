@@ -206,7 +206,7 @@ def describe_solve(result: dict[str, Any]) -> str:
     for name, row in result["files"].items():
         lines.append(
             f"{name.ljust(width)}  {row['contacts']:8d}  {row['sweeps']:6d}  {row['pivotings']:9d}  "
-            f"{row['factorizations']:3d}  {row['residual']:11.2e}  {row['scaled_residual']:7.1e}  {1e3 * row['seconds']:7.1f}"
-            + ("" if row["converged"] else f"  not below {result['tolerance']:g}")
+            f"{row['factorizations']:3d}  {row['residual']:11.2e}  {row['scaled_residual']:7.1e}  "
+            f"{1e3 * row['seconds']:7.1f}" + ("" if row["converged"] else f"  not below {result['tolerance']:g}")
         )
     return "\n".join(lines)

@@ -10,7 +10,8 @@ import pytest
 import dc_kernels as dc
 from dc_kernels.arrays import to_numpy
 from dc_kernels.backend import argument_names
-from dc_kernels.delassus import METHODS, DelassusProblem, Search, delassus_kernels, solve
+from dc_kernels.delassus import METHODS, DelassusProblem, solve
+from dc_kernels.delassus_search import Search, delassus_kernels
 from dc_kernels.delassus_world import refine
 from dc_kernels.lemke import PATCH, lemke, solve_patch
 from pipeline import scenes
