@@ -19,8 +19,6 @@ from .verdicts import Check
 DT = 0.01
 EXACT: dict[str, Any] = {"dtype": "float64", "tolerance": 1e-8, "max_sweeps": 5000}
 """For tall structures, whose slowest modes sum up what single contacts leave unsolved."""
-FINE: dict[str, Any] = {"tolerance": 1e-7}
-"""For blocks of some 0.02 kg: the default tolerance, 1e-4 N s, is a twentieth of what carries one for a step."""
 
 
 def simulate(builder: dc.ModelBuilder, dtype: str = "float32", **settings: Any) -> dc.Simulation:
