@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dc_kernels.arrays import require
 from pipeline import plots
 
 from . import error_time_runs, error_time_solve
@@ -26,6 +27,7 @@ PANELS = (
 )
 LEAST = {"penetration": 1e-9, "drift": 1e-9}  # zero is drawn there
 PEERS = {"pymunk": "s", "pybox2d": "^"}
+OFFSETS = {"pymunk": 5, "pybox2d": -10}  # of their names [points]
 MOST_NAMED = 5  # curves of a scene with a colour of their own
 
 
@@ -49,6 +51,7 @@ def scene_figure(title: str, points: Sequence[Mapping[str, Any]], path: Path) ->
                 panel.text(0.5, 0.5, "no reference reached", transform=panel.transAxes, ha="center", color=plots.MUTED)
                 continue
             (_solves if kind == "solve" else _runs)(panel, chosen, error, colors)
+            _decades(panel)
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, fontsize=9, loc="outside lower center", ncols=9, handlelength=1.6)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -64,8 +67,23 @@ def _colors(points: Sequence[Mapping[str, Any]]) -> dict[str, str]:
             counts[point["setting"]] = counts.get(point["setting"], 0) + on
     fixed = [error_time_solve.DEFAULT.label, "plain"]
     often = sorted((label for label in counts if label not in fixed and counts[label]), key=lambda s: -counts[s])
+    colors = {"plain": plots.INK, fixed[0]: plots.CYCLE[0]}
+    for setting in error_time_solve.settings(learned=True):  # the same colour in every figure, as far as they last
+        if setting.label not in colors and setting.method == "pgs":
+            colors[setting.label] = plots.CYCLE[1 + (len(colors) - 2) % (len(plots.CYCLE) - 1)]
     named = [label for label in fixed if label in counts] + often[:MOST_NAMED]
-    return dict(zip(named, (plots.CYCLE[0], plots.INK, *plots.CYCLE[1:]), strict=False))
+    return {label: colors.get(label, plots.MUTED) for label in named}
+
+
+def _decades(axes: Any) -> None:
+    """Ticks at whole decades only, two of them at least on each axis."""
+    ticker = require("matplotlib.ticker", "pipeline")
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        if np.floor(np.log10(high)) - np.ceil(np.log10(low)) < 1:
+            low, high = 10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high))
+            (axes.set_xlim if axis is axes.xaxis else axes.set_ylim)(low * 0.9, high * 1.1)
+        axis.set_minor_formatter(ticker.NullFormatter())
 
 
 def _front(axes: Any, points: Sequence[Mapping[str, Any]], error: str) -> None:
@@ -125,7 +143,13 @@ def _runs(axes: Any, points: Sequence[Mapping[str, Any]], error: str, colors: Ma
         if finer:
             axes.plot(*zip(*finer, strict=True), marker, color=plots.MUTED, markersize=5, fillstyle="none", zorder=2)
         axes.annotate(
-            engine, usual[-1], xytext=(5, 3), textcoords="offset points", fontsize=8, color=plots.MUTED, zorder=6
+            engine,
+            usual[-1],
+            xytext=(5, OFFSETS[engine]),
+            textcoords="offset points",
+            fontsize=8,
+            color=plots.MUTED,
+            zorder=6,
         )
     _names(axes, [p for p in ours if error in p.get("front_in", ()) or p["setting"] in ("default", "plain")], error)
 
@@ -178,6 +202,7 @@ def motion_figure(points: Sequence[Mapping[str, Any]], path: Path) -> None:
                 places = np.array([(p["seconds"], p["trajectory"]) for p in curve])
                 axes.plot(*places.T, markersize=4, label=series, **{"linewidth": 1.6, **style[series]})
             axes.set(xscale="log", yscale="log", title=motion.title, xlabel="wall time per simulated second [s]")
+            _decades(axes)
             axes.text(
                 0.03, 0.03, "order in dt\n" + "\n".join(orders), transform=axes.transAxes, fontsize=8, color=plots.MUTED
             )
