@@ -82,20 +82,29 @@ class Search:
             self.best, self.maps = impulses, maps
         return better
 
-    def sweep(self, method: str, sweeps: int, *, patience: int = 0, start: np.ndarray | None = None) -> np.ndarray:
+    def sweep(
+        self,
+        method: str,
+        sweeps: int,
+        *,
+        patience: int = 0,
+        gain: float = 0.5,
+        start: np.ndarray | None = None,
+    ) -> np.ndarray:
         """A first-order solve of so many sweeps at most from ``start`` (None: the best impulses); its last impulses.
 
         Args:
             method: key of ``METHODS``.
             sweeps: at most.
-            patience: end where the maps have not halved for so many looks; 0: never.
+            patience: end where the maps have not fallen to ``gain`` times for so many looks; 0: never.
+            gain: see patience.
             start: (n, 2) [N s].
         """
         x = self.best if start is None else start
         sweeps = min(sweeps, self.max_sweeps - self.sweeps)
         if sweeps <= 0 or self.done or not self.problem.count:
             return x
-        values, last, best = self.arguments(method, sweeps, patience, x)
+        values, last, best = self.arguments(method, sweeps, patience, x, gain)
         kernel = delassus_kernels(self.backend, self.dtype)["solve_delassus"]
         bind(kernel, 1, values, "cpu")()
         counters, history = to_numpy(values["counters"]), to_numpy(values["history"])
@@ -114,7 +123,7 @@ class Search:
         return last.astype(np.float64) * unit
 
     def arguments(
-        self, method: str, sweeps: int, patience: int, start: np.ndarray
+        self, method: str, sweeps: int, patience: int, start: np.ndarray, gain: float = 0.5
     ) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
         """Arguments of ``solve_delassus`` by name, and the arrays of its last and its best impulses."""
         real, n, backend = np.dtype(self.dtype), self.problem.count, self.backend
@@ -128,6 +137,7 @@ class Search:
             "max_sweeps": sweeps,
             "every": self.every,
             "patience": patience,
+            "gain": gain,
             "tolerance": max(self.tolerance, LEAST),
             "scaled_tolerance": max(self.tolerance, LEAST) if self.scaled else HUGE,
             "omega": self.omega if method == "sor" else 1.0,

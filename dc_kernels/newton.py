@@ -22,6 +22,9 @@ PATIENCE = 100  # sweeps without a map halved, after which they have stalled
 PATCHES = 4  # that may fail to halve the map before others try
 WORSE = 100.0  # times the map: a patch that leaves more elsewhere is taken back
 AFTER_PATCH = 30  # sweeps after each: what a patch moves its neighbours follow
+SLOW = 3000  # sweeps that may follow while they gain a little: they are cheaper than what comes next
+SMALL, LARGE = 40, 400  # contacts between which a few factorisations come before pivots, which take milliseconds below
+FEW = 15  # of them; above, one place mostly holds up all others
 FACTORIZATIONS = 1000  # at most in a solve
 REG_FIRST, REG_LEAST, REG_MOST = 1e-3, 1e-13, 1e3
 STEPS = (1.0, 0.5, 0.25, 0.1)  # of the line search
@@ -47,16 +50,25 @@ def search_automatically(search: Search, *, newton_only: bool = False) -> None:
     looks = max(1, PATIENCE // search.every)
     search.sweep("anderson", FIRST_SWEEPS)
     search.sweep("anderson", search.max_sweeps, patience=looks)
+    search.sweep("hybrid", SLOW, patience=looks, gain=0.9)
+    if SMALL < search.problem.count <= LARGE and _has_scipy():
+        _newton(search, patches=False, most=FEW)
     _pivots(search)
     if search.done:
         return
+    if _has_scipy():
+        _newton(search, patches=True)
+    else:
+        search.sweep("hybrid", search.max_sweeps, patience=10 * looks)
+    search.sweep("aitken", search.max_sweeps)
+
+
+def _has_scipy() -> bool:
     try:
         require("scipy", "pipeline")
     except ImportError:
-        search.sweep("hybrid", search.max_sweeps, patience=10 * looks)
-    else:
-        _newton(search, patches=True)
-    search.sweep("aitken", search.max_sweeps)
+        return False
+    return True
 
 
 def _pivots(search: Search) -> None:
@@ -79,16 +91,23 @@ def _pivots(search: Search) -> None:
             patience = PATCHES
 
 
-def _newton(search: Search, patches: bool) -> None:
+def _newton(search: Search, patches: bool, most: int = FACTORIZATIONS) -> None:
     if not search.done and search.problem.count:
-        Newton(search, patches).run()
+        Newton(search, patches, most).run()
 
 
 class Newton:
     """The method on one problem, in the units in which it is of order 1; impulses are flat, (2n,)."""
 
-    def __init__(self, search: Search, patches: bool) -> None:
-        """Set up W as a sparse matrix; ``patches``: use pivots too, where a regularised problem is not solved."""
+    def __init__(self, search: Search, patches: bool, most: int) -> None:
+        """Set up W as a sparse matrix.
+
+        Args:
+            search: what is solved.
+            patches: use pivots too, where a regularised problem is not solved.
+            most: factorisations.
+        """
+        self.most = search.factorizations + most
         sparse = require("scipy.sparse", "pipeline")
         problem = search.problem
         self.search, self.problem, self.patches = search, problem, patches
@@ -127,7 +146,7 @@ class Newton:
         x = search.best.ravel() / self.unit
         now = search.worst(search.maps)
         reg, sweeps, wait = REG_FIRST, SWEEPS, 0
-        while not search.done and search.factorizations < FACTORIZATIONS and search.sweeps < search.max_sweeps:
+        while not search.done and search.factorizations < self.most and search.sweeps < search.max_sweeps:
             goal = max(ACCURACY * now, 0.1 * search.tolerance)
             y, solved, steps = self.proximal(x, reg, goal, sweeps)
             then = self.offer(y)
@@ -173,7 +192,7 @@ class Newton:
         for step in range(INNER):
             if error <= goal:
                 return x, True, step
-            if self.search.factorizations >= FACTORIZATIONS:
+            if self.search.factorizations >= self.most:
                 break
             target = self.newton_point(x, u, reg)
             moved = False

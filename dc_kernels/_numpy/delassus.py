@@ -82,6 +82,7 @@ def solve_delassus(
     max_sweeps: int,
     every: int,
     patience: int,
+    gain: float,
     tolerance: float,
     scaled_tolerance: float,
     omega: float,
@@ -112,7 +113,7 @@ def solve_delassus(
     history: Array,
     counters: Array,
 ) -> None:
-    """Sweeps from ``impulse`` until both natural maps are met or have not halved for ``patience`` looks."""
+    """Sweeps from ``impulse`` until both natural maps are met or fell by no ``gain`` in ``patience`` looks."""
     n = len(q)
     w = _dense(block_start, block_col, block)
     x = impulse.copy()
@@ -148,7 +149,7 @@ def solve_delassus(
             worst = max(maps[0] / tolerance, maps[1] / scaled_tolerance)
             if worst < least:
                 least, best[:] = worst, x
-            if worst < 0.5 * mark:
+            if worst < gain * mark:
                 mark, marked = worst, looks
             if worst <= 1.0:
                 reason = CONVERGED

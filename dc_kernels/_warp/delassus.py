@@ -268,6 +268,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         max_sweeps: int,
         every: int,
         patience: int,
+        gain: real,
         tolerance: real,
         scaled_tolerance: real,
         omega: real,
@@ -302,7 +303,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         history: wp.array2d(dtype=real),
         counters: wp.array(dtype=wp.int32),
     ):
-        """Sweeps from ``impulse`` until both natural maps are met or have not halved for ``patience`` looks."""
+        """Sweeps from ``impulse`` until both natural maps are met or fell by no ``gain`` in ``patience`` looks."""
         n = q.shape[0]
         sweeps = int(0)
         looks = int(0)
@@ -357,7 +358,7 @@ def kernels(dtype: str) -> dict[str, Any]:
                     least = worst
                     for c in range(n):
                         best[c] = impulse[c]
-                if worst < real(0.5) * mark:
+                if worst < gain * mark:
                     mark = worst
                     marked = looks
                 if worst <= real(1.0):
