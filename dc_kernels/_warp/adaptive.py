@@ -3,6 +3,22 @@
 A solve is cut into stretches. The step of the first sweep after a stretch tells by how much a sweep of it shrank the
 error; the next stretch goes to the method with the best rate, and one that rests gains on it, so that it is tried again
 when the active set has changed. The first stretch is Aitken's: most solves end in it and cost no more than with Aitken.
+
+Momentum is Nesterov's with restart, as in FISTA, but without projection between sweeps, which project anyway: so the
+velocities follow by linearity, without a pass over the contacts, and a sweep with it costs a fifth more. Anderson's
+update looks back on two periods of three sweeps; where the next step grew it rests, and Aitken's stands in.
+
+Tried on 460 states of piles of discs (100 and 1 000), mixed bodies, mass ratios of 1e4, a stack and a pyramid; sweeps
+to a natural map of 1e-4, geometric mean of the scenes' means, of which this takes 203 and Aitken 299:
+
+- Momentum, Aitken in between where it stalls: 202, by the stack (5 times fewer than Aitken); on discs no fewer sweeps,
+  each dearer. Anderson alone, safeguarded: 243, by the stack; mixed bodies and mass ratios take more than with Aitken.
+- Anderson without a safeguard (3, 5 or 8 back, every 3 to 5 sweeps): up to a sixth of the states hit the cap.
+- SOR with a factor chosen by the rate (Young): between fixed factors. 1.7 stalls on 13 of 71 states of 100 discs, 1.9
+  on 54: with friction a pile's active set cycles.
+- The methods in turns without a choice: 218, and twice as many states at the cap. Stretches of 30: 227, of 80 to 240:
+  203-221. One iterate to look back on: 219; three: 202; five: 209.
+- Newton's method on the states that hit a cap: see ``newton``; worth its factorisations for 1e-6 and less only.
 """
 
 from functools import cache
