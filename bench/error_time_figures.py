@@ -49,6 +49,7 @@ def scene_figure(title: str, points: Sequence[Mapping[str, Any]], path: Path) ->
             panel.set_xlabel("wall time of a solve [s]" if kind == "solve" else "wall time per simulated second [s]")
             if not chosen:
                 panel.text(0.5, 0.5, "no reference reached", transform=panel.transAxes, ha="center", color=plots.MUTED)
+                panel.axis("off")
                 continue
             (_solves if kind == "solve" else _runs)(panel, chosen, error, colors)
             _decades(panel)

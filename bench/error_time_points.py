@@ -100,8 +100,9 @@ def race(curves: Sequence[Mapping[Setting, Curve]], level: float, error: str = "
         error: one of ``ERRORS``.
 
     Returns:
-        ``seconds``, ``missed``, in how many states it never came there, and of how many, ``states``; the fewest missed
-        first, then the fastest.
+        ``seconds``; ``missed``, in how many states it never came there, and of how many, ``states``; ``over_front``,
+        geometric mean over the states where it came there of its time over the fastest setting's, None where it came
+        to none. The fewest missed first, then the fastest.
     """
     arrivals = []
     for state in curves:
@@ -111,12 +112,18 @@ def race(curves: Sequence[Mapping[Setting, Curve]], level: float, error: str = "
         reached = {setting: time_to(level, times[setting], state[setting].errors[error]) for setting in state}
         if any(time is not None for time in reached.values()):
             arrivals.append({setting: (reached[setting], times[setting][-1]) for setting in state})
-    found = {}
+    found: dict[str, dict[str, Any]] = {}
     for setting in arrivals[0] if arrivals else ():
         pairs = [arrival[setting] for arrival in arrivals]
         seconds = float(np.mean([last if time is None else time for time, last in pairs]))
         missed = sum(time is None for time, _ in pairs)
+        ratios = [
+            time / min(other for other, _ in arrival.values() if other is not None)
+            for arrival, (time, _) in zip(arrivals, pairs, strict=True)
+            if time is not None
+        ]
         found[setting.label] = {"seconds": seconds, "missed": missed, "states": len(pairs)}
+        found[setting.label]["over_front"] = geometric_mean(ratios)
     return dict(sorted(found.items(), key=lambda item: (item[1]["missed"], item[1]["seconds"])))
 
 

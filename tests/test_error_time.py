@@ -86,6 +86,8 @@ def test_race_counts_who_missed():
     assert [race[name]["missed"] for name in race] == [0, 1]
     assert race["aitken"]["states"] == 2
     assert race["aitken"]["seconds"] == pytest.approx(1.5)
+    assert race["aitken"]["over_front"] == 1.0  # where it got there; then plain took longer
+    assert race["plain"]["over_front"] == pytest.approx(math.sqrt(2.0 ** math.log(1e4, 1e5)), rel=1e-6)
 
 
 def test_lines_are_json(tmp_path):
