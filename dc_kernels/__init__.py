@@ -11,9 +11,10 @@
     sim = dc.Simulation(*builder.finalize())
     sim.run(steps=100, dt=0.01)
 
-Only numpy and warp-lang are needed. ``operators`` and ``sph_operators`` hold the torch operators; all else is here. A
-name is imported when it is first used, so importing the package costs next to nothing; ``types.py`` holds the
-conventions and the name of every array.
+Only numpy and warp-lang are needed. ``operators``, ``sph_operators`` and ``sweep_operators`` hold the torch operators,
+``delassus`` and ``delassus_world`` contact problems in Delassus form; all else is here. A name is imported when it is
+first used, so importing the package costs next to nothing; ``types.py`` holds the conventions and the name of every
+array.
 """
 
 from __future__ import annotations

@@ -160,7 +160,7 @@ class Storage:
             missing.append((self.motion, "summed", "body sum", self.sizes["body+1"]))
         if config.acceleration == "nncg" and self.sizes["row direction"] == 0:
             missing.append((self.rows, "row_direction", "row direction", self.sizes["row pair"]))
-        if config.acceleration == "adaptive" and self.sizes["row history"] == 0:
+        if config.acceleration != "none" and self.sizes["row history"] == 0:
             missing.append((self.rows, "row_history", "row history", self.at_once * self.history_width))
         for group, name, axis, size in missing:
             self.sizes[axis] = size
@@ -202,12 +202,12 @@ class Storage:
         )
         if self.sizes["row direction"] or config.acceleration == "nncg":
             self.sizes["row direction"] = self.sizes["row pair"]
-        if self.sizes["row history"] or config.acceleration == "adaptive":
+        if self.sizes["row history"] or config.acceleration != "none":
             self.sizes["row history"] = self.at_once * self.history_width
 
     @property
     def history_width(self) -> int:
-        """Numbers that a world's solve with acceleration "adaptive" may have to look back on."""
+        """Numbers that a world's accelerated solve may have to look back on."""
         rows = int(self.block_room.max(initial=0)) * 2 * LANES
         return HISTORY * rows + 4 * int(np.diff(self.model.numpy("body_start")).max(initial=0))
 

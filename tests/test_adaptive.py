@@ -10,7 +10,7 @@ import pytest
 import dc_kernels as dc
 from dc_kernels import measure
 from dc_kernels.types import ADAPT_ANDERSON, ADAPT_MOMENTUM, COUNTERS
-from pipeline.scenes import Stack, Thesis
+from pipeline.scenes import Mixed, Stack, Thesis
 
 DT = 0.01
 TIGHT = dc.SolverConfig(acceleration="adaptive", tolerance=1e-10, max_sweeps=20_000, stretch=20)
@@ -153,3 +153,17 @@ def test_nonsense_leaves_no_trace():
 def test_stretch_out_of_range_is_refused():
     with pytest.raises(ValueError, match=r"SolverConfig.stretch is 9; it must lie in \[10,"):
         dc.SolverConfig(stretch=9)
+
+
+@pytest.mark.parametrize("acceleration", ["adaptive", "aitken"])
+def test_no_energy_comes_from_sweeps_that_circle(acceleration):
+    """With a friction of 10 half of the steps hit their cap; momentum alone would gain 1e4 times the energy in one."""
+    config = dc.SolverConfig(acceleration=acceleration, max_sweeps=600)
+    sim = dc.Simulation(*Mixed(bodies=50, friction=10.0).build(4, 0).finalize(), config=config)
+    start = measure.kinetic_energy(sim) + measure.potential_energy(sim)
+    capped = 0
+    for _ in range(250):
+        sim.step(DT)
+        capped += int((sim.stats.numpy("sweeps") == 600).sum())
+        assert (measure.kinetic_energy(sim) + measure.potential_energy(sim) < start).all()
+    assert capped > 100

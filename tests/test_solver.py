@@ -278,7 +278,7 @@ def test_single_precision_satisfies_the_contact_laws():
         check_laws(sim, impulse, solved, 2e-4)
 
 
-@pytest.mark.parametrize(("variant", "seed"), [("discs", 4), ("joints", 4)])
+@pytest.mark.parametrize(("variant", "seed"), [("discs", 4), ("joints", 5)])
 def test_every_method_reaches_the_same_velocities(variant, seed):
     sim = pile(variant, "float64", seeds=(seed,))
     sim.run(200, DT)

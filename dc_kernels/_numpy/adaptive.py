@@ -14,6 +14,7 @@ from ..types import (
     ANDERSON_PERIOD,
     ANDERSON_REST,
     ANDERSON_REST_MAX,
+    ASTRAY,
 )
 from .common import Array
 
@@ -51,8 +52,9 @@ class Adaptive:
         counter[8] += 1
         if counter[8] == 1:
             self.begin_stretch()
+        astray = norm[0] > ASTRAY * norm[20]
         if counter[9] == MOMENTUM:
-            ended = counter[8] >= stretch
+            ended = astray or counter[8] >= stretch
             if ended:
                 self.refresh()
             else:
@@ -66,7 +68,7 @@ class Adaptive:
                     self.end_period()
                 else:
                     self.anderson_period(period_min, cap)
-            ended = counter[8] >= stretch and counter[1] == 0
+            ended = astray or (counter[8] >= stretch and counter[1] == 0)
         if ended:
             counter[10] = counter[8]
             counter[8] = 0
@@ -156,5 +158,5 @@ class Adaptive:
 
     def remember(self) -> None:
         """The latest iterate and its step go in front."""
-        self.history[2:] = self.history[:2].copy()
+        self.history[2:4] = self.history[:2].copy()
         self.history[0], self.history[1] = self.x, self.change

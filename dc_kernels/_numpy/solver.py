@@ -6,7 +6,21 @@ from typing import Any
 
 import numpy as np
 
-from ..types import ACCELERATIONS, COLORS, COUNTERS, HISTORY, LANES, METHODS, NEVER, NORMS, SERIAL_COLOR, STOPS
+from ..types import (
+    ACCELERATIONS,
+    ASTRAY,
+    BEST,
+    COLORS,
+    COUNTERS,
+    HISTORY,
+    LANES,
+    METHODS,
+    NEVER,
+    NORMS,
+    RETREAT,
+    SERIAL_COLOR,
+    STOPS,
+)
 from .adaptive import MOMENTUM, Adaptive, reset_adaptive
 from .common import Array, Kernels
 from .row import Row, by_lane, jacobi_row, natural_map_row, push_row, read_row, sweep_row
@@ -14,6 +28,7 @@ from .row import Row, by_lane, jacobi_row, natural_map_row, push_row, read_row, 
 JACOBI = METHODS["jacobi"]
 AITKEN = ACCELERATIONS["aitken"]
 NNCG = ACCELERATIONS["nncg"]
+PLAIN = ACCELERATIONS["none"]
 ADAPTIVE = ACCELERATIONS["adaptive"]
 BY_RESIDUAL = STOPS["residual"]
 HUGE = 3e38
@@ -217,11 +232,28 @@ def kernels(dtype: str, variant: str) -> Kernels:
         else:
             converged = largest < tolerance
         counter[3] = int(last or converged)
-        if counter[3]:
-            if acceleration == ADAPTIVE and counter[9] == MOMENTUM:
-                refresh(w, world, body_start, predicted, solved, row_impulse)
-            return False
         used = blocks_of(w, color_block)
+        anew = bool(counter[3]) and acceleration == ADAPTIVE and counter[9] == MOMENTUM
+        retreat = False
+        if acceleration != PLAIN and pause_at == NEVER:
+            first = acceleration == ADAPTIVE and counter[8] == 0
+            x = by_lane(row_impulse)[used]
+            best = row_history[history_at + BEST * x.size :][: x.size].reshape(x.shape)
+            if (first or 2 * counter[0] > max_sweeps) and largest < x.dtype.type(0.9) * norm[20]:
+                norm[20] = largest
+                best[:] = x
+            if (first or last) and largest > (RETREAT if last else ASTRAY) * norm[20]:
+                x[:] = best
+                norm[0] = norm[20]
+                retreat = True
+        if anew or retreat:
+            refresh(w, world, body_start, predicted, solved, row_impulse)
+        if counter[3]:
+            return False
+        if retreat:
+            norm[6 + counter[9]] = 0.0
+            counter[10] = 0
+            return False
         x, change = by_lane(row_impulse)[used], by_lane(row_change)[used]
         inside = counter[1] + 1
         if acceleration == AITKEN:

@@ -6,7 +6,21 @@ from types import SimpleNamespace
 import warp as wp
 
 from ..rows import COLUMNS
-from ..types import ACCELERATIONS, ADAPT_MOMENTUM, COLORS, COUNTERS, LANES, METHODS, NORMS, SERIAL_COLOR, STOPS
+from ..types import (
+    ACCELERATIONS,
+    ADAPT_MOMENTUM,
+    ASTRAY,
+    BEST,
+    COLORS,
+    COUNTERS,
+    LANES,
+    METHODS,
+    NEVER,
+    NORMS,
+    RETREAT,
+    SERIAL_COLOR,
+    STOPS,
+)
 from .adaptive import adaptive_functions
 from .common import kernel_module, scalar_types
 from .lanes import has_lanes, lane_functions, range_functions
@@ -20,7 +34,10 @@ JACOBI = wp.constant(METHODS["jacobi"])
 AITKEN = wp.constant(ACCELERATIONS["aitken"])
 NNCG = wp.constant(ACCELERATIONS["nncg"])
 ADAPTIVE = wp.constant(ACCELERATIONS["adaptive"])
+PLAIN = wp.constant(ACCELERATIONS["none"])
 MOMENTUM = wp.constant(ADAPT_MOMENTUM)
+AT_BEST = wp.constant(BEST)
+NO_PAUSE = wp.constant(NEVER)
 BY_RESIDUAL = wp.constant(STOPS["residual"])
 N_COUNTERS = wp.constant(COUNTERS)
 N_NORMS = wp.constant(NORMS)
@@ -161,7 +178,8 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         counters[q + 1] = inside
 
     adaptive = adaptive_functions(dtype, variant, apply_world, end_period, extrapolate)
-    adapt, refresh, reset_adaptive = adaptive.adapt, adaptive.refresh, adaptive.reset_adaptive
+    adapt, discard = adaptive.adapt, adaptive.discard
+    refresh, reset_adaptive = adaptive.refresh, adaptive.reset_adaptive
 
     @wp.func(module=module)
     def natural_map(
@@ -338,12 +356,33 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         if sweeps >= max_sweeps:
             done = 1
         counters[q + 3] = done
-        if done == 1:
-            if acceleration == ADAPTIVE and counters[q + 9] == MOMENTUM:
-                refresh(w, body_start, color_block, rows, row_body, predicted, solved, row_impulse)
-            return 1
         i0 = color_block[w * ENDS] * 2 * N_LANES
         i1 = color_block[w * ENDS + N_COLORS] * 2 * N_LANES
+        anew = done == 1 and acceleration == ADAPTIVE and counters[q + 9] == MOMENTUM
+        retreat = bool(False)
+        if acceleration != PLAIN and pause_at == NO_PAUSE:
+            first = acceleration == ADAPTIVE and counters[q + 8] == 0
+            best = history_at + AT_BEST * (i1 - i0)
+            if (first or 2 * sweeps > max_sweeps) and change < real(0.9) * norms[p + 20]:
+                norms[p + 20] = change
+                for i in range(i0, i1):
+                    row_history[best + i - i0] = row_impulse[i]
+            limit = real(ASTRAY)
+            if sweeps >= max_sweeps:
+                limit = real(RETREAT)
+            if (first or sweeps >= max_sweeps) and change > limit * norms[p + 20]:
+                # where plain sweeps circle, as they may with much friction, extrapolation can lead far off
+                for i in range(i0, i1):
+                    row_impulse[i] = row_history[best + i - i0]
+                norms[p] = norms[p + 20]
+                retreat = True
+        if anew or retreat:
+            refresh(w, body_start, color_block, rows, row_body, predicted, solved, row_impulse)
+        if done == 1:
+            return 1
+        if retreat:
+            discard(w, counters, norms)
+            return 0
         inside = counters[q + 1] + 1
         if acceleration == AITKEN:
             counters[q + 1] = inside
