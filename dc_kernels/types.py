@@ -61,7 +61,7 @@ COUNTERS = 16
 # change of this sweep, |step|^2 of the sweep before the period's last, of the period or sweep before, least so far, of
 # the last two sweeps before a pause; of "adaptive": rate of each method, |step|^2 of the stretch's first sweep,
 # Nesterov's t, |step|^2 before Anderson's update, its eight sums of products; least change of a stretch's first sweep,
-# or since half the cap
+# or of any since half the cap
 NORMS = 21
 ADAPT_AITKEN, ADAPT_MOMENTUM, ADAPT_ANDERSON = 0, 1, 2  # methods of "adaptive"
 # arrays of row impulses that an accelerated solve looks back on: two iterates and their steps, the iterate of the least
@@ -69,7 +69,6 @@ ADAPT_AITKEN, ADAPT_MOMENTUM, ADAPT_ANDERSON = 0, 1, 2  # methods of "adaptive"
 HISTORY = 5
 BEST = 4
 RETREAT = 4.0  # times the least change: a solve that hits its cap beyond goes back to where that was
-ASTRAY = 1000.0  # times the least change: there a stretch ends and goes back
 ANDERSON_PERIOD = 3  # sweeps between two updates
 ANDERSON_REST, ANDERSON_REST_MAX = 4, 64  # periods without it after one that did harm
 NEVER = 2**30  # sweeps until a pause, where there is none

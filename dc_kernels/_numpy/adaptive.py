@@ -14,7 +14,6 @@ from ..types import (
     ANDERSON_PERIOD,
     ANDERSON_REST,
     ANDERSON_REST_MAX,
-    ASTRAY,
 )
 from .common import Array
 
@@ -52,9 +51,8 @@ class Adaptive:
         counter[8] += 1
         if counter[8] == 1:
             self.begin_stretch()
-        astray = norm[0] > ASTRAY * norm[20]
         if counter[9] == MOMENTUM:
-            ended = astray or counter[8] >= stretch
+            ended = counter[8] >= stretch
             if ended:
                 self.refresh()
             else:
@@ -68,7 +66,7 @@ class Adaptive:
                     self.end_period()
                 else:
                     self.anderson_period(period_min, cap)
-            ended = astray or (counter[8] >= stretch and counter[1] == 0)
+            ended = counter[8] >= stretch and counter[1] == 0
         if ended:
             counter[10] = counter[8]
             counter[8] = 0

@@ -8,7 +8,6 @@ import numpy as np
 
 from ..types import (
     ACCELERATIONS,
-    ASTRAY,
     BEST,
     COLORS,
     COUNTERS,
@@ -234,7 +233,6 @@ def kernels(dtype: str, variant: str) -> Kernels:
         counter[3] = int(last or converged)
         used = blocks_of(w, color_block)
         anew = bool(counter[3]) and acceleration == ADAPTIVE and counter[9] == MOMENTUM
-        retreat = False
         if acceleration != PLAIN and pause_at == NEVER:
             first = acceleration == ADAPTIVE and counter[8] == 0
             x = by_lane(row_impulse)[used]
@@ -242,17 +240,13 @@ def kernels(dtype: str, variant: str) -> Kernels:
             if (first or 2 * counter[0] > max_sweeps) and largest < x.dtype.type(0.9) * norm[20]:
                 norm[20] = largest
                 best[:] = x
-            if (first or last) and largest > (RETREAT if last else ASTRAY) * norm[20]:
+            if last and norm[20] < HUGE and not largest <= RETREAT * norm[20]:
                 x[:] = best
                 norm[0] = norm[20]
-                retreat = True
-        if anew or retreat:
-            refresh(w, world, body_start, predicted, solved, row_impulse)
+                anew = True
         if counter[3]:
-            return False
-        if retreat:
-            norm[6 + counter[9]] = 0.0
-            counter[10] = 0
+            if anew:
+                refresh(w, world, body_start, predicted, solved, row_impulse)
             return False
         x, change = by_lane(row_impulse)[used], by_lane(row_change)[used]
         inside = counter[1] + 1

@@ -33,7 +33,6 @@ from ..types import (
     ANDERSON_PERIOD,
     ANDERSON_REST,
     ANDERSON_REST_MAX,
-    ASTRAY,
     COLORS,
     COUNTERS,
     HISTORY,
@@ -61,7 +60,7 @@ ALWAYS = wp.constant(NEVER)
 
 @cache
 def adaptive_functions(dtype: str, variant: str, apply_world, end_period, extrapolate) -> SimpleNamespace:
-    """``adapt``, what follows a sweep, ``discard``, ``refresh`` and ``reset_adaptive``.
+    """``adapt``, what follows a sweep, ``refresh`` and ``reset_adaptive``.
 
     Args:
         dtype: "float32" or "float64".
@@ -112,12 +111,6 @@ def adaptive_functions(dtype: str, variant: str, apply_world, end_period, extrap
         for b in range(body_start[w], body_start[w + 1]):
             solved[b] = predicted[b]
         apply_world(w, color_block, rows, row_body, solved, row_impulse)
-
-    @wp.func(module=module)
-    def discard(w: int, counters: wp.array(dtype=wp.int32), norms: wp.array(dtype=real)):
-        """A stretch that led astray gained nothing; the next one begins after another sweep."""
-        norms[w * N_NORMS + 6 + counters[w * N_COUNTERS + 9]] = zero
-        counters[w * N_COUNTERS + 10] = 0
 
     @wp.func(module=module)
     def begin_stretch(
@@ -281,9 +274,8 @@ def adaptive_functions(dtype: str, variant: str, apply_world, end_period, extrap
                 i0, i1, counters, norms,
             )  # fmt: skip
         chosen = counters[q + 9]
-        astray = norms[p] > real(ASTRAY) * norms[p + 20]
         if chosen == MOMENTUM:
-            ended = astray or done >= stretch
+            ended = done >= stretch
             if ended:
                 refresh(w, body_start, color_block, rows, row_body, predicted, solved, row_impulse)
             else:
@@ -313,9 +305,9 @@ def adaptive_functions(dtype: str, variant: str, apply_world, end_period, extrap
                         w, period_min, period_max, cap, threshold, color_block, rows, row_body, solved, row_impulse,
                         row_change, row_history, history_at, i0, i1, counters, norms,
                     )  # fmt: skip
-            ended = astray or (done >= stretch and counters[q + 1] == 0)
+            ended = done >= stretch and counters[q + 1] == 0
         if ended:
             counters[q + 10] = done
             counters[q + 8] = 0
 
-    return SimpleNamespace(reset_adaptive=reset_adaptive, refresh=refresh, discard=discard, adapt=adapt)
+    return SimpleNamespace(reset_adaptive=reset_adaptive, refresh=refresh, adapt=adapt)

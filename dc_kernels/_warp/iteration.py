@@ -9,7 +9,6 @@ from ..rows import COLUMNS
 from ..types import (
     ACCELERATIONS,
     ADAPT_MOMENTUM,
-    ASTRAY,
     BEST,
     COLORS,
     COUNTERS,
@@ -178,8 +177,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         counters[q + 1] = inside
 
     adaptive = adaptive_functions(dtype, variant, apply_world, end_period, extrapolate)
-    adapt, discard = adaptive.adapt, adaptive.discard
-    refresh, reset_adaptive = adaptive.refresh, adaptive.reset_adaptive
+    adapt, refresh, reset_adaptive = adaptive.adapt, adaptive.refresh, adaptive.reset_adaptive
 
     @wp.func(module=module)
     def natural_map(
@@ -359,7 +357,6 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         i0 = color_block[w * ENDS] * 2 * N_LANES
         i1 = color_block[w * ENDS + N_COLORS] * 2 * N_LANES
         anew = done == 1 and acceleration == ADAPTIVE and counters[q + 9] == MOMENTUM
-        retreat = bool(False)
         if acceleration != PLAIN and pause_at == NO_PAUSE:
             first = acceleration == ADAPTIVE and counters[q + 8] == 0
             best = history_at + AT_BEST * (i1 - i0)
@@ -367,22 +364,16 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
                 norms[p + 20] = change
                 for i in range(i0, i1):
                     row_history[best + i - i0] = row_impulse[i]
-            limit = real(ASTRAY)
-            if sweeps >= max_sweeps:
-                limit = real(RETREAT)
-            if (first or sweeps >= max_sweeps) and change > limit * norms[p + 20]:
-                # where plain sweeps circle, as they may with much friction, extrapolation can lead far off
+            # where plain sweeps circle, as they may with much friction, extrapolation can lead far off, and to NaN
+            if sweeps >= max_sweeps and norms[p + 20] < huge and not (change <= real(RETREAT) * norms[p + 20]):
                 for i in range(i0, i1):
                     row_impulse[i] = row_history[best + i - i0]
                 norms[p] = norms[p + 20]
-                retreat = True
-        if anew or retreat:
-            refresh(w, body_start, color_block, rows, row_body, predicted, solved, row_impulse)
+                anew = True
         if done == 1:
+            if anew:
+                refresh(w, body_start, color_block, rows, row_body, predicted, solved, row_impulse)
             return 1
-        if retreat:
-            discard(w, counters, norms)
-            return 0
         inside = counters[q + 1] + 1
         if acceleration == AITKEN:
             counters[q + 1] = inside
