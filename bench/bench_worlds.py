@@ -52,7 +52,7 @@ def measure(quick: bool) -> dict[str, Any]:
     from . import cases
 
     scene = scenes.Thesis()
-    config = dc.SolverConfig(tolerance=TOLERANCE, acceleration="aitken", start="cache")
+    config = dc.SolverConfig(tolerance=TOLERANCE, start="cache")
 
     def ours(threads: int) -> Callable[[], list[np.ndarray]]:
         def run() -> list[np.ndarray]:

@@ -39,6 +39,7 @@ def solver_scalars(config: SolverConfig) -> dict[str, Any]:
         "method": METHODS[config.method],
         "acceleration": ACCELERATIONS[config.acceleration],
         "max_sweeps": config.max_sweeps,
+        "min_sweeps": config.min_sweeps,
         "tolerance": config.tolerance,
         # a float32 kernel argument holds no product of inf and 0
         "relative_tolerance": min(config.relative_tolerance, 1e30),
@@ -60,6 +61,7 @@ def solver_scalars(config: SolverConfig) -> dict[str, Any]:
 ITERATION = (
     "acceleration",
     "max_sweeps",
+    "min_sweeps",
     "tolerance",
     "relative_tolerance",
     "stop",

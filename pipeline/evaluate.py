@@ -105,6 +105,7 @@ class ProtocolOptions:
             acceleration=acceleration,
             tolerance=self.tolerance,
             max_sweeps=self.max_sweeps,
+            min_sweeps=1,
         )
         run = RunOptions(worlds=self.worlds, seed=self.seed, dt=self.dt, threads=self.threads, dtype=self.dtype)
         config = replace(

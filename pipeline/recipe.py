@@ -19,6 +19,7 @@ from .scenes import Scene, Thesis
 from .scenes import scene as named_scene
 
 IMAGE_CHANNELS = 6  # of stored images, those that ``dc.Images`` has by default
+SOLVER = dc.SolverConfig(min_sweeps=1)  # the sweeps of a state are those to its tolerance
 DRAW_STREAM = 2  # of a world's seed, beside those of its bodies and of random starts
 
 
@@ -82,7 +83,7 @@ class Recipe:
 
     scene: Scene = field(default_factory=Thesis)
     options: GenerateOptions = field(default_factory=GenerateOptions)
-    solver: dc.SolverConfig = field(default_factory=dc.SolverConfig)
+    solver: dc.SolverConfig = SOLVER
 
     def config(self) -> dict[str, Any]:
         """As it stands in TOML and in the files."""
@@ -185,7 +186,7 @@ def parse_recipe(config: Mapping[str, Any]) -> Recipe:
     recipe = Recipe(
         scene=_updated(scene, parameters, "scene."),
         options=_updated(GenerateOptions(ranges=tuple((n, *map(float, v)) for n, v in ranges.items())), options, ""),
-        solver=_updated(dc.SolverConfig(), config.get("solver", {}), "solver."),
+        solver=_updated(SOLVER, config.get("solver", {}), "solver."),
     )
     recipe.check()
     return recipe

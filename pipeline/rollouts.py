@@ -73,7 +73,8 @@ def record(model: Any, setting: Setting, seed: int, generator: np.random.Generat
     if seed < 0 or seed + setting.worlds > HELD_OUT_SEED:
         raise ValueError(f"seeds {seed} to {seed + setting.worlds - 1}: those from {HELD_OUT_SEED} on are for tests")
     margins = THESES_SETTINGS if generator.random() < 2 / 3 else {}
-    config = dc.SolverConfig(acceleration=setting.acceleration, max_sweeps=setting.max_sweeps, **margins)  # type: ignore
+    settings = {"acceleration": setting.acceleration, "max_sweeps": setting.max_sweeps, "min_sweeps": 1, **margins}
+    config = dc.SolverConfig(**settings)  # type: ignore[arg-type]
     run = RunOptions(worlds=setting.worlds, seed=seed)
     sim = run.simulation(Thesis(bodies=setting.bodies), config)
     solve = LearnedSolve(sim, model, CallOptions())

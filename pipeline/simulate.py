@@ -76,10 +76,14 @@ class SolverOptions:
     """Acceleration of the method."""
     tolerance: float = DEFAULT.tolerance
     """Impulse change of a sweep, or residual, at which a solve ends [N s or 1]."""
+    relative_tolerance: float = DEFAULT.relative_tolerance
+    """Impulse change over what a typical weight gives in a step; the smaller bound counts [1]."""
     stop: Literal["change", "residual"] = DEFAULT.stop
     """What the tolerance is compared with."""
     max_sweeps: int = DEFAULT.max_sweeps
     """Sweeps after which a solve ends unconverged [1]."""
+    min_sweeps: int = DEFAULT.min_sweeps
+    """Sweeps of a solve at least [1]."""
     position_correction: Literal["ngs", "baumgarte", "none"] = DEFAULT.position_correction
     """A phase of its own after the velocities, a velocity bias, or nothing."""
 

@@ -61,6 +61,7 @@ class Snapshot:
         config = dc.SolverConfig(
             acceleration=crowd.acceleration,  # type: ignore[arg-type]
             max_sweeps=crowd.max_sweeps,
+            min_sweeps=1,
             **THESES_SETTINGS,  # type: ignore[arg-type]
         )
         self.sim = RunOptions(worlds=crowd.worlds, seed=seed).simulation(Thesis(bodies=crowd.bodies), config)

@@ -17,7 +17,7 @@ from pipeline import shards  # noqa: E402
 from pipeline.dataset import Batch, BatchOrder, Splatter, States, describe, loader  # noqa: E402
 from pipeline.evaluate import HELD_OUT_SEED  # noqa: E402
 from pipeline.generate import generate  # noqa: E402
-from pipeline.recipe import GenerateOptions, Recipe  # noqa: E402
+from pipeline.recipe import SOLVER, GenerateOptions, Recipe  # noqa: E402
 from pipeline.scenes import Mixed, Thesis  # noqa: E402
 
 torch.set_num_threads(1)
@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
 
 def simulation() -> dc.Simulation:
     """The worlds of the data set, all at once."""
-    return dc.Simulation(*SCENE.build(OPTIONS.worlds, OPTIONS.seed).finalize())
+    return dc.Simulation(*SCENE.build(OPTIONS.worlds, OPTIONS.seed).finalize(), config=SOLVER)
 
 
 def index_of(states: States, world: int, step: int) -> int:

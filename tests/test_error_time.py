@@ -170,7 +170,7 @@ def test_errors_fall_along_the_curves(states):
     curves = error_time_solve.curves(TINY, state, [reference], chosen, lambda text: None)
     for setting, curve in curves.items():
         assert curve.caps == list(TINY.ladder)[: len(curve.caps)]
-        assert curve.errors["velocity"][-1] < 0.1 * curve.errors["velocity"][0], setting
+        assert curve.errors["velocity"][-1] < 0.2 * curve.errors["velocity"][0], setting
         assert curve.errors["residual"][-1] < 0.1 * curve.errors["residual"][0], setting
         assert all(len(times) > 1 for times in curve.seconds)
     # schedules agree in every bit, so in every error but that of the last digit of a sum

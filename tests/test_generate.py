@@ -152,7 +152,7 @@ def test_readers_without_our_code_find_a_state(whole):
         a, b = file["step/motion_start"][s : s + 2]
         position = file["motion/position"][a:b]
         note = {name: file[f"step/{name}"][s] for name in ("sweeps", "change", "label_change", "label_sweeps", "step")}
-    sim = dc.Simulation(*SMALL.scene.build(1, 10).finalize())
+    sim = dc.Simulation(*SMALL.scene.build(1, 10).finalize(), config=SMALL.solver)
     sim.run(65, 0.02)
     sim.collide(0.02)
     slots, _ = contact_slots(sim.contacts)
@@ -398,7 +398,10 @@ def test_full_disk_is_named_and_loses_nothing(whole, tmp_path, monkeypatch):
     [
         ("scene.radius = 0.5, not 0.4", dataclasses.replace(SMALL, scene=Thesis(bodies=6, radius=0.4))),
         ("scene.name = 'thesis', not 'stack'", dataclasses.replace(SMALL, scene=Stack(bodies=6))),
-        ("solver.slop = 0.0005, not 0.001", dataclasses.replace(SMALL, solver=dc.SolverConfig(slop=1e-3))),
+        (
+            "solver.slop = 0.0005, not 0.001",
+            dataclasses.replace(SMALL, solver=dataclasses.replace(SMALL.solver, slop=1e-3)),
+        ),
         ("steps = 70, not 71", changed(SMALL, steps=71)),
         ("label_tolerance = 1e-05, not 1e-06", changed(SMALL, label_tolerance=1e-6)),
         ("worlds = 5, not 6", changed(SMALL, worlds=6)),
@@ -484,7 +487,9 @@ def test_a_toml_file_is_a_recipe(tmp_path):
     path = tmp_path / "recipe.toml"
     path.write_text(TOML)
     recipe = load_recipe(path)
-    assert recipe.scene == Mixed(bodies=5, radius=1.0) and recipe.solver == dc.SolverConfig(max_sweeps=300)
+    assert recipe.scene == Mixed(bodies=5, radius=1.0) and recipe.solver == dc.SolverConfig(
+        max_sweeps=300, min_sweeps=1
+    )
     options = GenerateOptions(worlds=3, steps=30, dt=0.02, grid_size=(4.0, 4.0), ranges=(("friction", 0.2, 0.8),))
     assert recipe.options == options
     assert parse_recipe(recipe.config()) == recipe

@@ -524,7 +524,7 @@ def test_only_the_worlds_asked_for_change():
 
 def test_the_solve_takes_a_correction_up():
     """Impulses moved to the solution end the solve at once, in their world alone."""
-    sim = colliding(acceleration="none", max_sweeps=5000)
+    sim = colliding(acceleration="none", max_sweeps=5000, min_sweeps=1)
     reader = reader_of(sim)
     start = sim.contacts.numpy("impulse").copy()
     sim.resume()

@@ -278,7 +278,7 @@ def test_single_precision_satisfies_the_contact_laws():
         check_laws(sim, impulse, solved, 2e-4)
 
 
-@pytest.mark.parametrize(("variant", "seed"), [("discs", 4), ("joints", 5)])
+@pytest.mark.parametrize(("variant", "seed"), [("discs", 4), ("joints", 1)])
 def test_every_method_reaches_the_same_velocities(variant, seed):
     sim = pile(variant, "float64", seeds=(seed,))
     sim.run(200, DT)
@@ -476,7 +476,7 @@ def test_every_start_ends_at_the_same_velocities():
         assert sim.stats.numpy("change")[0] < 1e-12, name
         check_laws(sim, impulse, solved, 1e-7)
         np.testing.assert_allclose(solved, expected, atol=1e-7, err_msg=name)
-    _, _, solved = solve_from(sim, solution, tolerance=1e-6)
+    _, _, solved = solve_from(sim, solution, tolerance=1e-6, min_sweeps=1)
     assert sim.stats.numpy("sweeps")[0] <= 3 < sweeps
     np.testing.assert_allclose(solved, expected, atol=1e-9)
 

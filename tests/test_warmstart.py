@@ -12,7 +12,7 @@ from dc_kernels.measure import contact_slots
 from pipeline import warmstart
 from pipeline.scenes import Chain, Settled, Thesis
 
-PGS = dc.SolverConfig(acceleration="none", max_sweeps=5000)
+PGS = dc.SolverConfig(acceleration="none", max_sweeps=5000, min_sweeps=1)
 
 
 def settled(worlds: int = 2, bodies: int = 12, config: dc.SolverConfig = PGS) -> dc.Simulation:

@@ -188,6 +188,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         method: int,
         acceleration: int,
         max_sweeps: int,
+        min_sweeps: int,
         tolerance: float,
         stop: int,
         residual_every: int,
@@ -225,7 +226,9 @@ def kernels(dtype: str, variant: str) -> Kernels:
         counter[0] += 1
         norm[0] = largest
         last = counter[0] >= max_sweeps
-        if stop == BY_RESIDUAL:
+        if counter[0] < min_sweeps:
+            converged = False
+        elif stop == BY_RESIDUAL:
             look = last or counter[0] % residual_every == 0
             converged = look and natural_map(world, solved, row_impulse, row_scale[w]) < tolerance
         else:
@@ -290,7 +293,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
                 beta = now / norm[2]
             norm[2] = now
             direction = by_lane(row_direction)[used]
-            step = beta * direction
+            step = beta * direction if beta > 0 else np.zeros_like(direction)
             direction[:] = step + change
             x += step
             change[:] = step
@@ -311,6 +314,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         method: int,
         acceleration: int,
         max_sweeps: int,
+        min_sweeps: int,
         tolerance: float,
         relative_tolerance: float,
         stop: int,
@@ -401,10 +405,10 @@ def kernels(dtype: str, variant: str) -> Kernels:
                 changes = (sweep_row(row, solved, row_impulse, row_change, omega) for row in world)
             largest = max(changes)
             paused = conclude_sweep(
-                w, largest, world, method, acceleration, max_sweeps, bound, stop, residual_every, period_min,
-                period_max, cap, threshold, patience, stretch, history_at, pause_at, body_start, color_block, row_scale,
-                predicted, solved, summed, row_impulse, row_change, row_before, row_direction, row_history, counters,
-                norms, history,
+                w, largest, world, method, acceleration, max_sweeps, min_sweeps, bound, stop, residual_every,
+                period_min, period_max, cap, threshold, patience, stretch, history_at, pause_at, body_start,
+                color_block, row_scale, predicted, solved, summed, row_impulse, row_change, row_before, row_direction,
+                row_history, counters, norms, history,
             )  # fmt: skip
         sweeps[w] = counter[0]
         change[w] = norms[w * NORMS]
@@ -511,6 +515,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         method: int,
         acceleration: int,
         max_sweeps: int,
+        min_sweeps: int,
         tolerance: float,
         relative_tolerance: float,
         stop: int,
@@ -551,10 +556,10 @@ def kernels(dtype: str, variant: str) -> Kernels:
         bound = change_bound(tolerance, relative_tolerance * weight[w] * step_dt[w], stop)
         world = world_rows(w, color_block, rows, row_body, solved)
         conclude_sweep(
-            w, norms[w * NORMS], world, method, acceleration, max_sweeps, bound, stop, residual_every, period_min,
-            period_max, cap, threshold, patience, stretch, history_at, NEVER, body_start, color_block, row_scale,
-            predicted, solved, summed, row_impulse, row_change, row_before, row_direction, row_history, counters, norms,
-            history,
+            w, norms[w * NORMS], world, method, acceleration, max_sweeps, min_sweeps, bound, stop, residual_every,
+            period_min, period_max, cap, threshold, patience, stretch, history_at, NEVER, body_start, color_block,
+            row_scale, predicted, solved, summed, row_impulse, row_change, row_before, row_direction, row_history,
+            counters, norms, history,
         )  # fmt: skip
 
     def finish(

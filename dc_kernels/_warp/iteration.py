@@ -300,6 +300,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         method: int,
         acceleration: int,
         max_sweeps: int,
+        min_sweeps: int,
         tolerance: real,
         stop: int,
         residual_every: int,
@@ -345,7 +346,9 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         counters[q] = sweeps
         norms[p] = change
         done = int(0)
-        if stop == BY_RESIDUAL:
+        if sweeps < min_sweeps:
+            done = 0
+        elif stop == BY_RESIDUAL:
             if sweeps % residual_every == 0 or sweeps >= max_sweeps:
                 if natural_map(w, color_block, rows, row_body, solved, row_impulse, row_scale[w]) < tolerance:
                     done = 1

@@ -393,7 +393,7 @@ _CONJUGATE = """
 #pragma clang fp contract(off)
 #endif
 for (int i = i0; i < i1; ++i) {
-    const S_TYPE step = beta * direction.data[i];
+    const S_TYPE step = beta > 0 ? beta * direction.data[i] : (S_TYPE)0;  // it may hold NaN of the solve before
     direction.data[i] = step + change.data[i];
     x.data[i] += step;
     change.data[i] = step;

@@ -52,6 +52,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         method: int,
         acceleration: int,
         max_sweeps: int,
+        min_sweeps: int,
         tolerance: real,
         relative_tolerance: real,
         stop: int,
@@ -152,10 +153,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 w, method, omega, color_block, rows, row_body, body_rows, solved, summed, row_impulse, row_change
             )
             done = conclude_sweep(
-                w, largest, method, acceleration, max_sweeps, bound, stop, residual_every, period_min, period_max,
-                cap, threshold, patience, stretch, history_at, pause_at, body_start, color_block, rows, row_body,
-                row_scale, predicted, solved, summed, row_impulse, row_change, row_before, row_direction, row_history,
-                counters, norms, history,
+                w, largest, method, acceleration, max_sweeps, min_sweeps, bound, stop, residual_every, period_min,
+                period_max, cap, threshold, patience, stretch, history_at, pause_at, body_start, color_block, rows,
+                row_body, row_scale, predicted, solved, summed, row_impulse, row_change, row_before, row_direction,
+                row_history, counters, norms, history,
             )  # fmt: skip
         done_sweeps = counters[w * N_COUNTERS]
         sweeps[w] = done_sweeps
@@ -269,6 +270,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         method: int,
         acceleration: int,
         max_sweeps: int,
+        min_sweeps: int,
         tolerance: real,
         relative_tolerance: real,
         stop: int,
@@ -309,9 +311,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             return
         bound = change_bound(tolerance, relative_tolerance * weight[w] * step_dt[w], stop)
         conclude_sweep(
-            w, norms[w * N_NORMS], method, acceleration, max_sweeps, bound, stop, residual_every, period_min,
-            period_max, cap, threshold, patience, stretch, history_at, NO_PAUSE, body_start, color_block, rows,
-            row_body, row_scale, predicted, solved, summed, row_impulse, row_change, row_before, row_direction,
+            w, norms[w * N_NORMS], method, acceleration, max_sweeps, min_sweeps, bound, stop, residual_every,
+            period_min, period_max, cap, threshold, patience, stretch, history_at, NO_PAUSE, body_start, color_block,
+            rows, row_body, row_scale, predicted, solved, summed, row_impulse, row_change, row_before, row_direction,
             row_history, counters, norms, history,
         )  # fmt: skip
 
