@@ -76,3 +76,21 @@ def test_the_theses_discs_are_solved_to_their_tolerance():
         sim.run(100, DT)
         bits.append(sim.state.numpy("position").tobytes())
     assert bits[0] == bits[1]
+
+
+@pytest.mark.parametrize(("stop", "most", "sweeps"), [("change", 1000, 12), ("residual", 1000, 15), ("change", 4, 4)])
+def test_every_solve_takes_its_least_number_of_sweeps(stop, most, sweeps):
+    """Though the start is the solution; never more than the cap, and at the residual's next look."""
+    sim = stack(1.0, "float64", tolerance=1e-3, min_sweeps=12, max_sweeps=most, stop=stop)
+    sim.run(200, DT)
+    assert sim.stats.numpy("sweeps")[0] == sweeps
+
+
+def test_what_rests_lies_still():
+    """What a step leaves is met by the next: with one sweep where that is enough for the tolerance, a stack creeps."""
+    creep = []
+    for least in (1, 10):
+        sim = stack(1.0, min_sweeps=least)
+        sim.run(900, DT)
+        creep.append(drift(sim, 1.0, DT, 100))
+    assert creep[1] < 0.05 * creep[0]
