@@ -41,10 +41,18 @@ def measure(quick: bool, folder: str | None = None) -> dict[str, Any]:
     from pipeline.fclib import problem_files, read_fclib
 
     path = FOLDER if folder is None else Path(folder)
+    problems, refused = {}, {}
     try:
         if folder is None and not path.is_dir():
             raise ValueError(f"there is no folder {path}: python -m bench fc2d FOLDER, with FCLIB's .hdf5 files in it")
-        problems = {file.stem: read_fclib(file).problem for file in problem_files(path)}
+        for file in problem_files(path):
+            try:
+                problems[file.stem] = read_fclib(file).problem
+            except ValueError as error:  # another file's problem is solved all the same
+                refused[file.stem] = str(error)
+                timing.progress(f"refused: {error}")
+        if not problems:
+            raise ValueError(f"no file in {path} holds a problem that can be read")
     except ValueError as error:
         import sys
 
@@ -56,7 +64,7 @@ def measure(quick: bool, folder: str | None = None) -> dict[str, Any]:
     for name, problem in problems.items():
         timing.progress(f"{name}, {problem.count} contacts")
         rows += [{"file": name, "contacts": problem.count, **row} for row in measure_problem(problem, cap, rounds)]
-    values: dict[str, Any] = {"rows": rows, "sweep": sweep_cost(problems)}
+    values: dict[str, Any] = {"rows": rows, "sweep": sweep_cost(problems), "refused": refused}
     for key in KEYS:
         values[key], values[f"{key}_by"] = {}, {}
         for name in problems:
@@ -233,5 +241,6 @@ def report(values: dict[str, Any]) -> str:
                 for tag in TOLERANCES
             ),
             f"{FIGURE}: performance profiles",
+            *(f"refused: {why}" for why in values["refused"].values()),
         ]
     )

@@ -298,3 +298,16 @@ def test_bad_commands(arguments, message, capsys, tmp_path, monkeypatch):
         main(["fclib", *arguments])
     assert caught.value.code == 2 and message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_the_bench_ends_where_no_file_can_be_read(tmp_path, capsys):
+    """Files of others that are refused are named; with none left there is nothing to measure."""
+    from bench import bench_fc2d
+
+    with h5py.File(tmp_path / "foreign.hdf5", "w") as file:
+        file["something"] = 1.0
+    for folder, message in ((tmp_path, "holds a problem that can be read"), (tmp_path / "none", "no such file")):
+        with pytest.raises(SystemExit) as ended:
+            bench_fc2d.measure(True, str(folder))
+        assert ended.value.code == 2
+        assert message in capsys.readouterr().err
