@@ -1,7 +1,8 @@
 """Real frictional contact problems in Delassus form (FCLIB files): sweeps and time of every solver, from zero.
 
 ``python -m bench fc2d [FOLDER]``. The error is the field's relative natural map. Performance profiles (Dolan and More
-2002) over these files and over states of our own scenes are drawn to ``bench/results/fc2d.png``.
+2002) over these files and over states of our own scenes are drawn to ``bench/results/fc2d.png``; with ``--quick`` or
+another folder to ``out/fc2d``.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ TAKES = "FOLDER"  # more arguments than the name
 
 ROOT = Path(__file__).resolve().parent
 FOLDER = ROOT.parent.parent / "shared" / "data" / "fc2d"
-FIGURE = ROOT / "results" / "fc2d.png"
+FIGURE = ROOT / "results" / "fc2d.png"  # of the full bench on the default folder
+OTHER_FIGURE = Path("out/fc2d/fc2d.png")
 SOLVERS = ("pgs", "sor", "aitken", "nncg", "anderson", "hybrid", "newton", "auto")
 TOLERANCES = {"1e4": 1e-4, "1e8": 1e-8}
 CAP, CAP_QUICK = 20_000, 3_000  # sweeps of first-order methods
@@ -88,7 +90,9 @@ def measure(quick: bool, folder: str | None = None) -> dict[str, Any]:
     values["solved"] = {
         tag: {solver: sum(t is not None for t in times[tag][solver]) for solver in SOLVERS} for tag in TOLERANCES
     }
-    draw(times, len(problems), len(ours))
+    figure = OTHER_FIGURE if quick or folder is not None else FIGURE
+    draw(times, len(problems), len(ours), figure)
+    values["figure"] = str(figure.relative_to(ROOT.parent) if figure.is_absolute() else figure)
     return values
 
 
@@ -193,7 +197,7 @@ def profile(times: Mapping[str, list[float | None]]) -> dict[str, np.ndarray]:
     return {solver: (ratio[i][:, None] <= RATIOS).mean(axis=0) for i, solver in enumerate(SOLVERS)}
 
 
-def draw(times: Mapping[str, Mapping[str, list[float | None]]], files: int, states: int) -> None:
+def draw(times: Mapping[str, Mapping[str, list[float | None]]], files: int, states: int, path: Path) -> None:
     """The profiles as a figure."""
     from pipeline import plots
     from pipeline.simulate import atomic_path
@@ -208,7 +212,8 @@ def draw(times: Mapping[str, Mapping[str, list[float | None]]], files: int, stat
             axis.set_title(f"relative natural map {tolerance:g}")
         axes[0].set_ylabel(f"share solved of {files} files and {states} states of our scenes")
         axes[1].legend(loc="lower right", ncols=2)
-        with atomic_path(FIGURE) as partial:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_path(path) as partial:
             plots.save(figure, partial)
 
 
@@ -240,7 +245,7 @@ def report(values: dict[str, Any]) -> str:
                 + ", ".join(f"{solver} {count}" for solver, count in solved[tag].items())
                 for tag in TOLERANCES
             ),
-            f"{FIGURE}: performance profiles",
+            f"{values['figure']}: performance profiles",
             *(f"refused: {why}" for why in values["refused"].values()),
         ]
     )
