@@ -196,6 +196,7 @@ def adaptive_functions(dtype: str, variant: str, apply_world, end_period, extrap
             counters[q + 12] = wp.max(REST, counters[q + 12] / 2)
         counters[q + 14] = 0
         kept = counters[q + 13]
+        counters[q + 13] = wp.min(kept + 1, 2)
         rest = counters[q + 11]
         counters[q + 11] = wp.max(rest - 1, 0)
         if rest == 0 and kept > 0:
@@ -230,11 +231,9 @@ def adaptive_functions(dtype: str, variant: str, apply_world, end_period, extrap
             apply_world(w, color_block, rows, row_body, solved, row_change)
             counters[q + 2] = wp.max(PERIOD, period_min)
             norms[p + 2] = now
-            counters[q + 13] = wp.min(kept + 1, 2)
             counters[q + 1] = 0
         else:
             remember(row_impulse, row_change, row_history, history_at, i0, i1)
-            counters[q + 13] = wp.min(kept + 1, 2)
             end_period(
                 w, period_min, period_max, cap, threshold, ALWAYS, color_block, rows, row_body, solved, row_impulse,
                 row_change, counters, norms, 1,

@@ -221,8 +221,6 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         row_impulse: wp.array(dtype=real),
     ):
         """Impulses of contacts and joints to the rows; predicted velocities plus what they add."""
-        for b in range(body_start[w], body_start[w + 1]):
-            solved[b] = predicted[b]
         for i in range(color_block[w * ENDS] * 2 * N_LANES, color_block[w * ENDS + N_COLORS] * 2 * N_LANES):
             row_impulse[i] = real(0.0)
         start = contact_start[w]
@@ -233,7 +231,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         if wp.static(joints):
             for j in range(joint_start[w], joint_start[w + 1]):
                 row_impulse[joint_slot[j]] = joint_impulse[j]
-        apply_world(w, color_block, rows, row_body, solved, row_impulse)
+        refresh(w, body_start, color_block, rows, row_body, predicted, solved, row_impulse)
 
     @wp.func(module=module)
     def start_world(
