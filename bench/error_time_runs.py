@@ -18,6 +18,7 @@ from dc_kernels.measure import contact_slots
 from dc_kernels.types import ACCELERATIONS
 
 from . import timing
+from .cases import DT
 from .error_time_peers import ENGINES
 from .error_time_scenes import Case, State, clone
 
@@ -26,7 +27,6 @@ ERRORS = ("penetration", "penetration_max", "drift")
 displacement of a body in its last second, per second [m/s]."""
 TOUCHING = 1e-3  # gap below which surfaces touch [diameters]
 SAMPLES = 4
-DT = 0.01
 STEPS = (0.02, 0.005, 0.0025)  # time steps beside DT [s]
 SHORT = 0.5  # [s]: shorter runs are timed three times
 

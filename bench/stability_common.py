@@ -14,9 +14,9 @@ import dc_kernels as dc
 from dc_kernels import measure
 
 from .accuracy_common import pose
+from .cases import DT
 from .verdicts import Check
 
-DT = 0.01
 EXACT: dict[str, Any] = {"dtype": "float64", "tolerance": 1e-8, "max_sweeps": 5000}
 """For tall structures, whose slowest modes sum up what single contacts leave unsolved."""
 

@@ -11,12 +11,12 @@ import dc_kernels as dc
 from dc_kernels import measure
 from pipeline import scenes
 
+from .accuracy_common import G as GRAVITY
 from .cases import DT
 from .invariants import contact_table
 from .verdicts import Cases, Check
 
 cases = Cases()
-GRAVITY = 9.8
 DTYPES = ("float32", "float64")
 
 
