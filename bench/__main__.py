@@ -8,29 +8,31 @@ import sys
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from . import timing
+from bench import timing
 
-NAMES = (
-    "sweep",
-    "worlds",
-    "scaling",
-    "protocol",
-    "transfer",
-    "roundtrip",
-    "neighbors",
-    "generate",
-    "learning",
-    "train",
-    "startup",
-    "accuracy",
-    "error_time",
-    "fc2d",
-    "stability",
-)
+# name: folder of its module
+FOLDERS = {
+    "sweep": "speed",
+    "worlds": "speed",
+    "scaling": "speed",
+    "protocol": "learning",
+    "transfer": "speed",
+    "roundtrip": "learning",
+    "neighbors": "speed",
+    "generate": "speed",
+    "learning": "learning",
+    "train": "speed",
+    "startup": "speed",
+    "accuracy": "accuracy",
+    "error_time": "error_time",
+    "fc2d": "error_time",
+    "stability": "stability",
+}
+NAMES = tuple(FOLDERS)
 
 
 class Bench(Protocol):
-    """What a module ``bench_<name>`` holds."""
+    """What the module of a bench holds."""
 
     SUMMARY: str  # one line
     KEYS: tuple[str, ...]  # values that are always there
@@ -45,7 +47,7 @@ class Bench(Protocol):
 
 def load(name: str) -> Bench:
     """The module of a bench; nothing heavy is imported before it measures."""
-    return importlib.import_module(f"bench.bench_{name}")  # type: ignore[return-value]
+    return importlib.import_module(f"bench.{FOLDERS[name]}.{name}")  # type: ignore[return-value]
 
 
 def listing() -> str:

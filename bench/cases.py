@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 import dc_kernels as dc
-from pipeline import scenes
-
-from .peers import DiscWorld
+from bench.peers.peers import DiscWorld
+from pipeline.scenes import scenes
 
 DT = 0.01  # time step [s] and steps of the thesis protocol
 STEPS = 250

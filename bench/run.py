@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .__main__ import NAMES
+from bench.__main__ import NAMES
 
 RESULTS = Path(__file__).resolve().parent / "results"
 ENGINES = ("ours", "pymunk_10", "pymunk_50", "pybox2d_10", "pybox2d_50")

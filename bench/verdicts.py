@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import dc_kernels as dc
-
-from . import timing
+from bench import timing
 
 
 @dataclass(frozen=True)
@@ -117,7 +116,7 @@ def picture(check: Check, path: Path) -> None:
     """The scene of a failed check, where it has one."""
     if check.sim is None:
         return
-    from pipeline import plots
+    from pipeline.plots import plots
 
     path.parent.mkdir(parents=True, exist_ok=True)
     with plots.figure(7.0, 6.0) as figure:

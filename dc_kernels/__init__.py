@@ -11,10 +11,10 @@
     sim = dc.Simulation(*builder.finalize())
     sim.run(steps=100, dt=0.01)
 
-Only numpy and warp-lang are needed. ``operators``, ``sph_operators`` and ``sweep_operators`` hold the torch operators,
-``delassus`` and ``delassus_world`` contact problems in Delassus form; all else is here. A name is imported when it is
-first used, so importing the package costs next to nothing; ``types.py`` holds the conventions and the name of every
-array.
+Only numpy and warp-lang are needed. ``torch_ops`` holds the torch operators,
+``delassus`` contact problems in Delassus form; all else is here. A name is imported when it is
+first used, so importing the package costs next to nothing; ``model/fields.py`` holds the conventions and the name of
+every array.
 """
 
 from __future__ import annotations
@@ -23,17 +23,19 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .arrays import Contacts, Joints, Model, State, to_numpy, to_torch
-    from .builder import ModelBuilder
-    from .grid import Grid, GridChoice, choose_grid, shared_cells
-    from .images import Images
-    from .measure import kinetic_energy, overlap, potential_energy
-    from .neighbors import Neighbors, neighbor_lists, neighbor_pairs
-    from .solver import SolveStats
-    from .sph import sph_density, sph_sum
-    from .step import Simulation
-    from .transfer import Transfer, gather, splat
-    from .types import LANES, BodyType, Flag, ShapeType, SolverConfig
+    from dc_kernels.grid.grid import Grid, GridChoice, choose_grid, shared_cells
+    from dc_kernels.grid.images import Images
+    from dc_kernels.grid.transfer import Transfer, gather, splat
+    from dc_kernels.measure import kinetic_energy, overlap, potential_energy
+    from dc_kernels.model.arrays import Contacts, Joints, Model, State, to_numpy, to_torch
+    from dc_kernels.model.builder import ModelBuilder
+    from dc_kernels.model.config import SolverConfig
+    from dc_kernels.model.enums import BodyType, Flag, ShapeType
+    from dc_kernels.neighbors.search import Neighbors, neighbor_lists, neighbor_pairs
+    from dc_kernels.simulation import Simulation
+    from dc_kernels.solve.rows import LANES
+    from dc_kernels.solve.schedules import SolveStats
+    from dc_kernels.sph.sums import sph_density, sph_sum
 
 __version__ = "0.1.0"
 
@@ -72,17 +74,19 @@ __all__ = [
 
 # public names by the module that defines them
 _MODULES = {
-    "arrays": ("Contacts", "Joints", "Model", "State", "to_numpy", "to_torch"),
-    "builder": ("ModelBuilder",),
-    "grid": ("Grid", "GridChoice", "choose_grid", "shared_cells"),
-    "images": ("Images",),
+    "grid.grid": ("Grid", "GridChoice", "choose_grid", "shared_cells"),
+    "grid.images": ("Images",),
+    "grid.transfer": ("Transfer", "gather", "splat"),
     "measure": ("kinetic_energy", "overlap", "potential_energy"),
-    "neighbors": ("Neighbors", "neighbor_lists", "neighbor_pairs"),
-    "solver": ("SolveStats",),
-    "sph": ("sph_density", "sph_sum"),
-    "step": ("Simulation",),
-    "transfer": ("Transfer", "gather", "splat"),
-    "types": ("LANES", "BodyType", "Flag", "ShapeType", "SolverConfig"),
+    "model.arrays": ("Contacts", "Joints", "Model", "State", "to_numpy", "to_torch"),
+    "model.builder": ("ModelBuilder",),
+    "model.config": ("SolverConfig",),
+    "model.enums": ("BodyType", "Flag", "ShapeType"),
+    "neighbors.search": ("Neighbors", "neighbor_lists", "neighbor_pairs"),
+    "simulation": ("Simulation",),
+    "solve.rows": ("LANES",),
+    "solve.schedules": ("SolveStats",),
+    "sph.sums": ("sph_density", "sph_sum"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .types import LANES, SERIAL_COLOR, BodyType, Flag, ShapeType
+from dc_kernels.model.enums import BodyType, Flag, ShapeType
+from dc_kernels.solve.rows import LANES, SERIAL_COLOR
 
 if TYPE_CHECKING:
-    from .step import Simulation
+    from dc_kernels.simulation import Simulation
 
 
 def _count(number: int, name: str) -> str:

@@ -1,6 +1,6 @@
 """Snapshots: everything that a simulation needs to go on, in one HDF5 file.
 
-Groups ``model``, ``state``, ``joints`` and ``contacts`` hold the arrays of ``types.py`` under their names, each
+Groups ``model``, ``state``, ``joints`` and ``contacts`` hold the arrays of ``model/fields.py`` under their names, each
 with its unit, meaning and axis as attributes; contacts are packed, world after world, without unused slots (where
 each world's began is in ``contact_start``). ``config`` carries the solver's settings as attributes. Saving and loading
 keep every bit, so a run that goes on from a snapshot on the same device equals one that never stopped.
@@ -17,12 +17,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from .arrays import ArrayGroup, Joints, Model, State, float_dtype, numpy_spec, require
-from .measure import contact_slots
-from .types import CONTACTS, Field, SolverConfig
+from dc_kernels.measure import contact_slots
+from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State, float_dtype, numpy_spec
+from dc_kernels.model.config import SolverConfig
+from dc_kernels.model.fields import CONTACTS, Field
+from dc_kernels.runtime.optional import require
 
 if TYPE_CHECKING:
-    from .step import Simulation
+    from dc_kernels.simulation import Simulation
 
 Group = TypeVar("Group", bound=ArrayGroup)
 
@@ -106,7 +108,7 @@ def load(
         OSError: when there is no such file, or it must not be read.
         ImportError: without h5py, naming the extra that installs it.
     """
-    from .step import Simulation
+    from dc_kernels.simulation import Simulation
 
     h5py = require("h5py", "pipeline")
     path = Path(path)
@@ -138,7 +140,7 @@ def load(
 
 
 def _write(file: Any, sim: Simulation) -> None:
-    from . import __version__
+    from dc_kernels import __version__
 
     model = sim.model
     file.attrs.update(

@@ -16,17 +16,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast, get_args
 
-from dc_kernels.arrays import require
-from dc_kernels.grid import Grid
-from dc_kernels.types import SolverConfig
-
-from . import evaluate, figures, generate, grid_plots, plots, run_plots, warmstart
-from .contact_options import ContactTrainOptions
-from .fclib_runs import ExportOptions, SolveOptions, describe_export, describe_solve, export, solve_files
-from .recipe import GenerateOptions, Recipe, load_recipe
-from .scenes import AnyScene, Thesis
-from .simulate import Output, RunOptions, SolverOptions, atomic_path, simulate, torch_threads, write_json
-from .train import NetworkName, TrainOptions, describe_training, train
+from dc_kernels.grid.grid import Grid
+from dc_kernels.model.config import SolverConfig
+from dc_kernels.runtime.optional import require
+from pipeline.contactnet.options import ContactTrainOptions
+from pipeline.data import generate
+from pipeline.data.recipe import GenerateOptions, Recipe, load_recipe
+from pipeline.evaluate import evaluate
+from pipeline.fclib.runs import ExportOptions, SolveOptions, describe_export, describe_solve, export, solve_files
+from pipeline.files import atomic_path, write_json
+from pipeline.options import RunOptions, SolverOptions
+from pipeline.plots import grids as grid_plots
+from pipeline.plots import kernels as figures
+from pipeline.plots import plots
+from pipeline.plots import runs as run_plots
+from pipeline.process import torch_threads
+from pipeline.run.simulate import Output, simulate
+from pipeline.scenes.scenes import AnyScene, Thesis
+from pipeline.starts import warmstart
+from pipeline.training.train import NetworkName, TrainOptions, describe_training, train
 
 try:
     from tyro.conf import Positional
@@ -209,7 +217,7 @@ class TrainContactnet(Common):
     training: ContactTrainOptions = field(default_factory=ContactTrainOptions)
 
     def __call__(self) -> dict[str, Any]:
-        from .contact_training import describe_contact_training, train_contactnet
+        from pipeline.contactnet.training import describe_contact_training, train_contactnet
 
         summary = train_contactnet(self.training, progress=not self.json)
         if not self.json and summary:

@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 import dc_kernels as dc
-from dc_kernels.types import KEY_FEATURE_BITS, KEY_SHAPE_BITS
+from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 
 
 def simulate(builder, dtype="float64", **options):

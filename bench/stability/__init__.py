@@ -1,0 +1,1 @@
+"""Scenes that break solvers."""

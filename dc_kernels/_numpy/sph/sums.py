@@ -1,0 +1,93 @@
+"""SPH sums over lists of neighbours, and what positions pull from them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dc_kernels._numpy.common import Array, Kernels
+from dc_kernels._numpy.sph.smoothing import weigh
+from dc_kernels.sph.sums import CHUNK, QUANTITIES
+
+_NAMES = {code: name for name, code in QUANTITIES.items()}
+
+
+def kernels(dtype: str) -> Kernels:
+    """``sum_neighbors`` and ``pull_neighbors``; all arithmetic is float64."""
+    return {"sum_neighbors": sum_neighbors, "pull_neighbors": pull_neighbors}
+
+
+def sum_neighbors(
+    tid: int,
+    chunk_offset: int,
+    kernel: int,
+    quantity: int,
+    h: float,
+    scale: float,
+    query: Array,
+    neighbor_start: Array,
+    neighbor_index: Array,
+    point: Array,
+    value: Array,
+    out: Array,
+) -> None:
+    """Seed, equations 3.7 and 3.8: out = sum of the neighbours' values times W, grad W, lap W, or . grad W."""
+    name, dim = _NAMES[quantity], point.shape[1]
+    for q in _queries(tid + chunk_offset, query):
+        near = neighbor_index[neighbor_start[q] : neighbor_start[q + 1]]
+        e = _offsets(query[q], point[near], h)
+        a = value[near].astype(np.float64)
+        if name == "value":
+            out[q] = scale * (weigh(kernel, "w", e) @ a)
+        elif name == "laplacian":
+            out[q] = scale * (weigh(kernel, "laplacian", e) @ a)
+        else:
+            slope = weigh(kernel, "f", e)[:, None] * e
+            if name == "gradient":
+                out[q] = scale * (a.T @ slope).ravel()
+            else:
+                out[q] = scale * np.einsum("jck,jk->c", a.reshape(len(a), out.shape[1], dim), slope)
+
+
+def pull_neighbors(
+    tid: int,
+    chunk_offset: int,
+    kernel: int,
+    quantity: int,
+    swapped: int,
+    h: float,
+    scale: float,
+    query: Array,
+    neighbor_start: Array,
+    neighbor_index: Array,
+    point: Array,
+    query_value: Array,
+    value: Array,
+    out: Array,
+) -> None:
+    """The gradient of sum(query_value . sum_neighbors(value)) by the queries' positions.
+
+    Swapped, the queries are the particles of that sum and the neighbours its queries: by the particles' positions.
+    """
+    name, dim = _NAMES[quantity], point.shape[1]
+    for q in _queries(tid + chunk_offset, query):
+        near = neighbor_index[neighbor_start[q] : neighbor_start[q + 1]]
+        e = _offsets(query[q], point[near], h)
+        u, a = query_value[q].astype(np.float64), value[near].astype(np.float64)
+        if name != "gradient":
+            weight = weigh(kernel, "f" if name == "value" else "laplacian_slope", e)
+            out[q] = scale * ((weight * (a @ u)) @ e)
+            continue
+        if swapped:
+            both = -np.einsum("c,jck->jk", u, a.reshape(len(a), len(u), dim))
+        else:
+            both = a @ u.reshape(a.shape[1], dim)
+        out[q] = scale * np.einsum("jik,jk->i", weigh(kernel, "hessian", e), both)
+
+
+def _queries(chunk: int, query: Array) -> range:
+    return range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(query)))
+
+
+def _offsets(x: Array, points: Array, h: float) -> Array:
+    """(x - x_p) / h, (n, dim)."""
+    return (x.astype(np.float64) - points.astype(np.float64)) / h

@@ -1,0 +1,1 @@
+"""From shapes to contacts: broadphase, narrowphase, matching, colours."""

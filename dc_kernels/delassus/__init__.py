@@ -1,0 +1,1 @@
+"""Contact problems u = W r + q and their solvers."""

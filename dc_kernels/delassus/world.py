@@ -1,0 +1,191 @@
+"""A world's contacts and joints as a Delassus problem, and solves of a simulation taken further in that form."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dc_kernels.delassus.problem import DelassusProblem, DelassusSolution, assemble_blocks, solve
+from dc_kernels.model.arrays import to_numpy
+from dc_kernels.solve.iteration import COUNTERS
+from dc_kernels.solve.rows import COLUMNS, LANES
+
+if TYPE_CHECKING:
+    from dc_kernels.simulation import Simulation
+
+OPEN = 1e5  # times its gap over dt: a bias above that is a row that never acts (see _warp/rows.py)
+
+
+def problem(sim: Simulation, world: int = 0) -> DelassusProblem:
+    """The contacts and joints of a world between ``collide`` and ``advance``, as the solver has them.
+
+    W = J M^-1 J^T, and q = J v + b of the predicted velocities and the bias b of gaps, restitution and position
+    correction. Joints follow the contacts as bilateral rows. Open gaps of bouncing pairs, which the solver's rows
+    leave alone in this step, are left out; ``slot`` says where the impulses of the others lie.
+
+    Raises:
+        ValueError: after ``advance``, for a world that is not there or does not advance, or a contact or joint
+            between bodies that nothing moves.
+    """
+    if sim._phase == "advance":
+        raise ValueError("the contacts are those of a finished step: call collide(dt) first")
+    if not 0 <= world < sim.model.world_count:
+        raise ValueError(f"world is {world}; it must lie in [0, {sim.model.world_count})")
+    if sim.state.numpy("flags")[world]:
+        raise ValueError(f"world {world} does not advance (flags {sim.state.numpy('flags')[world]}): it has no problem")
+    contacts, joints = sim.contacts, sim.joints
+    first = int(contacts.numpy("contact_start")[world])
+    slots = np.arange(first, first + int(contacts.numpy("contact_count")[world]))
+    bias = _column(sim, "bias", sim.rows.numpy("slot")[slots])
+    gap = contacts.numpy("gap")[slots].astype(np.float64)
+    with np.errstate(divide="ignore"):
+        acts = (gap <= 0.0) | (bias * float(sim.motion.numpy("step_dt")[world]) < OPEN * gap)
+    slots, bias = slots[acts], bias[acts]
+    normal = contacts.numpy("normal")[slots].astype(np.float64)
+    tangent = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
+    body = np.stack([contacts.numpy("body_a")[slots], contacts.numpy("body_b")[slots]], axis=1)
+    jacobian = np.zeros((len(slots), 2, 2, 3))  # contact, body A or B, direction, velocity
+    for side, arm in ((0, "arm_a"), (1, "arm_b")):
+        lever = contacts.numpy(arm)[slots].astype(np.float64)
+        for k, direction in enumerate((normal, tangent)):
+            jacobian[:, side, k, :2] = direction
+            jacobian[:, side, k, 2] = lever[:, 0] * direction[:, 1] - lever[:, 1] * direction[:, 0]
+    jacobian[:, 0] *= -1.0
+    mu = contacts.numpy("friction")[slots].astype(np.float64)
+    lines = np.arange(*sim.model.numpy("joint_start")[world : world + 2])
+    if len(lines):
+        at = sim.rows.numpy("joint_slot")[lines]
+        more = np.zeros((len(lines), 2, 2, 3))
+        more[:, :, 0, :2] = np.stack([_column(sim, "nx", at), _column(sim, "ny", at)], axis=1)[:, None]
+        more[:, 0, 0, 2], more[:, 1, 0, 2] = _column(sim, "rAn", at), _column(sim, "rBn", at)
+        more[:, 0] *= -1.0
+        jacobian = np.concatenate([jacobian, more])
+        ends = np.stack([joints.numpy("joint_body_a")[lines], joints.numpy("joint_body_b")[lines]], axis=1)
+        body = np.concatenate([body, ends])
+        bias = np.concatenate([bias, _column(sim, "bias", at)])
+        mu = np.concatenate([mu, np.zeros(len(lines))])
+    predicted = sim.motion.numpy("predicted").astype(np.float64)[body]  # (n, 2, 4)
+    q = np.einsum("nskv,nsv->nk", jacobian, predicted[..., :3])
+    q[:, 0] += bias
+    inertia = sim.model.numpy("inv_inertia").astype(np.float64)[body]
+    inverse = np.stack([predicted[..., 3], predicted[..., 3], inertia], axis=-1)  # (n, 2, 3)
+    start, column, block = _delassus(jacobian, body, inverse)
+    bilateral = np.arange(len(mu)) >= len(slots)
+    dead = np.setdiff1d(np.arange(len(mu)), np.repeat(np.arange(len(mu)), np.diff(start)))
+    if len(dead):
+        raise ValueError(f"contact {dead[0]} of world {world} is between bodies that nothing moves: it has no row of W")
+    return DelassusProblem(
+        row_start=start,
+        column=column,
+        block=block,
+        q=q,
+        mu=mu,
+        bilateral=bilateral,
+        slot=np.concatenate([slots, lines]),
+    )
+
+
+def _column(sim: Simulation, name: str, slot: np.ndarray) -> np.ndarray:
+    """A column of the solver's rows at the given slots of the impulses, float64."""
+    columns = COLUMNS[sim.variant]
+    block, lane = np.divmod(slot, 2 * LANES)
+    return sim.rows.numpy("rows")[(block * len(columns) + columns.index(name)) * LANES + lane].astype(np.float64)
+
+
+def _delassus(jacobian: np.ndarray, body: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """J M^-1 J^T in rows of blocks: for each body that moves, the products of all pairs of its contacts."""
+    n = len(body)
+    moving = np.flatnonzero((inverse != 0.0).any(axis=-1).ravel())
+    place = moving[np.argsort(body.ravel()[moving], kind="stable")]  # 2 contact + side, body by body
+    _, count = np.unique(body.ravel()[place], return_counts=True)
+    first = np.cumsum(count) - count
+    # pairs (i, j) within a body: count^2 of them, one body after the other
+    pairs = count.astype(np.int64) ** 2
+    within = np.arange(int(pairs.sum())) - np.repeat(np.cumsum(pairs) - pairs, pairs)
+    i, j = np.divmod(within, np.repeat(count, pairs))
+    base = np.repeat(first, pairs)
+    left, right = place[base + i], place[base + j]
+    flat = jacobian.reshape(-1, 2, 3)
+    products = np.einsum("pav,pv,pbv->pab", flat[left], inverse.reshape(-1, 3)[left], flat[right])
+    rows = np.repeat(left // 2, 4)
+    columns = np.repeat(right // 2, 4)
+    entry = np.tile(np.arange(4), len(left))
+    return assemble_blocks(n, rows, columns, entry // 2, entry % 2, products.ravel())
+
+
+def refine(sim: Simulation, tolerance: float, *, max_sweeps: int = 100_000) -> dict[int, DelassusSolution]:
+    """Between ``solve`` and ``advance``: take worlds that are not solved further in Delassus form.
+
+    Impulses are written back to ``contacts``, ``joints``, velocities and ``stats`` where the simulation's own residual
+    falls by them, and left as they were elsewhere. ``stats.sweeps`` counts on.
+
+    Args:
+        sim: after ``solve()``.
+        tolerance: relative natural map that a world is to reach [1]; those that have it are left alone.
+        max_sweeps: of each world.
+
+    Returns:
+        The solutions by world, of the worlds that were not solved.
+
+    Raises:
+        ValueError: out of turn, on a GPU, or for a tolerance that is not > 0.
+    """
+    if sim._phase != "solve" or sim.running.any():
+        raise ValueError("refine() stands between a solve() that has ended and advance()")
+    if sim.device != "cpu":
+        raise ValueError(f"refine() runs on the CPU; the simulation is on {sim.device!r}")
+    if not 0.0 < tolerance < float("inf"):
+        raise ValueError(f"tolerance is {tolerance!r}; it must be finite and > 0")
+    found: dict[int, DelassusSolution] = {}
+    residual = sim.stats.numpy("residual")
+    flags = sim.state.numpy("flags")
+    for world in np.flatnonzero((residual > tolerance) & (flags == 0)):
+        w = int(world)
+        given = problem(sim, w)
+        start = read_impulses(sim, given)
+        solution = solve(given, tolerance=tolerance, max_sweeps=max_sweeps, start=start)
+        write_impulses(sim, w, given, solution)
+        found[w] = solution
+    return found
+
+
+def read_impulses(sim: Simulation, given: DelassusProblem) -> np.ndarray:
+    """Present impulses of a problem's contacts and joints, (n, 2) [N s]."""
+    assert given.slot is not None
+    x = np.zeros((given.count, 2))
+    x[~given.bilateral] = sim.contacts.numpy("impulse")[given.slot[~given.bilateral]]
+    x[given.bilateral, 0] = sim.joints.numpy("joint_impulse")[given.slot[given.bilateral]]
+    return x
+
+
+def write_impulses(sim: Simulation, world: int, given: DelassusProblem, solution: DelassusSolution) -> None:
+    """Impulses to the simulation, with all that follows from them; undone where its residual does not fall."""
+    assert given.slot is not None
+    first = int(sim.contacts.numpy("contact_start")[world])
+    slots = slice(first, first + int(sim.contacts.numpy("contact_count")[world]))
+    joints = slice(*sim.model.numpy("joint_start")[world : world + 2])
+    bodies = slice(*sim.model.numpy("body_start")[world : world + 2])
+    stats = sim.stats
+    counters = stats.numpy("counters")[world * COUNTERS : (world + 1) * COUNTERS]
+    arrays = [
+        sim.contacts.numpy("impulse")[slots],
+        sim.joints.numpy("joint_impulse")[joints],
+        sim.motion.numpy("solved")[bodies],
+        counters,
+        *(stats.numpy(name)[world : world + 1] for name in ("sweeps", "change", "residual")),
+    ]
+    before = [array.copy() for array in arrays]
+    impulse, _, _, _, sweeps, change, residual = arrays
+    impulse[...] = 0.0
+    sim.contacts.numpy("impulse")[given.slot[~given.bilateral]] = solution.impulses[~given.bilateral]
+    sim.joints.numpy("joint_impulse")[given.slot[given.bilateral]] = solution.impulses[given.bilateral, 0]
+    history = to_numpy(stats.history)[world].copy()
+    sim.bind("solve_world", world, 1, {"max_sweeps": 0})()  # velocities and residual of these impulses
+    to_numpy(stats.history)[world] = history
+    if residual[0] < before[-1][0]:
+        sweeps[0] = before[-3][0] + solution.sweeps
+        change[0] = before[-2][0]
+    else:
+        for array, value in zip(arrays, before, strict=True):
+            array[...] = value

@@ -1,0 +1,1 @@
+"""Particles to grid and back: splat, gather, images."""

@@ -1,0 +1,1 @@
+"""A solve in flight as a network reads it, and differentiable sweeps."""

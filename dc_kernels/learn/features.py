@@ -1,0 +1,285 @@
+"""A solve in flight as a network reads it, and the network's correction of the impulses: no copy either way.
+
+reader = SolveReader(sim, grid)
+sim.solve(pause=0)                             # contacts.impulse is taken up, no sweep done
+reader.read(np.flatnonzero(sim.running), begin=True)
+trunk = convolutions(reader.images())          # of the worlds that run
+near = reader.gather(trunk)                    # at the contacts and at both bodies
+reader.correct(head(reader.features(), near))
+sim.resume(pause=20)
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.transfer import Splat, allocate_image, chunks_of, stencil_scalars, transfer_kernels
+from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
+from dc_kernels.model.arrays import aligned_zeros, kernel_array, kernel_vectors, to_torch
+from dc_kernels.runtime.inputs import check_count
+from dc_kernels.runtime.interop import address
+from dc_kernels.runtime.program import Fed, Kernel, Program
+
+if TYPE_CHECKING:
+    from dc_kernels.simulation import Simulation
+
+RATE_NODES = 3  # spacings between the nodes that rates are taken at: 6 diameters at a spacing of 2
+PLACES = ("place", "place_a", "place_b")
+
+
+def solve_kernels(backend: str, dtype: str, variant: str) -> dict[str, Any]:
+    """Kernels by name: solve_features, correct_impulses."""
+    if backend == "warp":
+        from dc_kernels._warp.learn import features as solve_features
+    else:
+        from dc_kernels._numpy.learn import features as solve_features  # type: ignore[attr-defined, no-redef]
+    return solve_features.kernels(dtype, variant)
+
+
+class SolveReader:
+    """Features of a solve that pauses, of any of its worlds, packed one world after the other.
+
+    Attributes:
+        local: (room, len(LOCAL)); the first ``count`` rows are the contacts of the last ``read``.
+        image_value: what is splatted, (room, len(IMAGE)).
+        image: (W, len(IMAGE), rows, columns); plane k is that of the k-th world asked for.
+        place, place_a, place_b: contact points and centres of their bodies [m], (room, 2).
+        step: step of the last sweep [N s], (room, 2); before the first, that of each contact alone.
+        rate: A near each contact, (room,).
+        scale: RMS of the step and of the impulses [N s], A, RMS expected of the correction [N s], (W, 4).
+        before, known: impulses before and after the last correction, (slots of ``sim.contacts``, 2) [N s].
+        active, packed_start: the worlds asked for, and the first row of each.
+        asked, count: worlds and contacts of the last ``read``.
+    """
+
+    def __init__(
+        self, sim: Simulation, grid: Grid, *, cap: float = 200.0, limit: float = 100.0, threads: int | None = None
+    ) -> None:
+        """Allocate everything.
+
+        Args:
+            sim: whose solves are read; schedule "world", on the CPU. Not with acceleration "nncg": where it begins
+                anew, what it keeps of a sweep is 0.
+            grid: of the images, relative to each world's origin.
+            cap: largest extrapolation A [1].
+            limit: largest RMS of a correction that is taken, in units of that expected [1].
+            threads: None: as many as the simulation has.
+
+        Raises:
+            ValueError: for a simulation whose solves cannot pause, or a setting out of range.
+        """
+        for name, value in (("cap", cap), ("limit", limit)):
+            if not value > 0.0:
+                raise ValueError(f"{name} is {value!r}; it must be > 0")
+        if sim.device != "cpu" or sim.schedule != "world":
+            raise ValueError(
+                f"the simulation runs on {sim.device!r} with schedule {sim.schedule!r}; it must be 'cpu' and 'world'"
+            )
+        self.sim, self.grid, self.cap, self.limit = sim, grid, cap, limit
+        self.worlds = worlds = sim.model.world_count
+        self.threads = max(1, min(sim.threads if threads is None else check_count("threads", threads), worlds))
+        self._table = {
+            **transfer_kernels(sim.backend, sim.dtype.name),
+            **solve_kernels(sim.backend, sim.dtype.name, sim.variant),
+        }
+        self.image = allocate_image(worlds, len(IMAGE), grid, sim.dtype)
+        coarse = [max(2, -(-(n - 1) // RATE_NODES) + 1) for n in grid.shape]
+        self._squares = aligned_zeros((worlds, 2, *coarse), sim.dtype)
+        self.active, self.packed_start = np.zeros(worlds, np.int32), np.zeros(worlds + 1, np.int32)
+        self.scale = aligned_zeros((worlds, 4), sim.dtype)
+        self._point_count = np.zeros(worlds, np.int32)
+        self.asked = self.count = 0
+        self._bound: Any = None
+        self._bind()
+
+    def begin(self) -> None:
+        """Take the impulses that the solves begin with as those known: ``since`` then counts from there."""
+        if self._bound is not self.sim.values:
+            self._bind()
+        np.copyto(self.known, self.sim.contacts.numpy("impulse"))
+
+    def read(self, worlds: np.ndarray, *, begin: bool) -> int:
+        """Fill features and images of these worlds, whose solve is paused.
+
+        Args:
+            worlds: indices, ascending.
+            begin: whether no sweep has been done.
+
+        Returns:
+            The number of their contacts.
+
+        Raises:
+            ValueError: for a world that is not there, out of order or not paused, or acceleration "nncg".
+        """
+        self._check(worlds)
+        if self._bound is not self.sim.values:
+            self._bind()
+        self.asked = asked = len(worlds)
+        counts = self.sim.contacts.numpy("contact_count")[worlds]
+        self.active[:asked] = worlds
+        np.cumsum(counts, out=self.packed_start[1 : asked + 1])
+        self.count = int(self.packed_start[asked])
+        self.packed_start[asked + 1 :] = self.count
+        self._point_count[:asked] = counts
+        self._point_count[asked:] = 0
+        self._read[begin]()
+        return self.count
+
+    def features(self) -> Any:
+        """``local`` of the contacts read, as a torch tensor (count, len(LOCAL)), the same memory."""
+        return to_torch(self.local)[: self.count]
+
+    def images(self) -> Any:
+        """Images of the worlds read, as a torch tensor (asked, len(IMAGE), rows, columns), the same memory."""
+        return to_torch(self.image)[: self.asked]
+
+    def gather(self, image: Any) -> tuple[Any, Any, Any]:
+        """An image of the worlds read, bilinearly at the contacts, at their bodies A and at their bodies B.
+
+        Args:
+            image: (asked, C, rows, columns), contiguous, of the simulation's dtype, on the CPU, read where it lies.
+
+        Returns:
+            Three torch tensors (count, C), the same memory each time.
+
+        Raises:
+            ValueError: for an image of another dtype, shape, layout or device.
+        """
+        pointer, shape = address(image, "image", self.sim.dtype)
+        if len(shape) != 4 or (shape[0], *shape[2:]) != (self.asked, *self.grid.shape):
+            raise ValueError(
+                f"image has shape {shape}; it must be ({self.asked}, C, {self.grid.rows}, {self.grid.columns})"
+            )
+        channels = shape[1]
+        if channels not in self._gathers:
+            self._gathers[channels] = self._bind_gather(channels)
+        values, launches = self._gathers[channels]
+        for launch in launches:
+            launch(image, pointer)
+        return tuple(to_torch(value)[: self.count] for value in values)  # type: ignore[return-value]
+
+    def correct(self, output: Any) -> np.ndarray:
+        """Correct ``contacts.impulse`` of the worlds read, which ``resume`` then takes up.
+
+        Args:
+            output: (count, len(OUTPUT)), contiguous, of the simulation's dtype, on the CPU, read where it lies.
+
+        Returns:
+            Whether each world took its correction, bool (asked,): not one with NaN or inf, or beyond ``limit``.
+
+        Raises:
+            ValueError: for an output of another dtype, shape, layout or device.
+        """
+        pointer, shape = address(output, "output", self.sim.dtype)
+        if shape != (self.count, len(OUTPUT)):
+            raise ValueError(f"output has shape {shape}; it must be ({self.count}, {len(OUTPUT)})")
+        self._correct(output, pointer)
+        return self.sim.stats.numpy("replaced")[self.active[: self.asked]] != 0
+
+    # ------------------------------------------------------------------ set-up
+
+    def _check(self, worlds: np.ndarray) -> None:
+        if worlds.ndim != 1 or worlds.dtype.kind not in "iu":
+            raise ValueError(f"worlds has dtype {worlds.dtype}, shape {worlds.shape}; it must be (n,) integers")
+        if not len(worlds):
+            return
+        if worlds[0] < 0 or worlds[-1] >= self.worlds or not (worlds[1:] > worlds[:-1]).all():
+            off = (worlds >= self.worlds) | (np.diff(worlds, prepend=-1) <= 0)
+            i = int(np.argmax(off))
+            raise ValueError(f"worlds[{i}] is {worlds[i]}; it must lie in [0, {self.worlds - 1}], above those before")
+        paused = self.sim.running[worlds]
+        if not paused.all():
+            i = int(np.argmin(paused))
+            raise ValueError(f"worlds[{i}] is {worlds[i]}, whose solve is not paused")
+
+    def _array(self, values: np.ndarray) -> Any:
+        return kernel_array(values, self.sim.backend)
+
+    def _bind_gather(self, channels: int) -> tuple[np.ndarray, list[Fed]]:
+        """What gathers an image of so many channels at the three places, and where to."""
+        values = np.zeros((len(PLACES), self._room, channels), self.sim.dtype)
+        image = self._array(np.zeros((1, channels, *self.grid.shape), self.sim.dtype))
+        given = {**self._points, **self._bilinear, "image": image}
+        launches = [
+            self._fed("gather_points", "image", self._chunks, {**given, "point": point, "value": self._array(value)})
+            for point, value in zip(self._places.values(), values)
+        ]
+        return values, launches
+
+    def _fed(self, kernel: str, name: str, chunks: int, values: dict[str, Any]) -> Fed:
+        stage = Kernel(self._table[kernel], values, chunks)
+        return Fed(stage, name, self.worlds, backend=self.sim.backend, threads=self.threads)
+
+    def _bind(self) -> None:
+        """Bind everything to the simulation's arrays: it makes ``values`` anew when it has reallocated some."""
+        sim, dtype, backend = self.sim, self.sim.dtype, self.sim.backend
+        if sim.config.acceleration == "nncg":
+            raise ValueError("config.acceleration is 'nncg'; a solve that is read keeps the step of each sweep")
+        self._bound = sim.values
+        self._room = room = sim.contacts.sizes["contact"]
+        self._chunks = chunks_of(int(sim.storage.contact_room.max(initial=0)))
+        self.local, self.image_value = aligned_zeros((room, len(LOCAL)), dtype), np.zeros((room, len(IMAGE)), dtype)
+        self.place, self.place_a, self.place_b, self.step = (np.zeros((room, 2), dtype) for _ in range(4))
+        self.rate = np.zeros(room, dtype)
+        origin = kernel_vectors(np.tile(np.asarray(self.grid.origin, dtype), (self.worlds, 1)), backend)
+        self.before, self.known = np.zeros((room, 2), dtype), np.zeros((room, 2), dtype)
+        self._gathers: dict[int, tuple[np.ndarray, list[Fed]]] = {}
+        self._places = {name: kernel_vectors(getattr(self, name), backend) for name in PLACES}
+        self._values = {
+            **sim.values,
+            **self._places,
+            "accelerated": int(sim.config.acceleration != "none"),
+            "cap": self.cap,
+            "limit_factor": self.limit,
+            "active": self._array(self.active),
+            "packed_start": self._array(self.packed_start),
+            "before": kernel_vectors(self.before, backend),
+            "known": kernel_vectors(self.known, backend),
+            "body_sum": kernel_vectors(np.zeros((sim.model.body_count, 4), dtype), backend),
+            "local": self._array(self.local),
+            "image_value": self._array(self.image_value),
+            "step": kernel_vectors(self.step, backend),
+            "rate": self._array(self.rate),
+            "squares": self._array(self._squares),
+            "rate_spacing": RATE_NODES * self.grid.spacing,
+            "grid_origin": origin,
+            "world_scale": kernel_vectors(self.scale, backend),
+        }
+        self._points = {
+            "grid_origin": origin,
+            "point_start": self._values["packed_start"],
+            "point_count": self._array(self._point_count),
+            "point_bin": self._array(np.zeros(1, np.int32)),
+            "bins": 1,
+            "channel_offset": 0,
+            "chunks": self._chunks,
+        }
+        self._bilinear = stencil_scalars(self.grid, "bilinear", None, "particle", True)
+        self.image.fill(0)
+        splat = Splat(
+            self._table,
+            {
+                **self._points,
+                **stencil_scalars(self.grid, "bspline", None, "particle", True),
+                "point": self._places["place"],
+                "value": self._values["image_value"],
+                "image": self._array(self.image),
+            },
+            backend=backend,
+            threads=self.threads,
+        )
+        output = self._array(np.zeros((1, len(OUTPUT)), dtype))
+        self._correct = self._fed("correct_impulses", "output", 1, {**self._values, "output": output})
+        features = self._table["solve_features"]
+        self._read = [
+            Program(
+                [Kernel(features, {**self._values, "begin": begin}), splat],
+                worlds=self.worlds,
+                backend=backend,
+                threads=self.threads,
+            )
+            for begin in (0, 1)
+        ]

@@ -1,0 +1,1 @@
+"""What exists: fields of arrays, settings, builder, shapes, checks."""

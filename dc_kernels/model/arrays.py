@@ -1,0 +1,290 @@
+"""Allocation of the arrays of ``model/fields.py``, their containers, and zero-copy views.
+
+One buffer serves every user: on the CPU an array is allocated once, 64-byte aligned, and seen as
+``wp.array``, ``numpy.ndarray`` or ``torch.Tensor`` without a copy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, Field
+from dc_kernels.runtime.optional import require
+
+FLOATS: dict[str, np.dtype] = {"float32": np.dtype(np.float32), "float64": np.dtype(np.float64)}
+_COMPONENTS = {"vec2": 2, "vec2d": 2, "vec3i": 3, "vec4": 4}
+
+
+def float_dtype(dtype: Any) -> np.dtype:
+    """float32 or float64 as a numpy dtype.
+
+    Raises:
+        ValueError: for any other dtype.
+    """
+    name = np.dtype(dtype).name
+    if name not in FLOATS:
+        raise ValueError(f"dtype is {name!r}; it must be one of {tuple(FLOATS)}")
+    return FLOATS[name]
+
+
+def numpy_spec(field: Field, real: np.dtype) -> tuple[np.dtype, tuple[int, ...]]:
+    """Scalar dtype and trailing shape of a field: ("vec2", float32) -> (float32, (2,))."""
+    components = _COMPONENTS.get(field.dtype)
+    shape = () if components is None else (components,)
+    if field.dtype == "vec2d":
+        return np.dtype(np.float64), shape
+    if field.dtype == "vec3i":
+        return np.dtype(np.int32), shape
+    if components is not None or field.dtype == "real":
+        return real, shape
+    return np.dtype(field.dtype), shape
+
+
+def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype, alignment: int = 64) -> np.ndarray:
+    """Zeros whose first byte is aligned for SIMD loads."""
+    count = int(np.prod(shape))
+    raw = np.zeros(count * dtype.itemsize + alignment, np.uint8)
+    offset = -raw.ctypes.data % alignment
+    return raw[offset : offset + count * dtype.itemsize].view(dtype).reshape(shape)
+
+
+def warp_dtype(field: Field, real: np.dtype) -> Any:
+    """The Warp type of one element of a field."""
+    import warp as wp
+
+    scalar, shape = numpy_spec(field, real)
+    base = wp.dtype_from_numpy(scalar)
+    return wp.types.vector(shape[0], base) if shape else base
+
+
+def allocate(field: Field, count: int, real: np.dtype, device: str, backend: str) -> Any:
+    """One zeroed array of ``count`` elements on the device of a backend."""
+    scalar, shape = numpy_spec(field, real)
+    if backend == "numpy":
+        return aligned_zeros((count, *shape), scalar)
+    import warp as wp
+
+    dtype = warp_dtype(field, real)
+    if device == "cpu":
+        return wp.array(aligned_zeros((count, *shape), scalar), dtype=dtype, device="cpu", copy=False)
+    return wp.zeros(count, dtype=dtype, device=device)
+
+
+def to_numpy(array: Any) -> np.ndarray:
+    """A numpy array: the same memory on the CPU, a copy from a GPU."""
+    return array if isinstance(array, np.ndarray) else array.numpy()
+
+
+def to_torch(array: Any) -> Any:
+    """A torch tensor on the same memory (any device).
+
+    Raises:
+        ImportError: naming the extra, without torch.
+    """
+    torch = require("torch", "pipeline")
+    if isinstance(array, np.ndarray):
+        return torch.from_numpy(array)
+    import warp as wp
+
+    return wp.to_torch(array, requires_grad=False)
+
+
+def kernel_array(array: np.ndarray, backend: str) -> Any:
+    """An array as the kernels of a backend take it, the same memory."""
+    if backend == "numpy":
+        return array
+    import warp as wp
+
+    return wp.array(array, dtype=wp.dtype_from_numpy(array.dtype), device="cpu", copy=False)
+
+
+def kernel_arrays(arrays: Mapping[str, np.ndarray], backend: str) -> dict[str, Any]:
+    """Arrays by name as the kernels of a backend take them, the same memory."""
+    return {name: kernel_array(array, backend) for name, array in arrays.items()}
+
+
+def kernel_vectors(array: np.ndarray, backend: str) -> Any:
+    """An array (n, k) as the kernels of a backend take it: vectors of k for Warp, the same memory."""
+    if backend == "numpy":
+        return array
+    import warp as wp
+
+    dtype = wp.types.vector(array.shape[1], wp.dtype_from_numpy(array.dtype))
+    return wp.array(array, dtype=dtype, shape=(len(array),), device="cpu", copy=False)
+
+
+def uniform(values: np.ndarray) -> float:
+    """The value that all have in common, -1 if they differ."""
+    return float(values[0]) if len(values) and (values == values[0]).all() else -1.0
+
+
+class ArrayGroup:
+    """Named arrays allocated from a table of fields; an attribute for each."""
+
+    table: Mapping[str, Field] = {}
+
+    def __init__(self, sizes: Mapping[str, int], dtype: Any, device: str = "cpu", backend: str = "warp") -> None:
+        """Allocate every field of the table, zeroed.
+
+        Args:
+            sizes: elements on each axis that the table names.
+            dtype: float32 or float64, the scalar of "real", "vec2" and "vec4" fields.
+            device: "cpu" or a CUDA device of Warp; "cpu" only for the numpy backend.
+            backend: "warp" or "numpy".
+        """
+        self.sizes = dict(sizes)
+        self.dtype = float_dtype(dtype)
+        self.device = device
+        self.backend = backend
+        for name, field in self.table.items():
+            setattr(self, name, allocate(field, sizes[field.per], self.dtype, device, backend))
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    def array(self, name: str) -> Any:
+        """The array of a field."""
+        return getattr(self, name)
+
+    def numpy(self, name: str) -> np.ndarray:
+        """The array of a field as numpy (see ``to_numpy``)."""
+        return to_numpy(getattr(self, name))
+
+    def assign(self, name: str, values: Any) -> None:
+        """Copy values into a field.
+
+        Raises:
+            ValueError: naming the field, when the shape differs, or for non-finite values or a lossy integer dtype.
+        """
+        field = self.table[name]
+        scalar, shape = numpy_spec(field, self.dtype)
+        values = check_values(name, values, (self.sizes[field.per], *shape), scalar)
+        target = getattr(self, name)
+        if isinstance(target, np.ndarray):
+            target[...] = values
+        elif self.device == "cpu":
+            target.numpy()[...] = values
+        else:
+            target.assign(values)
+
+    def check(self, label: str) -> None:
+        """Raise ValueError, naming field and index, for an array that a kernel must not see.
+
+        That is one of another type, dtype, shape, device or memory layout than ``allocate`` gives, or with NaN or inf.
+        Steps do not look again: there a value that is not finite flags and freezes its world.
+        """
+        for name, field in self.table.items():
+            array = getattr(self, name)
+            scalar, shape = numpy_spec(field, self.dtype)
+            count = self.sizes[field.per]
+            found: tuple[Any, ...] = (
+                type(array).__name__,
+                getattr(array, "dtype", None),
+                getattr(array, "shape", None),
+            )
+            if self.backend == "numpy":
+                wanted: tuple[Any, ...] = ("ndarray", scalar, (count, *shape))
+                whole = isinstance(array, np.ndarray) and array.flags.c_contiguous
+            else:
+                import warp as wp
+
+                dtype = warp_dtype(field, self.dtype)
+                if found[0] == "array" and wp.types.types_equal(found[1], dtype):
+                    found = (found[0], dtype, found[2])  # Warp makes equal vector types anew
+                found += (str(getattr(array, "device", None)),)
+                wanted = ("array", dtype, (count,), self.device)
+                whole = getattr(array, "is_contiguous", False)
+            if found != wanted:
+                raise ValueError(f"{label}.{name} is {found}; it must be {wanted}")
+            if not whole:
+                raise ValueError(f"{label}.{name} has strides {array.strides}; it must be contiguous")
+            if scalar.kind == "f":
+                values = to_numpy(array)
+                bad = np.argwhere(~np.isfinite(values))
+                if len(bad):
+                    index = ", ".join(str(int(i)) for i in bad[0])
+                    raise ValueError(f"{label}.{name}[{index}] is {values[tuple(bad[0])]}; it must be finite")
+
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        return sum(self.nbytes_by_axis().values())
+
+    def nbytes_by_axis(self) -> dict[str, int]:
+        """Bytes by the axis that the arrays run along."""
+        total: dict[str, int] = {}
+        for field in self.table.values():
+            scalar, shape = numpy_spec(field, self.dtype)
+            width = scalar.itemsize * int(np.prod(shape, dtype=np.int64))
+            total[field.per] = total.get(field.per, 0) + width * self.sizes[field.per]
+        return total
+
+
+def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """Values as a contiguous array of the given shape and dtype.
+
+    Raises:
+        ValueError: naming field and first bad index: another shape, NaN or inf, or an integer that does not fit.
+    """
+    array = np.asarray(values)
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}; it must be {shape}")
+    if array.dtype.kind not in "buif":
+        raise ValueError(f"{name} has dtype {array.dtype}; it must be numeric")
+    if dtype.kind == "f":
+        bad = np.argwhere(~np.isfinite(array))
+    else:
+        with np.errstate(invalid="ignore"):
+            bad = np.argwhere(array.astype(dtype) != array)
+    if len(bad):
+        index = tuple(int(i) for i in bad[0])
+        limit = "finite" if dtype.kind == "f" else f"a {dtype.name}"
+        raise ValueError(f"{name}[{', '.join(map(str, index))}] is {array[index]}; it must be {limit}")
+    return np.ascontiguousarray(array, dtype=dtype)
+
+
+class Model(ArrayGroup):
+    """What does not change: bodies, shapes, worlds (``model.fields.MODEL``)."""
+
+    table = MODEL
+
+    @property
+    def world_count(self) -> int:
+        """Number of worlds."""
+        return self.sizes["world"]
+
+    @property
+    def body_count(self) -> int:
+        """Number of bodies of all worlds."""
+        return self.sizes["body"]
+
+    @property
+    def shape_count(self) -> int:
+        """Number of shapes of all worlds."""
+        return self.sizes["shape"]
+
+    @property
+    def joint_count(self) -> int:
+        """Number of joints of all worlds."""
+        return int(self.numpy("joint_start")[-1])
+
+
+class State(ArrayGroup):
+    """What evolves (``model.fields.STATE``)."""
+
+    table = STATE
+
+
+class Contacts(ArrayGroup):
+    """The contacts of the present step and the impulses that persist (``model.fields.CONTACTS``)."""
+
+    table = CONTACTS
+
+
+class Joints(ArrayGroup):
+    """Distance joints (``model.fields.JOINTS``)."""
+
+    table = JOINTS

@@ -1,0 +1,196 @@
+"""From a builder's rows to the fields of the model, vectorised: reference points, masses, scales.
+
+Everything is float64 here; the builder casts.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dc_kernels.model.config import SolverConfig
+from dc_kernels.model.enums import BodyType, ShapeType
+from dc_kernels.model.fields import KEY_SHAPE_BITS
+from dc_kernels.model.shapes import edge_normals, mass_properties
+
+CELL_FACTOR = 1.3
+"""The finest cell holds the smallest box of a dynamic shape with this to spare: a box then meets few cells [1]."""
+
+# columns of the tables of bodies (NaN mass or inertia: from the shapes) and shapes
+X, Y, ANGLE, VX, VY, SPIN, TYPE, MASS, INERTIA = range(9)
+BODY, SHAPE, COUNT, RADIUS, DENSITY, FRICTION, RESTITUTION, CATEGORY, MASK = range(9)
+
+
+class World(NamedTuple):
+    """A world's settings, and how much was there when it began."""
+
+    gravity: tuple[float, float]
+    origin: tuple[float, float]
+    length_scale: float  # NaN: from the shapes
+    body: int
+    joint: int
+
+
+def assemble(
+    worlds: list[World], bodies: np.ndarray, shapes: np.ndarray, vertices: np.ndarray, joints: np.ndarray
+) -> dict[str, np.ndarray]:
+    """All fields of the model, state and joints that are not zero, in float64 (integers as they are).
+
+    Args:
+        worlds: their settings.
+        bodies: (n, 9) and ``shapes`` (m, 9), with the columns named above.
+        vertices: (v, 2) [m], shape after shape, in the frames of the bodies.
+        joints: (j, 7): body A, body B, anchor A, anchor B, length.
+
+    Raises:
+        ValueError: a dynamic body without mass; too many shapes in a world.
+    """
+    owner = shapes[:, BODY].astype(np.int64)
+    if (np.diff(owner) < 0).any():
+        order = np.argsort(owner, kind="stable")
+        vertices = vertices[np.argsort(np.repeat(owner, shapes[:, COUNT].astype(np.int64)), kind="stable")]
+        shapes, owner = shapes[order], owner[order]
+    body_start = np.array([w.body for w in worlds] + [len(bodies)])
+    shapes_of = np.bincount(owner, minlength=len(bodies))
+    body_shape_start = _starts(shapes_of)
+    shape_start = body_shape_start[body_start]
+    shapes_per_world = np.diff(shape_start)
+    if shapes_per_world.max() > 2**KEY_SHAPE_BITS:
+        w = int(shapes_per_world.argmax())
+        raise ValueError(
+            f"world {w} has {shapes_per_world[w]} shapes; at most {2**KEY_SHAPE_BITS} fit the contact keys"
+        )
+    world_of = np.repeat(np.arange(len(worlds)), np.diff(body_start))
+
+    geometry = Geometry(shapes, vertices)
+    com, mass, inertia = _masses(bodies, shapes, owner, shapes_of, geometry)
+    dynamic = bodies[:, TYPE] == BodyType.DYNAMIC
+    length_scale, cell_size = _scales(worlds, world_of[owner], 2 * geometry.extent, dynamic[owner])
+
+    cos, sin = np.cos(bodies[:, ANGLE]), np.sin(bodies[:, ANGLE])
+    arm = np.stack((cos * com[:, 0] - sin * com[:, 1], sin * com[:, 0] + cos * com[:, 1]), axis=1)
+    spin = bodies[:, SPIN]
+    origin = np.array([w.origin for w in worlds])
+    a, b = joints[:, 0].astype(np.int64), joints[:, 1].astype(np.int64)
+    return {
+        "body_start": body_start,
+        "shape_start": shape_start,
+        "joint_start": np.array([w.joint for w in worlds] + [len(joints)]),
+        "gravity": np.array([w.gravity for w in worlds]),
+        "origin": origin,
+        "length_scale": length_scale,
+        "cell_size": cell_size,
+        "body_type": bodies[:, TYPE].astype(np.int32),
+        "mass": mass,
+        "inertia": inertia,
+        "inv_mass": np.divide(1.0, mass, out=np.zeros_like(mass), where=mass > 0),
+        "inv_inertia": np.divide(1.0, inertia, out=np.zeros_like(inertia), where=inertia > 0),
+        "center_of_mass": com,
+        "body_shape_start": body_shape_start,
+        "shape_body": owner,
+        "shape_type": shapes[:, SHAPE].astype(np.int32),
+        "shape_radius": shapes[:, RADIUS],
+        "shape_center": geometry.center - com[owner],
+        "shape_extent": geometry.extent,
+        "shape_friction": shapes[:, FRICTION],
+        "shape_restitution": shapes[:, RESTITUTION],
+        "shape_category": shapes[:, CATEGORY].astype(np.uint32),
+        "shape_mask": shapes[:, MASK].astype(np.uint32),
+        "vertex_start": geometry.vertex_start,
+        "vertices": vertices - np.repeat(com[owner], geometry.count, axis=0),
+        "vertex_normals": geometry.normals,
+        "position": (bodies[:, X : Y + 1] - origin[world_of]) + arm,
+        "angle": bodies[:, ANGLE],
+        "velocity": bodies[:, VX : VY + 1] + spin[:, None] * np.stack((-arm[:, 1], arm[:, 0]), axis=1),
+        "angular_velocity": spin,
+        "joint_body_a": a,
+        "joint_body_b": b,
+        "joint_anchor_a": joints[:, 2:4] - com[a],
+        "joint_anchor_b": joints[:, 4:6] - com[b],
+        "joint_length": joints[:, 6],
+    }
+
+
+class Geometry:
+    """Of each shape, in the frame it was given in; worked out for all shapes of a kind at once."""
+
+    def __init__(self, shapes: np.ndarray, vertices: np.ndarray) -> None:
+        self.count = shapes[:, COUNT].astype(np.int64)
+        self.vertex_start = _starts(self.count)
+        self.normals = np.zeros_like(vertices)
+        self.center = np.zeros((len(shapes), 2))
+        self.area = np.zeros(len(shapes))
+        self.inertia = np.zeros(len(shapes))  # about the centroid, of unit density
+        self.extent = np.zeros(len(shapes))
+        code = shapes[:, SHAPE].astype(np.int64) * 16 + self.count
+        for kind in np.flatnonzero(np.bincount(code)):
+            chosen = np.flatnonzero(code == kind)
+            radius = shapes[chosen, RADIUS]
+            n = 2 if kind // 16 == ShapeType.SEGMENT else kind % 16  # without a segment's neighbours
+            index = self.vertex_start[chosen, None] + np.arange(n)
+            corners = vertices[index]
+            self.normals[index] = edge_normals(corners)
+            if kind // 16 == ShapeType.SEGMENT:
+                self.center[chosen] = corners.mean(axis=1)
+            else:
+                self.area[chosen], self.center[chosen], self.inertia[chosen] = mass_properties(corners, radius)
+            reach = corners - self.center[chosen, None]
+            self.extent[chosen] = np.hypot(reach[..., 0], reach[..., 1]).max(axis=1) + radius
+
+
+def _masses(
+    bodies: np.ndarray, shapes: np.ndarray, owner: np.ndarray, shapes_of: np.ndarray, geometry: Geometry
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centre of mass, mass and inertia of the bodies."""
+    n = len(bodies)
+    given_mass, given_inertia = bodies[:, MASS], bodies[:, INERTIA]
+    dynamic, kinematic = bodies[:, TYPE] == BodyType.DYNAMIC, bodies[:, TYPE] == BodyType.KINEMATIC
+    weight = shapes[:, DENSITY] * geometry.area
+    dense = np.bincount(owner, weight, n)
+    lacking = dynamic & np.isnan(given_mass) & ~(dense > 0)
+    if lacking.any():
+        i = int(lacking.argmax())
+        why = "the densities of its shapes are zero" if shapes_of[i] else "it has no shape"
+        raise ValueError(f"mass of body {i} is not given and {why}; a dynamic body needs a mass > 0")
+    # a body of given mass whose densities are all zero is taken as uniform; a static one has no mass to weigh by
+    weight = np.where(dynamic[owner], np.where(dense[owner] > 0, weight, geometry.area), 1.0)
+    total = np.bincount(owner, weight, n)
+    safe = np.where(total > 0, total, 1.0)
+    com = np.stack([np.bincount(owner, weight * geometry.center[:, k], n) / safe for k in (0, 1)], axis=1)
+    single = shapes_of[owner] == 1  # without the rounding of a product and a division: a centred disc stays at zero
+    com[owner[single]] = geometry.center[single]
+    com[kinematic] = 0.0
+    offset = geometry.center - com[owner]
+    gyration = np.divide(geometry.inertia, geometry.area, out=np.zeros_like(weight), where=geometry.area > 0)
+    spread = np.bincount(owner, weight * (gyration + (offset * offset).sum(axis=1)), n)
+    mass = np.where(dynamic, np.where(np.isnan(given_mass), total, given_mass), 0.0)
+    inertia = np.where(dynamic, np.where(np.isnan(given_inertia), spread * (mass / safe), given_inertia), 0.0)
+    return com, mass, inertia
+
+
+def _scales(
+    worlds: list[World], world: np.ndarray, diameter: np.ndarray, dynamic: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Length scale and finest cell of the worlds from their shapes' diameters."""
+    n = len(worlds)
+    moving = np.bincount(world, dynamic, n) > 0
+    used = dynamic | ~moving[world]
+    world, diameter = world[used], diameter[used]
+    diameter = diameter[np.lexsort((diameter, world))]
+    count = np.bincount(world, minlength=n)
+    start = _starts(count)[:-1]
+    median = np.ones(n)
+    some = count > 0
+    first, many = start[some], count[some]
+    median[some] = (diameter[first + (many - 1) // 2] + diameter[first + many // 2]) / 2
+    given = np.array([w.length_scale for w in worlds])
+    scale = np.where(np.isnan(given), median, given)
+    smallest = scale.copy()
+    smallest[some] = diameter[first]
+    return scale, CELL_FACTOR * (smallest + 2 * SolverConfig.margin * scale)
+
+
+def _starts(counts: np.ndarray) -> np.ndarray:
+    """Where each of consecutive runs begins, and where the last one ends."""
+    return np.concatenate(([0], np.cumsum(counts)))

@@ -1,0 +1,467 @@
+"""ModelBuilder: worlds, bodies, shapes and joints one by one or in bulk, then all arrays at once.
+
+What is added is kept as rows of numbers; ``finalize`` turns them into the arrays of ``model/fields.py`` with numpy, in
+float64 up to the last cast, so that a world far from the origin is as exact as one at it.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from typing import TYPE_CHECKING, Any, TypedDict
+
+import numpy as np
+
+from dc_kernels.model.arrays import Joints, Model, State, float_dtype
+from dc_kernels.model.assemble import (
+    ANGLE,
+    BODY,
+    CATEGORY,
+    COUNT,
+    DENSITY,
+    FRICTION,
+    MASK,
+    RADIUS,
+    RESTITUTION,
+    SHAPE,
+    SPIN,
+    TYPE,
+    VX,
+    VY,
+    World,
+    X,
+    Y,
+    assemble,
+)
+from dc_kernels.model.checks import ALL_BITS, fill, number, pair
+from dc_kernels.model.enums import BodyType, ShapeType
+from dc_kernels.model.shapes import TOLERANCE, box_vertices, convex_polygon, points
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+
+class _Rows:
+    """A table of float64 numbers that grows by single rows and by blocks."""
+
+    def __init__(self, width: int) -> None:
+        self.count = 0
+        self._width = width
+        self._rows: list[tuple[float, ...]] = []
+        self._blocks: list[np.ndarray] = []
+
+    def append(self, *row: float) -> int:
+        self._rows.append(row)
+        self.count += 1
+        return self.count - 1
+
+    def extend(self, block: np.ndarray) -> None:
+        self._flush()
+        self._blocks.append(block)
+        self.count += len(block)
+
+    def collect(self) -> np.ndarray:
+        self._flush()
+        if len(self._blocks) != 1:
+            self._blocks = [np.concatenate([np.empty((0, self._width)), *self._blocks])]
+        return self._blocks[0]
+
+    def row(self, index: int) -> Any:
+        first = self.count - len(self._rows)
+        if index >= first:
+            return self._rows[index - first]
+        for block in reversed(self._blocks):  # what is asked for was mostly added lately
+            first -= len(block)
+            if index >= first:
+                return block[index - first]
+        raise IndexError(index)
+
+    def _flush(self) -> None:
+        if self._rows:
+            self._blocks.append(np.array(self._rows, np.float64))
+            self._rows = []
+
+
+class Material(TypedDict, total=False):
+    """Keywords that every shape takes."""
+
+    density: float  # [kg/m^2] >= 0, default 1; 0 for what should not weigh; without effect on segments
+    friction: float  # Coulomb coefficient [1] >= 0, default 0.5
+    restitution: float  # [1], in [0, 1], default 0
+    category: int  # 32 bits of what the shape is, default 1
+    mask: int  # 32 bits of what it collides with, default all
+
+
+class ModelBuilder:
+    """Collects worlds and makes their ``Model``, ``State`` and ``Joints``.
+
+    Worlds are built one after the other: whatever is added goes to the latest. Every ``add_*`` checks its
+    arguments and raises a ValueError that names field, index and limit. The keywords of ``Material`` go with every
+    shape.
+
+    Shape indices count shapes in the order of their adding. In the model shapes are sorted by body, so the two
+    agree only if shapes are added body by body.
+    """
+
+    def __init__(self) -> None:
+        self._worlds: list[World] = []
+        self._bodies = _Rows(9)
+        self._shapes = _Rows(9)
+        self._vertices = _Rows(2)
+        self._joints = _Rows(7)  # body a, body b, anchor a, anchor b, length
+
+    def add_world(self, gravity: Any = (0.0, -9.8), origin: Any = (0.0, 0.0), length_scale: float | None = None) -> int:
+        """Begin a new world and return its index.
+
+        Args:
+            gravity: (2,) [m/s^2].
+            origin: (2,) [m], subtracted from all positions before they are cast to the model's dtype.
+            length_scale: [m], > 0, the typical diameter; None: the median diameter of the dynamic bodies' shapes
+                (of all shapes if there are none, and 1 m in an empty world).
+        """
+        where = f"world {len(self._worlds)}"
+        scale = math.nan if length_scale is None else number("length_scale", length_scale, where)
+        world = World(
+            pair("gravity", gravity, where),
+            pair("origin", origin, where),
+            scale,
+            self._bodies.count,
+            self._joints.count,
+        )
+        self._worlds.append(world)
+        return len(self._worlds) - 1
+
+    def add_body(
+        self,
+        position: Any = (0.0, 0.0),
+        angle: float = 0.0,
+        velocity: Any = (0.0, 0.0),
+        angular_velocity: float = 0.0,
+        type: BodyType = BodyType.DYNAMIC,
+        mass: float | None = None,
+        inertia: float | None = None,
+    ) -> int:
+        """Add a body to the latest world and return its index over all worlds.
+
+        Args:
+            position: (2,) [m], of the origin of the body's frame, in world coordinates.
+            angle: [rad].
+            velocity: (2,) [m/s], of the origin of the body's frame; zero for a static body.
+            angular_velocity: [rad/s]; zero for a static body.
+            type: static, kinematic or dynamic.
+            mass: [kg], > 0; None: from the shapes' density. Without effect on bodies that are not dynamic.
+            inertia: [kg m^2] about the centre of mass, >= 0, where 0 means that the body does not rotate; None:
+                from the shapes (a given mass spread as their density says), 0 for a point mass without shape.
+        """
+        where = f"body {self._bodies.count}"
+        self._need_world(where)
+        try:
+            kind = BodyType(type)
+        except ValueError as error:
+            raise ValueError(f"type of {where} is {type!r}; it must be one of {[t.name for t in BodyType]}") from error
+        x, y = pair("position", position, where)
+        vx, vy = pair("velocity", velocity, where)
+        spin = number("angular_velocity", angular_velocity, where)
+        if kind == BodyType.STATIC and (vx or vy or spin):
+            raise ValueError(f"velocity of {where} is ({vx}, {vy}), {spin}; a static body must have none")
+        return self._bodies.append(
+            x,
+            y,
+            number("angle", angle, where),
+            vx,
+            vy,
+            spin,
+            kind,
+            math.nan if mass is None else number("mass", mass, where),
+            math.nan if inertia is None else number("inertia", inertia, where),
+        )
+
+    def add_disc(self, body: int, radius: float, center: Any = (0.0, 0.0), **material: Unpack[Material]) -> int:
+        """Add a disc of ``radius`` [m] > 0 about ``center`` (2,) [m] in the body's frame; return its shape index."""
+        where = self._shape_of(body)
+        radius = number("radius", radius, where)
+        return self._add(
+            body, ShapeType.DISC, np.array([pair("center", center, where)]), radius, _material(where, **material)
+        )
+
+    def add_box(
+        self,
+        body: int,
+        half_width: float,
+        half_height: float,
+        center: Any = (0.0, 0.0),
+        angle: float = 0.0,
+        radius: float = 0.0,
+        **material: Unpack[Material],
+    ) -> int:
+        """Add a box and return its shape index.
+
+        Args:
+            body: index.
+            half_width: [m] > 0, without the rounding.
+            half_height: [m] > 0, without the rounding.
+            center: (2,) [m], in the body's frame.
+            angle: [rad], in the body's frame.
+            radius: [m] >= 0, by which the box grows on all sides, rounding its corners.
+            **material: see ``Material``.
+        """
+        where = self._shape_of(body)
+        half_width, half_height = number("half_width", half_width, where), number("half_height", half_height, where)
+        corners = box_vertices(half_width, half_height, pair("center", center, where), number("angle", angle, where))
+        radius = number("rounding", radius, where)
+        return self._add(
+            body,
+            ShapeType.POLYGON,
+            convex_polygon(corners, f"corners of {where}"),
+            radius,
+            _material(where, **material),
+        )
+
+    def add_polygon(self, body: int, vertices: Any, radius: float = 0.0, **material: Unpack[Material]) -> int:
+        """Add a convex polygon and return its shape index.
+
+        Args:
+            body: index.
+            vertices: (n, 2) [m], 3 <= n <= 8, in the body's frame, in either order; see ``convex_polygon``.
+            radius: [m] >= 0, by which the polygon grows on all sides, rounding its corners.
+            **material: see ``Material``.
+        """
+        where = self._shape_of(body)
+        checked = convex_polygon(vertices, f"vertices of {where}")
+        radius = number("rounding", radius, where)
+        return self._add(body, ShapeType.POLYGON, checked, radius, _material(where, **material))
+
+    def add_capsule(self, body: int, p1: Any, p2: Any, radius: float, **material: Unpack[Material]) -> int:
+        """Add the line from ``p1`` to ``p2`` (2,) [m], thickened by ``radius`` [m] > 0; return its shape index."""
+        where = self._shape_of(body)
+        ends = np.array((pair("p1", p1, where), pair("p2", p2, where)))
+        radius = number("radius", radius, where)
+        length = math.hypot(*(ends[1] - ends[0]))
+        if not length > TOLERANCE * radius:
+            raise ValueError(f"p1 and p2 of {where} are {length:g} m apart; it must exceed {TOLERANCE:g} of the radius")
+        return self._add(body, ShapeType.POLYGON, ends, radius, _material(where, **material))
+
+    def add_chain(self, body: int, vertices: Any, closed: bool = False, **material: Unpack[Material]) -> np.ndarray:
+        """Add a chain of segments to a static body and return their shape indices.
+
+        Each segment knows its neighbours in the chain, so that nothing catches on the joints.
+
+        Args:
+            body: index of a static body.
+            vertices: (n, 2) [m], n >= 2, or n >= 3 if closed, in the body's frame. Successive ones must be further
+                apart than 1e-6 of the chain's size.
+            closed: add the segment from the last vertex to the first.
+            **material: see ``Material``.
+        """
+        where = self._shape_of(body)
+        kind = BodyType(int(self._bodies.row(body)[TYPE]))
+        if kind != BodyType.STATIC:
+            raise ValueError(f"body of {where} is {body}, of type {kind.name}; chains need a STATIC body")
+        corners = points(vertices, f"vertices of {where}", 3 if closed else 2)
+        start = corners if closed else corners[:-1]
+        end = np.concatenate((corners[1:], corners[:1]))[: len(start)]
+        edges = end - start
+        length = np.hypot(edges[:, 0], edges[:, 1])
+        size = math.hypot(*np.ptp(corners, axis=0))
+        if length.min() <= TOLERANCE * size:
+            i = int(length.argmin())
+            raise ValueError(
+                f"vertices of {where}: {i} and {(i + 1) % len(corners)} are {length[i]:g} m apart; "
+                f"it must exceed {TOLERANCE:g} of the chain's size {size:g}"
+            )
+        before, after = np.concatenate((start[-1:], start[:-1])), np.concatenate((end[1:], end[:1]))
+        if not closed:
+            before[0], after[-1] = start[0], end[-1]
+        first, n = self._shapes.count, len(start)
+        self._shapes.extend(np.tile(np.array((body, ShapeType.SEGMENT, 4, 0.0, *_material(where, **material))), (n, 1)))
+        self._vertices.extend(np.stack((start, end, before, after), axis=1).reshape(-1, 2))
+        return np.arange(first, first + n)
+
+    def add_distance_joint(
+        self,
+        body_a: int,
+        body_b: int,
+        anchor_a: Any = (0.0, 0.0),
+        anchor_b: Any = (0.0, 0.0),
+        length: float | None = None,
+    ) -> int:
+        """Keep two points at a distance; return the joint's index.
+
+        Args:
+            body_a: index of a body of the latest world.
+            body_b: index of another one; one of the two at least is dynamic.
+            anchor_a: (2,) [m], in the frame of body A.
+            anchor_b: (2,) [m], in the frame of body B.
+            length: [m] > 0; None: the present distance.
+        """
+        where = f"joint {self._joints.count}"
+        a, b = self._body("body_a", body_a, where), self._body("body_b", body_b, where)
+        if a == b:
+            raise ValueError(f"body_a and body_b of {where} are both {a}; they must differ")
+        rows = self._bodies.row(a), self._bodies.row(b)
+        if BodyType.DYNAMIC not in (rows[0][TYPE], rows[1][TYPE]):
+            raise ValueError(f"body_a and body_b of {where} are {a} and {b}; one of them must be DYNAMIC")
+        anchors = pair("anchor_a", anchor_a, where), pair("anchor_b", anchor_b, where)
+        if length is None:
+            ends = [
+                (row[X] + c * x - s * y, row[Y] + s * x + c * y)
+                for row, (x, y) in zip(rows, anchors, strict=True)
+                for c, s in [(math.cos(row[ANGLE]), math.sin(row[ANGLE]))]
+            ]
+            length = math.dist(*ends)
+        return self._joints.append(a, b, *anchors[0], *anchors[1], number("length", length, where))
+
+    def add_discs(
+        self,
+        positions: Any,
+        radius: Any,
+        *,
+        velocity: Any = None,
+        angle: Any = 0.0,
+        angular_velocity: Any = 0.0,
+        density: Any = 1.0,
+        friction: Any = 0.5,
+        restitution: Any = 0.0,
+        category: Any = 1,
+        mask: Any = ALL_BITS,
+    ) -> np.ndarray:
+        """Add n dynamic bodies with a centred disc each, and return their body indices.
+
+        Args:
+            positions: (n, 2) [m], in world coordinates.
+            radius: [m] > 0, a number or (n,), as is what follows the velocity.
+            velocity: (n, 2) or (2,) [m/s]; None: at rest.
+            angle: [rad].
+            angular_velocity: [rad/s].
+            density: see ``Material``, as for what follows.
+            friction: [1].
+            restitution: [1].
+            category: 32 bits.
+            mask: 32 bits.
+        """
+        first = self._bodies.count
+        self._need_world(f"body {first}")
+        positions = points(positions, "positions", 0)
+        n = len(positions)
+        bodies = np.full((n, 9), np.nan)
+        bodies[:, X : Y + 1] = positions
+        try:
+            bodies[:, VX : VY + 1] = 0.0 if velocity is None else velocity
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"velocity has shape {np.shape(velocity)}; it must be ({n}, 2) or (2,)") from error
+        points(bodies[:, VX : VY + 1], "velocity", 0)
+        fill(bodies[:, ANGLE], "angle", angle)
+        fill(bodies[:, SPIN], "angular_velocity", angular_velocity)
+        bodies[:, TYPE] = BodyType.DYNAMIC
+        shapes = np.empty((n, 9))
+        shapes[:, BODY] = np.arange(first, first + n)
+        shapes[:, SHAPE] = ShapeType.DISC
+        shapes[:, COUNT] = 1
+        fill(shapes[:, RADIUS], "radius", radius)
+        fill(shapes[:, DENSITY], "density", density)
+        fill(shapes[:, FRICTION], "friction", friction)
+        fill(shapes[:, RESTITUTION], "restitution", restitution)
+        fill(shapes[:, CATEGORY], "category", category)
+        fill(shapes[:, MASK], "mask", mask)
+        self._bodies.extend(bodies)
+        self._shapes.extend(shapes)
+        self._vertices.extend(np.zeros((n, 2)))
+        return np.arange(first, first + n)
+
+    def finalize(
+        self, dtype: Any = "float32", device: str = "cpu", backend: str = "warp"
+    ) -> tuple[Model, State, Joints]:
+        """The arrays of all worlds. The builder is left as it is and may be added to and finalized again.
+
+        The reference point of a body is its centre of mass; of a static body it is the mean of its shapes'
+        centroids, which keeps coordinates small and exact, and of a kinematic body the origin of its frame, whose
+        velocity is the one given.
+
+        Args:
+            dtype: "float32" or "float64".
+            device: "cpu", or a CUDA device of Warp.
+            backend: "warp" or "numpy" (on the CPU only).
+
+        Raises:
+            ValueError: no world; a dynamic body without mass; too many shapes in a world; a value that the dtype
+                cannot hold; an unknown dtype, device or backend.
+        """
+        real = float_dtype(dtype)
+        if backend not in ("warp", "numpy"):
+            raise ValueError(f"backend is {backend!r}; it must be 'warp' or 'numpy'")
+        if backend == "numpy" and device != "cpu":
+            raise ValueError(f"device is {device!r}; the numpy backend runs on 'cpu' only")
+        if not self._worlds:
+            raise ValueError("the builder has no world: call add_world first")
+        with np.errstate(over="ignore", invalid="ignore"):  # values too large are found when they are assigned
+            fields = assemble(
+                self._worlds,
+                self._bodies.collect(),
+                self._shapes.collect(),
+                self._vertices.collect(),
+                self._joints.collect(),
+            )
+            cast = {
+                name: value.astype(real) if value.dtype.kind == "f" and name != "origin" else value
+                for name, value in fields.items()
+            }
+        world, body, shape = len(self._worlds), self._bodies.count, self._shapes.count
+        sizes = {"world": world, "world+1": world + 1, "body": body, "body+1": body + 1}
+        sizes |= {"shape": shape, "shape+1": shape + 1, "vertex": self._vertices.count}
+        groups = (
+            Model(sizes, real, device, backend),
+            State(sizes, real, device, backend),
+            Joints({"joint": self._joints.count}, real, device, backend),
+        )
+        for group in groups:
+            for name in group.table:
+                if name in cast:  # the others begin as zero
+                    group.assign(name, cast[name])
+        return groups
+
+    def _need_world(self, where: str) -> None:
+        if not self._worlds:
+            raise ValueError(f"{where} has no world: call add_world first")
+
+    def _body(self, name: str, body: Any, where: str) -> int:
+        """The index of a body of the latest world."""
+        self._need_world(where)
+        try:
+            index = operator.index(body)
+        except TypeError as error:
+            raise ValueError(f"{name} of {where} is {body!r}; it must be an integer") from error
+        if not 0 <= index < self._bodies.count:
+            raise ValueError(f"{name} of {where} is {index}; it must lie in [0, {self._bodies.count})")
+        if index < self._worlds[-1].body:
+            raise ValueError(
+                f"{name} of {where} is {index}, a body of an earlier world; "
+                f"those of the latest world {len(self._worlds) - 1} begin at {self._worlds[-1].body}"
+            )
+        return index
+
+    def _shape_of(self, body: Any) -> str:
+        """What error messages call the next shape; its body is checked."""
+        where = f"shape {self._shapes.count}"
+        self._body("body", body, where)
+        return where
+
+    def _add(self, body: int, kind: ShapeType, vertices: np.ndarray, radius: float, material: tuple[float, ...]) -> int:
+        self._vertices.extend(vertices)
+        return self._shapes.append(int(body), kind, len(vertices), radius, *material)
+
+
+def _material(
+    where: str,
+    density: Any = 1.0,
+    friction: Any = 0.5,
+    restitution: Any = 0.0,
+    category: Any = 1,
+    mask: Any = ALL_BITS,
+) -> tuple[float, ...]:
+    return (
+        number("density", density, where),
+        number("friction", friction, where),
+        number("restitution", restitution, where),
+        number("category", category, where),
+        number("mask", mask, where),
+    )

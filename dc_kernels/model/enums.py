@@ -1,0 +1,34 @@
+"""Integers that mean something in the arrays of a simulation."""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+
+
+class BodyType(IntEnum):
+    """How a body moves."""
+
+    STATIC = 0  # never moves, infinite mass
+    KINEMATIC = 1  # moves with the velocity it is given, infinite mass
+    DYNAMIC = 2  # moves by forces and contacts
+
+
+class ShapeType(IntEnum):
+    """What a shape's vertices mean; every shape is the sum of its vertices' hull and a disc of ``shape_radius``."""
+
+    DISC = 0  # one vertex, radius > 0
+    POLYGON = 1  # 2 vertices (capsule, radius > 0) or 3-8 vertices counter-clockwise, radius >= 0
+    SEGMENT = 2  # vertices v1, v2 and the chain's neighbours: one before v1, one after v2 (v1, v2 again if none)
+
+
+class Flag(IntFlag):
+    """Why a world does not advance; bits of ``State.flags``."""
+
+    NONE = 0
+    PAIR_OVERFLOW = 1  # more candidate pairs than reserved
+    CONTACT_OVERFLOW = 2  # more contact points than reserved
+    ROW_OVERFLOW = 4  # more blocks of solver rows than reserved
+    NONFINITE = 8  # a velocity or position became NaN or inf: the world keeps its last finite state
+
+
+CAPACITY_FLAGS = Flag.PAIR_OVERFLOW | Flag.CONTACT_OVERFLOW | Flag.ROW_OVERFLOW

@@ -1,0 +1,172 @@
+"""The arrays of a simulation: what each is called, what it means, its unit, shape and dtype.
+
+Every array of deep-contact has one name, used for the attribute, the kernel argument and the HDF5
+dataset alike. The tables below are the single source for allocation, validation, snapshots and the
+memory report. Worlds are an axis: bodies, shapes and joints of all worlds lie flat, one world after
+the other, and ``*_start`` arrays of length W + 1 hold the first element of each world.
+
+Conventions (tested): SI units; a contact normal points from body A to body B, where A is the static
+body or the one with the lower index; the tangent is the normal turned by -90 degrees,
+``t = (n_y, -n_x)``; impulses are in N s and act on B, the opposite ones on A.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+KEY_SHAPE_BITS = 23  # contact key = shape A | shape B | feature, 23 + 23 + 16 bits, indices within the world
+KEY_FEATURE_BITS = 16
+
+
+@dataclass(frozen=True)
+class Field:
+    """One array: ``per`` names its axis; ``dtype`` is "real", "vec2", "vec4" (of the model's scalar) or fixed."""
+
+    name: str
+    per: str
+    dtype: str
+    unit: str
+    meaning: str
+
+
+def _table(*rows: tuple[str, str, str, str, str]) -> dict[str, Field]:
+    return {row[0]: Field(*row) for row in rows}
+
+
+# axes: world W, world+1, body, body+1 (behind the bodies: padding bodies of empty solver lanes), shape, shape+1,
+# vertex, joint, contact (capacity), pair (capacity), block (capacity, of LANES solver rows), bucket
+MODEL = _table(
+    ("body_start", "world+1", "int32", "1", "first body of each world"),
+    ("shape_start", "world+1", "int32", "1", "first shape of each world"),
+    ("joint_start", "world+1", "int32", "1", "first joint of each world"),
+    ("gravity", "world", "vec2", "m/s^2", "acceleration of every dynamic body"),
+    ("origin", "world", "vec2d", "m", "where the world's coordinates begin: positions are relative to it"),
+    ("length_scale", "world", "real", "m", "typical diameter of its dynamic shapes; margins are multiples of it"),
+    ("cell_size", "world", "real", "m", "finest cell of the broadphase's cell list"),
+    ("body_type", "body", "int32", "1", "BodyType"),
+    ("mass", "body", "real", "kg", "mass; 0 where infinite"),
+    ("inertia", "body", "real", "kg m^2", "moment of inertia about the centre of mass; 0 where infinite"),
+    ("inv_mass", "body", "real", "1/kg", "0 for static and kinematic bodies"),
+    ("inv_inertia", "body", "real", "1/(kg m^2)", "0 for static, kinematic and non-rotating bodies"),
+    ("center_of_mass", "body", "vec2", "m", "in the frame the shapes were given in; vertices are relative to it"),
+    ("body_shape_start", "body+1", "int32", "1", "first shape of each body; shapes are sorted by body"),
+    ("shape_body", "shape", "int32", "1", "body of the shape"),
+    ("shape_type", "shape", "int32", "1", "ShapeType"),
+    ("shape_radius", "shape", "real", "m", "radius of a disc or capsule, rounding of a polygon"),
+    ("shape_center", "shape", "vec2", "m", "centroid in the body's frame"),
+    ("shape_extent", "shape", "real", "m", "distance from shape_center to the farthest point, radius included"),
+    ("shape_friction", "shape", "real", "1", "Coulomb coefficient; a pair has sqrt(f1 f2)"),
+    ("shape_restitution", "shape", "real", "1", "coefficient in [0, 1]; a pair has the larger"),
+    ("shape_category", "shape", "uint32", "1", "bits of what the shape is"),
+    ("shape_mask", "shape", "uint32", "1", "bits of what it collides with; both shapes must accept each other"),
+    ("vertex_start", "shape+1", "int32", "1", "first vertex of each shape"),
+    ("vertices", "vertex", "vec2", "m", "in the body's frame, relative to the centre of mass"),
+    ("vertex_normals", "vertex", "vec2", "1", "outward normal of the edge from this vertex to the next"),
+)
+
+STATE = _table(
+    ("position", "body", "vec2", "m", "centre of mass, relative to the world's origin"),
+    ("angle", "body", "real", "rad", "rotation, counter-clockwise"),
+    ("velocity", "body", "vec2", "m/s", "of the centre of mass"),
+    ("angular_velocity", "body", "real", "rad/s", "counter-clockwise"),
+    ("force", "body", "vec2", "N", "applied at the centre of mass in every step until changed"),
+    ("torque", "body", "real", "N m", "applied in every step until changed"),
+    ("time", "world", "float64", "s", "simulated time"),
+    ("flags", "world", "int32", "1", "Flag bits; a world with any bit set does not advance"),
+)
+
+CONTACTS = _table(
+    ("contact_start", "world+1", "int32", "1", "first reserved slot of each world"),
+    ("contact_count", "world", "int32", "1", "contacts of each world, in slots from contact_start, sorted by key"),
+    ("contact_dt", "world", "real", "s", "time step of the impulses, 0 before the first"),
+    ("key", "contact", "int64", "1", "shape A, shape B, feature: the same contact has the same key in each step"),
+    ("body_a", "contact", "int32", "1", "body A"),
+    ("body_b", "contact", "int32", "1", "body B"),
+    ("normal", "contact", "vec2", "1", "unit vector from A to B"),
+    ("arm_a", "contact", "vec2", "m", "from the centre of mass of A to the contact point, world axes"),
+    ("arm_b", "contact", "vec2", "m", "from the centre of mass of B to the contact point, world axes"),
+    ("gap", "contact", "real", "m", "distance of the surfaces, negative where they overlap"),
+    ("friction", "contact", "real", "1", "Coulomb coefficient of the pair"),
+    ("restitution", "contact", "real", "1", "coefficient of restitution of the pair"),
+    ("impulse", "contact", "vec2", "N s", "normal and tangential impulse: before the solve its start, then its result"),
+    ("color", "contact", "int32", "1", "colour in the contact graph, kept while the contact lives"),
+    ("age", "contact", "int32", "1", "steps since the contact began, 0 when new"),
+)
+
+JOINTS = _table(
+    ("joint_body_a", "joint", "int32", "1", "body A"),
+    ("joint_body_b", "joint", "int32", "1", "body B"),
+    ("joint_anchor_a", "joint", "vec2", "m", "in the frame of body A, relative to its centre of mass"),
+    ("joint_anchor_b", "joint", "vec2", "m", "in the frame of body B, relative to its centre of mass"),
+    ("joint_length", "joint", "real", "m", "distance that the joint keeps between its anchors"),
+    ("joint_color", "joint", "int32", "1", "colour in the constraint graph"),
+    ("joint_impulse", "joint", "real", "N s", "along the line from anchor A to anchor B, positive pushes apart"),
+)
+
+
+CACHE = _table(
+    ("cache_count", "world", "int32", "1", "contacts of the last finished step"),
+    ("cache_key", "contact", "int64", "1", "their keys, sorted"),
+    ("cache_impulse", "contact", "vec2", "N s", "their solved impulses"),
+    ("cache_color", "contact", "int32", "1", "their colours"),
+    ("cache_age", "contact", "int32", "1", "their ages"),
+    ("joint_cache", "joint", "real", "N s", "solved impulses of the joints in the last finished step"),
+)
+
+PAIRS = _table(
+    ("bucket_start", "world+1", "int32", "1", "first bucket of each world; a power of two of them and one more"),
+    ("bucket", "bucket", "int32", "1", "first entry of each bucket in sorted_shape"),
+    ("cell", "shape", "vec3i", "1", "cell of the shape's box: column, row, level"),
+    ("sorted_shape", "shape", "int32", "1", "shapes sorted by bucket"),
+    ("box", "shape", "vec4", "m", "low x, low y, high x, high y, with margin"),
+    ("pair_start", "world+1", "int32", "1", "first reserved pair of each world"),
+    ("pair_count", "world", "int32", "1", "candidate pairs of each world, sorted by (A, B)"),
+    ("pair_needed", "world", "int32", "1", "pairs found at the last rebuild, also those without room"),
+    ("pair_valid", "world", "int32", "1", "0: rebuild in the next step"),
+    ("rebuilds", "world", "int32", "1", "rebuilds so far"),
+    ("pair_a", "pair", "int32", "1", "shape A"),
+    ("pair_b", "pair", "int32", "1", "shape B"),
+    ("temp_a", "pair", "int32", "1", "shape A, half sorted"),
+    ("temp_b", "pair", "int32", "1", "shape B, half sorted"),
+)
+
+ROWS = _table(
+    ("contact_needed", "world", "int32", "1", "contacts found, also those without room"),
+    ("slot", "contact", "int32", "1", "where the contact's normal impulse lies in row_impulse"),
+    ("joint_slot", "joint", "int32", "1", "the same of a joint"),
+    ("color_mask", "body", "uint64", "1", "colours taken at the body"),
+    ("body_rows", "body+1", "int32", "1", "rows that act on the body"),
+    ("block_start", "world+1", "int32", "1", "first reserved block of each world"),
+    ("block_needed", "world", "int32", "1", "blocks of the present step, also those without room"),
+    ("color_block", "world color+1", "int32", "1", "first block of each colour, COLORS + 1 a world"),
+    ("color_fill", "world color", "int32", "1", "rows of each colour"),
+    ("rows", "row column", "real", "1", "columns of the rows, see rows.py"),
+    ("row_body", "row pair", "int32", "1", "bodies of the rows"),
+    ("row_impulse", "row pair", "real", "N s", "normal and tangential impulses"),
+    ("row_change", "row pair", "real", "N s", "what the last sweep, or its acceleration, changed the impulses by"),
+    ("row_before", "row pair", "real", "N s", "step of the sweep before the last, where a solve pauses"),
+    ("row_direction", "row direction", "real", "N s", "search direction of nonlinear CG"),
+    ("row_history", "row history", "real", "N s, m/s", "of an accelerated solve: iterates and steps, velocities"),
+    ("row_scale", "world", "real", "N s", "norm that the residual is relative to"),
+    ("deepest", "world", "real", "m", "least gap, 0 where nothing overlaps"),
+)
+
+MOTION = _table(
+    ("step_dt", "world", "real", "s", "time step"),
+    ("weight", "world", "real", "N", "gravity times the geometric mean of the dynamic bodies' masses"),
+    ("reach", "world", "real", "m", "speculative distance of the step"),
+    ("predicted", "body+1", "vec4", "m/s", "velocity with forces applied, spin [rad/s], inverse mass [1/kg]"),
+    ("solved", "body+1", "vec4", "m/s", "velocity with impulses applied"),
+    ("summed", "body sum", "vec4", "m/s", "velocity that Jacobi adds up"),
+    ("displacement", "body+1", "vec4", "m", "of the step: by velocity and position correction, turn [rad]"),
+)
+
+STATS = _table(
+    ("sweeps", "world", "int32", "1", "sweeps of the last solve"),
+    ("change", "world", "real", "N s", "largest impulse change of its last sweep"),
+    ("residual", "world", "real", "1", "relative natural map at its end"),
+    ("colors", "world", "int32", "1", "highest colour of the step's constraints, plus one"),
+    ("counters", "world counter", "int32", "1", "iteration in flight: sweeps, sweeps into the period, period, done"),
+    ("norms", "world norm", "real", "N s", "iteration in flight: change, squared steps"),
+    ("replaced", "world", "int32", "1", "1: a resumed solve takes contacts.impulse anew"),
+)

@@ -1,0 +1,1 @@
+"""Pairs and lists of points within a radius."""

@@ -1,0 +1,247 @@
+"""Which points lie within a radius of each other: four methods, the same pairs.
+
+A pair is found when dx dx + dy dy (+ dz dz) <= r r in the arithmetic of the points' dtype. Every method searches a
+little farther where it must and then decides by this expression, so all return the same set, also for points whose
+distance is the radius.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.model.arrays import kernel_arrays
+from dc_kernels.neighbors.cells import allowed, each, hash_lists, hash_pairs
+from dc_kernels.runtime.backends import bind, check_backend
+from dc_kernels.runtime.inputs import check_count, check_points, check_start
+from dc_kernels.runtime.optional import require
+
+METHODS = ("hash", "kdtree", "tree", "all")
+BLOCK = 1 << 20  # distances at a time in the method "all"
+Found = tuple[np.ndarray, np.ndarray]  # one world's (queries, points), indices in the world
+Search = Callable[["np.ndarray | None", np.ndarray, Any], Found]
+
+
+@dataclass(frozen=True)
+class Neighbors:
+    """Lists of neighbours in CSR form: query q has ``index[start[q]:start[q + 1]]``, ascending."""
+
+    start: np.ndarray
+    """First entry of each query's list and the end of the last, (nq + 1,) int64."""
+    index: np.ndarray
+    """Points within the radius, numbered over all worlds, (m,) int32."""
+
+
+def neighbor_pairs(
+    points: np.ndarray,
+    radius: float,
+    *,
+    method: str = "hash",
+    start: Any = None,
+    threads: int = 1,
+    backend: str = "warp",
+) -> np.ndarray:
+    """Every pair of points of the same world that are at most a radius apart, once.
+
+    Args:
+        points: (n, 2) or (n, 3), float32 or float64, C-contiguous [m].
+        radius: largest distance, > 0 [m].
+        method: "hash" (cells sorted by place), "kdtree" (SciPy's), "tree" (boxes in a hierarchy) or "all" (every
+            pair tested).
+        start: first point of each world and the number of points, (W + 1,); None for one world.
+        threads: Python threads that the worlds are shared among; the result does not depend on it.
+        backend: "warp", or "numpy" for the oracle of the method "hash".
+
+    Returns:
+        (m, 2) int32, i < j in each row. The rows' order differs between methods; each gives the same every time.
+
+    Raises:
+        ValueError: naming the argument, the index and the limit.
+        ImportError: for "kdtree" without SciPy.
+    """
+    points = check_points("points", points, (2, 3))
+    starts = check_start("start", start, len(points))
+    limit = _square("radius", radius, points.dtype)
+    search = _search(method, backend)
+    check_count("threads", threads)
+    if search is None:
+        return hash_pairs(points, radius, limit, starts, threads, backend)
+
+    def world(w: int) -> np.ndarray:
+        first, last = starts[w : w + 2]
+        a, b = search(None, points[first:last], limit)
+        pairs = np.empty((len(a), 2), np.int32)
+        pairs[:, 0], pairs[:, 1] = np.minimum(a, b), np.maximum(a, b)
+        pairs += np.int32(first)
+        return pairs
+
+    found = each(world, len(starts) - 1, threads)
+    return np.concatenate(found) if found else np.empty((0, 2), np.int32)
+
+
+def neighbor_lists(
+    queries: np.ndarray,
+    points: np.ndarray,
+    radius: float,
+    *,
+    method: str = "hash",
+    query_start: Any = None,
+    point_start: Any = None,
+    threads: int = 1,
+    backend: str = "warp",
+) -> Neighbors:
+    """The points within a radius of each query, world by world; a query that is a point too finds itself.
+
+    Args:
+        queries: (nq, 2) or (nq, 3), float32 or float64, C-contiguous [m].
+        points: (n, 2) or (n, 3) as the queries, of the same dtype [m].
+        radius: largest distance, > 0 [m].
+        method: as for ``neighbor_pairs``.
+        query_start: first query of each world and the number of queries, (W + 1,); None for one world.
+        point_start: the same of the points.
+        threads: as for ``neighbor_pairs``.
+        backend: as for ``neighbor_pairs``.
+
+    Raises:
+        ValueError: naming the argument, the index and the limit.
+        ImportError: for "kdtree" without SciPy.
+    """
+    queries = check_points("queries", queries, (2, 3))
+    points = check_points("points", points, (2, 3))
+    for what in ("dtype", "shape"):
+        a, b = (getattr(array, what) for array in (queries, points))
+        if (a[1:], b[1:]) != (b[1:], a[1:]) if what == "shape" else a != b:
+            raise ValueError(f"queries has {what} {a}, points has {what} {b}; they must agree")
+    first_query = check_start("query_start", query_start, len(queries))
+    first_point = check_start("point_start", point_start, len(points))
+    if len(first_query) != len(first_point):
+        raise ValueError(
+            f"query_start has {len(first_query) - 1} worlds, point_start has {len(first_point) - 1}; they must agree"
+        )
+    limit = _square("radius", radius, points.dtype)
+    search = _search(method, backend)
+    check_count("threads", threads)
+    if search is None:
+        return Neighbors(*hash_lists(queries, points, radius, limit, first_query, first_point, threads, backend))
+
+    def world(w: int) -> tuple[np.ndarray, np.ndarray]:
+        q0, q1 = first_query[w : w + 2]
+        p0, p1 = first_point[w : w + 2]
+        a, b = search(queries[q0:q1], points[p0:p1], limit)
+        order = np.argsort(a.astype(np.int64) * (p1 - p0) + b)
+        return np.bincount(a, minlength=q1 - q0), (b[order] + p0).astype(np.int32)
+
+    found = each(world, len(first_query) - 1, threads)
+    lists = np.zeros(len(queries) + 1, np.int64)
+    np.cumsum(np.concatenate([count for count, _ in found]) if found else [], out=lists[1:])
+    return Neighbors(lists, np.concatenate([index for _, index in found]) if found else np.empty(0, np.int32))
+
+
+# ---------------------------------------------------------------------- checks
+
+
+def _square(name: str, radius: Any, dtype: np.dtype) -> Any:
+    """The largest squared distance, r r in the dtype of the points."""
+    with np.errstate(over="ignore", under="ignore"):
+        square = dtype.type(radius) * dtype.type(radius)
+    if not radius > 0 or not np.finfo(dtype).tiny <= square <= np.finfo(dtype).max:
+        raise ValueError(f"{name} is {radius!r}; it must be > 0, and its square a finite, normal {dtype} [m]")
+    return square
+
+
+def _search(method: str, backend: str) -> Search | None:
+    """How a method searches one world; None for "hash", which takes all of them."""
+    if method not in METHODS:
+        raise ValueError(f"method is {method!r}; it must be one of {METHODS}")
+    if check_backend(backend) == "numpy" and method != "hash":
+        raise ValueError(f"backend is 'numpy' and method is {method!r}; only 'hash' has an oracle")
+    return {"hash": None, "kdtree": _kdtree, "tree": _tree, "all": _all}[method]
+
+
+# ---------------------------------------------------------------------- methods for one world
+
+
+def _within(a: np.ndarray, b: np.ndarray, limit: Any) -> np.ndarray:
+    """The test that decides, for points along the last axis."""
+    with np.errstate(over="ignore", under="ignore"):
+        d = a - b
+        square = d[..., 0] * d[..., 0] + d[..., 1] * d[..., 1]
+        if d.shape[-1] == 3:
+            square = square + d[..., 2] * d[..., 2]
+    return square <= limit
+
+
+def _all(queries: np.ndarray | None, points: np.ndarray, limit: Any) -> Found:
+    """Every pair is tested, in blocks of queries."""
+    pairs = queries is None
+    rows = points if queries is None else queries
+    step = max(1, BLOCK // max(len(points), 1))
+    found = []
+    for first in range(0, len(rows), step):
+        low = first if pairs else 0
+        a, b = np.nonzero(_within(rows[first : first + step, None], points[None, low:], limit))
+        found.append((a + first, b + low))
+    a, b = (np.concatenate([np.empty(0, int), *parts]) for parts in zip(*found)) if found else np.empty((2, 0), int)
+    return (a[a < b], b[a < b]) if pairs else (a, b)
+
+
+def _kdtree(queries: np.ndarray | None, points: np.ndarray, limit: Any) -> Found:
+    """A k-d tree (SciPy); it decides in float64 with its own expression, so it is asked for a few ulp more."""
+    if not len(points) or (queries is not None and not len(queries)):
+        return np.empty(0, int), np.empty(0, int)
+    make = require("scipy.spatial", "pipeline").cKDTree
+    reach = np.sqrt(float(limit)) * (1.0 + 8.0 * float(np.finfo(limit).eps))
+    if queries is None:
+        a, b = make(points).query_pairs(reach, output_type="ndarray").T
+        keep = _within(points[a], points[b], limit)
+    else:
+        near = make(queries).sparse_distance_matrix(make(points), reach, output_type="ndarray")
+        a, b = near["i"], near["j"]
+        keep = _within(queries[a], points[b], limit)
+    return a[keep], b[keep]
+
+
+def _tree(queries: np.ndarray | None, points: np.ndarray, limit: Any) -> Found:
+    """A hierarchy of boxes (Warp's); boxes are float32 and in 3D, rounded outwards."""
+    import warp as wp
+
+    from dc_kernels._warp.neighbors.search import tree_kernels
+
+    rows = points if queries is None else queries
+    if not len(points) or not len(rows):
+        return np.empty(0, int), np.empty(0, int)
+    reach = np.sqrt(float(limit)) * (1.0 + 8.0 * float(np.finfo(limit).eps))
+    boxes = [wp.array(box, dtype=wp.vec3, device="cpu") for box in (*_boxes(points, 0.0), *_boxes(rows, reach))]
+    tree = wp.Bvh(boxes[0], boxes[1], constructor="median")
+    count, first = np.empty(len(rows), np.int64), np.zeros(len(rows) + 1, np.int64)
+    index = np.empty(0, np.int32)
+    kernel = tree_kernels(points.dtype.name)["query_tree"]
+    for fill in (0, 1):
+        if fill:
+            np.cumsum(count, out=first[1:])
+            index = np.empty(allowed(int(first[-1])), np.int32)
+        arrays = {"query": rows, "point": points, "list_start": first, "list_count": count, "index": index}
+        values = {
+            "fill": fill,
+            "ahead": int(queries is None),
+            "tree": tree.id,
+            "limit": limit,
+            "lower": boxes[2],
+            "upper": boxes[3],
+            **kernel_arrays(arrays, "warp"),
+        }
+        bind(kernel, len(rows), values, "cpu")()
+    return np.repeat(np.arange(len(rows)), count), index
+
+
+def _boxes(points: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes of (n, 3) float32 that hold the points and what is within reach of them."""
+    lower, upper = np.zeros((len(points), 3), np.float32), np.zeros((len(points), 3), np.float32)
+    if len(points) and np.abs(points).max() + reach > 0.5 * np.finfo(np.float32).max:
+        raise ValueError("method is 'tree', whose boxes are float32: a coordinate plus the radius exceeds 1.7e38 [m]")
+    for box, shift, end in ((lower, -reach, -np.inf), (upper, reach, np.inf)):
+        box[:, : points.shape[1]] = np.nextafter((points + np.float64(shift)).astype(np.float32), np.float32(end))
+    return lower, upper

@@ -1,0 +1,1 @@
+"""Backends, launches, threads, memory of other libraries."""

@@ -1,0 +1,132 @@
+"""Checks of the arrays that users hand to kernels as they are: nothing is copied, and all that is wrong is said."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.model.arrays import FLOATS, check_values
+from dc_kernels.runtime.interop import host_view
+
+MAX_INDEX = 2**31 - 1  # of a point: kernels count in int32
+
+
+def check_layout(name: str, array: Any, shape: tuple[int | None, ...], dtype: Any = None) -> np.ndarray:
+    """A contiguous array in the CPU's memory as numpy, whatever it holds.
+
+    Args:
+        name: of the argument.
+        array: to check: numpy, ``wp.array`` or torch tensor, which are seen as numpy without a copy.
+        shape: as it must be, None where any length will do.
+        dtype: as it must be; None for float32 or float64.
+
+    Raises:
+        ValueError: naming the argument, and what it is and must be.
+    """
+    array = host_view(name, array)
+    if not isinstance(array, np.ndarray):
+        raise ValueError(f"{name} is a {type(array).__name__}; it must be a numpy array, wp.array or torch tensor")
+    if array.dtype not in FLOATS.values() if dtype is None else array.dtype != dtype:
+        raise ValueError(f"{name} has dtype {array.dtype}; it must be {dtype or ' or '.join(FLOATS)}")
+    if array.ndim != len(shape) or any(b not in (None, a) for a, b in zip(array.shape, shape)):
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise ValueError(f"{name} has shape {array.shape}; it must be ({wanted})")
+    if not array.flags.c_contiguous:
+        raise ValueError(f"{name} has strides {array.strides} for shape {array.shape}; it must be contiguous")
+    return array
+
+
+def check_array(
+    name: str,
+    array: Any,
+    shape: tuple[int | None, ...],
+    dtype: Any = None,
+    *,
+    low: float | None = None,
+    closed: bool = True,
+) -> np.ndarray:
+    """The same, without NaN or inf, and nothing below ``low``, which itself is allowed if ``closed``."""
+    array = check_layout(name, array, shape, dtype)
+    # a finite sum has finite terms, one that is not may have overflowed; looking at each takes ten times as long
+    with np.errstate(over="ignore", invalid="ignore"):
+        good = bool(np.isfinite(array.sum()))
+    if good and low is not None and array.size:
+        least = array.min()
+        good = least >= low if closed else least > low
+    if not good:
+        fine, limit = np.isfinite(array), "finite"
+        if low is not None:
+            fine &= array >= low if closed else array > low
+            limit += f" and {'>=' if closed else '>'} {low:g}"
+        bad = np.argwhere(~fine)
+        if len(bad):
+            index = tuple(int(i) for i in bad[0])
+            raise ValueError(f"{name}[{', '.join(map(str, index))}] is {array[index]}; it must be {limit}")
+    return array
+
+
+def check_points(name: str, points: Any, dims: tuple[int, ...] = (2,)) -> np.ndarray:
+    """Finite points (n, d), d one of ``dims``, of float32 or float64.
+
+    Raises:
+        ValueError: naming the argument and the first bad index.
+    """
+    points = host_view(name, points)
+    if isinstance(points, np.ndarray):
+        if points.ndim != 2 or points.shape[1] not in dims:
+            raise ValueError(f"{name} has shape {points.shape}; it must be {' or '.join(f'(n, {d})' for d in dims)}")
+        if len(points) > MAX_INDEX:
+            raise ValueError(f"{name} has {len(points)} points; it may have {MAX_INDEX}")
+    return check_array(name, points, (None, None))
+
+
+def check_start(name: str, start: Any, count: int) -> np.ndarray:
+    """Offsets of the worlds' points, (W + 1,) int64; None is one world with all of them.
+
+    Raises:
+        ValueError: naming the first bad index.
+    """
+    if start is None:
+        return np.array([0, count])
+    array = np.asarray(start)
+    if array.ndim != 1 or len(array) < 1 or array.dtype.kind not in "iu":
+        raise ValueError(f"{name} has shape {array.shape}, dtype {array.dtype}; it must be (W + 1,) integers")
+    if array[0] != 0:
+        raise ValueError(f"{name}[0] is {array[0]}; it must be 0")
+    if array[-1] != count:
+        raise ValueError(f"{name}[{len(array) - 1}] is {array[-1]}; it must be the number of points, {count}")
+    falls = np.flatnonzero(array[1:] < array[:-1])
+    if len(falls):
+        w = int(falls[0]) + 1
+        raise ValueError(f"{name}[{w}] is {array[w]}; it must be at least {name}[{w - 1}], {array[w - 1]}")
+    return array.astype(np.int64)
+
+
+def check_bins(bins: Any, point_bin: Any, count: int) -> np.ndarray:
+    """The bin of each point, int32; a dummy where there is one bin.
+
+    Raises:
+        ValueError: for bins < 1, another shape, or a bin out of range.
+    """
+    check_count("bins", bins)
+    if point_bin is None:
+        if bins > 1:
+            raise ValueError(f"bins is {bins}, so point_bin must say which one each point belongs to")
+        return np.zeros(1, np.int32)
+    array = check_values("point_bin", point_bin, (count,), np.dtype(np.int32))
+    bad = np.flatnonzero((array < 0) | (array >= bins))
+    if len(bad):
+        raise ValueError(f"point_bin[{bad[0]}] is {array[bad[0]]}; it must lie in [0, {bins - 1}]")
+    return array if bins > 1 else np.zeros(1, np.int32)
+
+
+def check_count(name: str, count: Any) -> int:
+    """A number of threads or bins.
+
+    Raises:
+        ValueError: naming it, for one that is not an integer of at least 1.
+    """
+    if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 1:
+        raise ValueError(f"{name} is {count!r}; it must be an integer of at least 1")
+    return int(count)

@@ -1,0 +1,92 @@
+"""Arrays of other libraries, checked and read where they lie: torch tensors, numpy arrays and ``wp.array``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.model.arrays import FLOATS
+
+
+def address(array: Any, name: str, dtype: np.dtype) -> tuple[int, tuple[int, ...]]:
+    """Address and shape of an array in the CPU's memory that kernels can read as it is.
+
+    Args:
+        array: torch tensor, numpy array or ``wp.array``.
+        name: what the error messages call it.
+        dtype: that it must have.
+
+    Raises:
+        ValueError: for another type, dtype or device, an array that is not contiguous, or a tensor that requires a
+            gradient, which would be lost.
+    """
+    if hasattr(array, "data_ptr"):
+        kind, device, whole = str(array.dtype).removeprefix("torch."), array.device.type, array.is_contiguous()
+    elif isinstance(array, np.ndarray):
+        kind, device, whole = str(array.dtype), "cpu", array.flags.c_contiguous
+    elif hasattr(array, "ptr") and hasattr(array, "is_contiguous"):
+        kind, device, whole = array.dtype.__name__, str(array.device), array.is_contiguous
+    else:
+        raise ValueError(f"{name} is a {type(array).__name__}; it must be a torch tensor, numpy array or wp.array")
+    if kind != dtype.name:
+        raise ValueError(f"{name} has dtype {kind}; it must be {dtype.name}")
+    if device != "cpu":
+        raise ValueError(f"{name} is on {device}; it must be on the cpu")
+    if not whole:
+        strides = array.stride() if hasattr(array, "data_ptr") else array.strides
+        raise ValueError(f"{name} has strides {tuple(strides)}; it must be contiguous")
+    if isinstance(array, np.ndarray):
+        return array.ctypes.data, array.shape
+    if hasattr(array, "data_ptr"):
+        if array.requires_grad:
+            raise ValueError(f"{name} requires a gradient, which would be lost; give {name}.detach()")
+        return array.data_ptr(), tuple(array.shape)
+    return array.ptr, tuple(array.shape)
+
+
+def host_view(name: str, array: Any) -> Any:
+    """A torch tensor or ``wp.array`` as numpy, the same memory; anything else as it is.
+
+    Raises:
+        ValueError: for one on a GPU, or a tensor that requires a gradient, which would be lost.
+    """
+    if isinstance(array, np.ndarray):
+        return array
+    if hasattr(array, "data_ptr"):
+        _check_device(name, array)
+        if array.requires_grad:
+            raise ValueError(f"{name} requires a gradient, which would be lost; the torch operators keep it")
+        return array.numpy()
+    if hasattr(array, "ptr") and hasattr(array, "is_contiguous"):
+        if str(array.device) != "cpu":
+            raise ValueError(f"{name} is on {array.device}; it must be on the CPU, where these kernels run")
+        return array.numpy()
+    return array
+
+
+def tensor_array(name: str, tensor: Any) -> np.ndarray:
+    """The memory of a tensor of float32 or float64 as a numpy array.
+
+    Raises:
+        ValueError: for one that would have to be copied.
+    """
+    _check_device(name, tensor)
+    if str(tensor.dtype).removeprefix("torch.") not in FLOATS:
+        raise ValueError(f"{name} has dtype {tensor.dtype}; it must be {' or '.join(FLOATS)}")
+    if not tensor.is_contiguous():
+        raise ValueError(f"{name} has strides {tensor.stride()} for shape {tuple(tensor.shape)}; it must be contiguous")
+    return tensor.detach().numpy()
+
+
+def tensor_integers(name: str, tensor: Any) -> np.ndarray | None:
+    """The memory of a tensor of integers as a numpy array; None for None."""
+    if tensor is None:
+        return None
+    _check_device(name, tensor)
+    return tensor.detach().numpy()
+
+
+def _check_device(name: str, tensor: Any) -> None:
+    if tensor.device.type != "cpu":
+        raise ValueError(f"{name} is on {tensor.device}; it must be on the CPU, where these kernels run")

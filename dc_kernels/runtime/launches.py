@@ -1,0 +1,125 @@
+"""Launches of Warp kernels on the CPU with other memory at each call: bound once, then fed addresses.
+
+The memory is read and written where it lies; only the caller keeps it alive.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+import warp as wp
+
+from dc_kernels.runtime.backends import run_shards, shard_worlds
+
+# versions of Warp whose compiled functions are known to take bounds and a struct of the arguments
+PACKED = ("1.19.",)
+
+
+def descriptor(pointer: int, shape: tuple[int, ...], element: Any) -> Any:
+    """Warp's descriptor of contiguous memory; a vector takes its last axis."""
+    template = _template(shape[:-1] if hasattr(element, "_shape_") else shape, element)
+    result = type(template).from_buffer_copy(template)
+    result.data = pointer
+    return result
+
+
+@functools.lru_cache(256)
+def _template(shape: tuple[int, ...], element: Any) -> Any:
+    """A descriptor of an array without memory."""
+    return wp.array(ptr=0, dtype=element, shape=tuple(shape), device="cpu").__ctype__()
+
+
+def element_types(kernel: Any) -> dict[str, Any]:
+    """Arguments of a kernel in order, each with the type of its elements; None for a scalar."""
+    return {argument.label: getattr(argument.type, "dtype", None) for argument in kernel.adj.args}
+
+
+class Bound:
+    """A recorded launch whose arguments stay packed, so that a call costs what has changed.
+
+    Warp packs them anew at each launch, 4 us for twenty; with a version that is not in ``PACKED`` it still does.
+    """
+
+    def __init__(self, launch: Any) -> None:
+        """``launch``: as ``backend.command`` records it."""
+        self.launch, self.elements = launch, element_types(launch.kernel)
+        self._index = {name: i for i, name in enumerate(self.elements)}
+        self._shapes: dict[str, tuple[int, ...]] = {}
+        self._packed: Any = None
+        if wp.__version__.startswith(PACKED):
+            fields = [(name, type(value)) for name, value in zip(self.elements, launch.params[1:])]
+            self._packed = type("Packed", (ctypes.Structure,), {"_fields_": fields})(*launch.params[1:])
+            self._pointer = ctypes.byref(self._packed)
+            self._views = {name: getattr(self._packed, name) for name, element in self.elements.items() if element}
+
+    def set(self, name: str, value: Any) -> None:
+        """Set an argument to a number or a descriptor."""
+        if self._packed is None:
+            self.launch.set_param_at_index_from_ctype(self._index[name], value)
+        else:
+            setattr(self._packed, name, value)
+
+    def point(self, name: str, pointer: int, shape: tuple[int, ...]) -> None:
+        """Set an argument to contiguous memory; only the caller keeps it alive."""
+        if self._packed is not None and self._shapes.get(name) == shape:
+            self._views[name].data = pointer
+            return
+        self.set(name, descriptor(pointer, shape, self.elements[name]))
+        self._shapes[name] = shape
+
+    def set_dim(self, dim: int) -> None:
+        """Set the number of threads."""
+        if dim != self.launch.bounds.size:
+            self.launch.set_dim(dim)
+
+    def __call__(self) -> None:
+        """Launch."""
+        if self._packed is None:
+            self.launch.launch()
+        else:
+            self.launch.hooks.forward(ctypes.byref(self.launch.params[0]), self._pointer)
+
+
+class Calls:
+    """Calls of a kernel on tensors, with other arguments each time.
+
+    A call takes a launch that is not under way for each thread and gives it back: a new one takes Warp 100 us.
+    """
+
+    def __init__(self, kernel: Any) -> None:
+        """``kernel``: of Warp, over worlds from ``world_offset`` on."""
+        self.kernel, self.elements = kernel, element_types(kernel)
+        self._free: list[Bound] = []
+
+    def __call__(self, values: Mapping[str, Any], worlds: int, threads: int) -> None:
+        """Launch on contiguous tensors and scalars by name, each thread on its share of the worlds."""
+        each = values["chunks"] if "chunks" in self.elements else 1
+        launches = []
+        for first, count in shard_worlds(worlds, threads) if threads > 1 else [(0, worlds)]:
+            launch = self._take()
+            for name, element in self.elements.items():
+                if name == "world_offset":
+                    launch.set(name, first)
+                elif element is None:
+                    launch.set(name, values[name])
+                else:
+                    launch.point(name, values[name].data_ptr(), values[name].shape)
+            launch.set_dim(count * each)
+            launches.append(launch)
+        run_shards(launches, threads)
+        self._free.extend(launches)
+
+    def _take(self) -> Bound:
+        """A launch that no other call uses, whichever thread that is on."""
+        try:
+            return self._free.pop()
+        except IndexError:
+            pass
+        inputs = [
+            0 if element is None else _template((0,) * argument.type.ndim, element)
+            for argument, element in zip(self.kernel.adj.args, self.elements.values())
+        ]
+        return Bound(wp.launch(self.kernel, dim=1, inputs=inputs, device="cpu", record_cmd=True))

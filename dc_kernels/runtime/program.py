@@ -1,0 +1,107 @@
+"""Kernels over all worlds as one call: shards of worlds on threads, the launches of a shard recorded as a graph."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from dc_kernels.grid.transfer import Splat
+from dc_kernels.model.arrays import to_numpy
+from dc_kernels.runtime.backends import Launch, bind, command, recorded, run_shards, shard_worlds
+
+
+class Kernel(NamedTuple):
+    """A launch over the worlds of a shard: kernel, arguments but ``world_offset``, threads a world."""
+
+    kernel: Any
+    values: Mapping[str, Any]
+    chunks: int = 1
+
+
+Stage = Kernel | Splat | Launch
+
+
+class Program:
+    """A call that runs stages in turn, bound when it is made; the arrays they name live as long as it does.
+
+    Successive kernels go world by world, so each shard runs through them without waiting for the others; a splat by
+    tiles and any other call waits for all shards.
+    """
+
+    def __init__(
+        self,
+        stages: Sequence[Stage],
+        worlds: int,
+        *,
+        backend: str,
+        threads: int = 1,
+    ) -> None:
+        """Bind the stages.
+
+        Args:
+            stages: kernels, splats, and calls without arguments.
+            worlds: how many there are.
+            backend: of the kernels.
+            threads: shards of worlds, and what runs them.
+        """
+        self.stages = list(stages)  # graphs do not keep arrays alive
+        self._steps: list[Launch] = []
+        for kind, group in itertools.groupby(map(_as_kernel, stages), type):
+            if kind is not Kernel:
+                self._steps += [stage for stage in group if not isinstance(stage, Kernel)]
+                continue
+            run = [stage for stage in group if isinstance(stage, Kernel)]
+            shards = [
+                recorded([bind(k.kernel, n * k.chunks, {**k.values, "world_offset": w}, "cpu") for k in run], backend)
+                for w, n in shard_worlds(worlds, threads)
+            ]
+            self._steps.append(shards[0] if len(shards) == 1 else functools.partial(run_shards, shards, threads))
+
+    def __call__(self) -> None:
+        """Run all stages."""
+        for step in self._steps:
+            step()
+
+
+class Fed:
+    """A kernel over all worlds with one array that is given with each call, wherever it lies."""
+
+    def __init__(self, kernel: Kernel, name: str, worlds: int, *, backend: str, threads: int = 1) -> None:
+        """Bind all other arguments.
+
+        Args:
+            kernel: with any array for the argument ``name``, of the type that will be given.
+            name: of the argument.
+            worlds: how many there are.
+            backend: of the kernel.
+            threads: shards of worlds, and what runs them.
+        """
+        self.kernel, self.name, self.backend, self.threads = kernel, name, backend, threads
+        self.shards = shard_worlds(worlds, threads)
+        if backend == "warp":
+            from dc_kernels.runtime.launches import Bound
+
+            self._launches = [
+                Bound(command(kernel.kernel, n * kernel.chunks, {**kernel.values, "world_offset": w}, "cpu"))
+                for w, n in self.shards
+            ]
+
+    def __call__(self, array: Any, pointer: int) -> None:
+        """Run on an array that ``interop.address`` has checked; only the caller keeps it alive."""
+        if self.backend == "warp":
+            for launch in self._launches:
+                launch.point(self.name, pointer, array.shape)
+            run_shards(self._launches, self.threads)
+            return
+        for w, n in self.shards:
+            values = {**self.kernel.values, "world_offset": w, self.name: to_numpy(array)}
+            bind(self.kernel.kernel, n * self.kernel.chunks, values, "cpu")()
+
+
+def _as_kernel(stage: Stage) -> Stage:
+    """A splat that is one thread a world as its kernel."""
+    if isinstance(stage, Splat) and not stage.tiled:
+        return Kernel(stage.table["splat_worlds"], stage.values)
+    return stage

@@ -1,0 +1,1 @@
+"""Smoothing kernels and SPH sums."""

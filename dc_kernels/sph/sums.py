@@ -1,0 +1,247 @@
+"""SPH sums at any points: a field carried by particles, its gradient and its Laplacian (seed, equations 3.6-3.8).
+
+    A(x)      = sum_p  m_p / rho_p  A_p  W(|x - x_p|, h)
+    grad A(x) = sum_p  m_p / rho_p  A_p  grad W
+    lap A(x)  = sum_p  m_p / rho_p  A_p  lap W
+
+These are the plain sums: a constant field is reproduced only as well as sum_p m_p / rho_p W approximates 1, which
+fails at the border of the particles. Differentiable torch operators on the same kernels: ``sph_operators``.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.model.arrays import kernel_arrays
+from dc_kernels.neighbors.search import Neighbors, neighbor_lists
+from dc_kernels.runtime.backends import bind, check_backend, run_shards
+from dc_kernels.runtime.inputs import check_array, check_count, check_points
+from dc_kernels.sph.smoothing import KERNELS, scale
+
+QUANTITIES = {"value": 0, "gradient": 1, "laplacian": 2, "divergence": 3}
+"""Codes of the sums; "divergence", values . grad W, only serves the adjoint of "gradient"."""
+PUBLIC = ("value", "gradient", "laplacian")
+CHUNK = 512  # queries of a Warp thread, and the unit that Python threads share
+ORDERS = {"value": 0, "gradient": 1, "laplacian": 2, "divergence": 1}
+
+
+def sph_sum(
+    queries: np.ndarray,
+    points: np.ndarray,
+    values: np.ndarray,
+    mass: np.ndarray,
+    density: np.ndarray,
+    h: float,
+    *,
+    kernel: str = "poly6",
+    query_start: Any = None,
+    point_start: Any = None,
+    quantity: str = "value",
+    method: str = "hash",
+    threads: int = 1,
+    backend: str = "warp",
+) -> np.ndarray:
+    """A field of particles, its gradient or its Laplacian, at query points.
+
+    All arrays are C-contiguous and of one dtype, float32 or float64. Each sum runs over the neighbours in a fixed
+    order, so its bits do not depend on ``threads`` nor on the other queries.
+
+    Args:
+        queries: where to evaluate, (nq, 2) or (nq, 3) [m].
+        points: the particles, (n, 2) or (n, 3) [m].
+        values: what they carry, (n, C), in any unit [u].
+        mass: (n,), > 0 or 0 [kg].
+        density: (n,), > 0 [kg/m^2 in 2D, kg/m^3 in 3D].
+        h: support radius, > 0 [m].
+        kernel: a key of ``smoothing.KERNELS``.
+        query_start: first query of each world and the number of queries, (W + 1,); None for one world.
+        point_start: the same of the particles.
+        quantity: "value", "gradient" or "laplacian".
+        method: how neighbours are searched (``neighbors.METHODS``).
+        threads: Python threads that share the queries.
+        backend: "warp", or "numpy" for the oracle.
+
+    Returns:
+        (nq, C) [u] for "value", (nq, C, dim) [u/m] for "gradient", (nq, C) [u/m^2] for "laplacian".
+
+    Raises:
+        ValueError: naming the argument, the index and the limit.
+    """
+    queries, points, values, mass, density = check_particles(queries, points, values, mass, density)
+    check_options(quantity, threads, backend)
+    factor = scale(kernel, h, points.shape[1], ORDERS[quantity], points.dtype)
+    weighted = values * volume(mass, density)[:, None]
+    lists = neighbor_lists(
+        queries, points, h, method=method, query_start=query_start, point_start=point_start, threads=threads
+    )
+    out = sum_lists(lists, queries, points, weighted, h, factor, kernel, quantity, threads, backend)
+    return out.reshape(out_shape(quantity, len(queries), values.shape[1], points.shape[1]))
+
+
+def sph_density(
+    points: np.ndarray,
+    mass: np.ndarray,
+    h: float,
+    *,
+    kernel: str = "poly6",
+    start: Any = None,
+    method: str = "hash",
+    threads: int = 1,
+    backend: str = "warp",
+) -> np.ndarray:
+    """Density of each particle by summation, sum_p m_p W(|x - x_p|, h), itself included: (n,) [kg/m^dim].
+
+    Args:
+        points: the particles, (n, 2) or (n, 3), float32 or float64, C-contiguous [m].
+        mass: (n,), >= 0, of the same dtype [kg].
+        h: support radius, > 0 [m].
+        kernel: as for ``sph_sum``.
+        start: first particle of each world and the number of particles, (W + 1,); None for one world.
+        method: as for ``sph_sum``.
+        threads: as for ``sph_sum``.
+        backend: as for ``sph_sum``.
+
+    Raises:
+        ValueError: naming the argument, the index and the limit.
+    """
+    points = check_points("points", points, (2, 3))
+    mass = check_array("mass", mass, (len(points),), points.dtype, low=0.0)
+    check_options("value", threads, backend)
+    factor = scale(kernel, h, points.shape[1], 0, points.dtype)
+    lists = neighbor_lists(points, points, h, method=method, query_start=start, point_start=start, threads=threads)
+    return sum_lists(lists, points, points, mass[:, None], h, factor, kernel, "value", threads, backend)[:, 0]
+
+
+# ------------------------------------------------------------------ sums over lists of neighbours
+
+
+def sum_lists(
+    lists: Neighbors,
+    queries: np.ndarray,
+    points: np.ndarray,
+    value: np.ndarray,
+    h: float,
+    factor: float,
+    kernel: str,
+    quantity: str,
+    threads: int,
+    backend: str,
+) -> np.ndarray:
+    """The kernel ``sum_neighbors``: columns of (n, C) become C (value, laplacian), C dim (gradient) or C / dim."""
+    width, dim = value.shape[1], points.shape[1]
+    columns = int(width * dim if quantity == "gradient" else width // dim if quantity == "divergence" else width)
+    out = np.empty((len(queries), columns), points.dtype)
+    arrays = {"query": queries, "point": points, "value": value, "out": out}
+    scalars = {"kernel": KERNELS[kernel], "quantity": QUANTITIES[quantity], "h": h, "scale": factor}
+    _run("sum_neighbors", lists, arrays, scalars, threads, backend)
+    return out
+
+
+def pull_lists(
+    lists: Neighbors,
+    queries: np.ndarray,
+    points: np.ndarray,
+    query_value: np.ndarray,
+    value: np.ndarray,
+    h: float,
+    kernel: str,
+    quantity: str,
+    *,
+    swapped: bool,
+    threads: int,
+    backend: str,
+) -> np.ndarray:
+    """The kernel ``pull_neighbors``: gradient by the queries' positions, (nq, dim)."""
+    factor = scale(kernel, h, points.shape[1], ORDERS[quantity] + 1, points.dtype)
+    out = np.empty_like(queries)
+    arrays = {"query": queries, "point": points, "query_value": query_value, "value": value, "out": out}
+    scalars = {
+        "kernel": KERNELS[kernel],
+        "quantity": QUANTITIES[quantity],
+        "swapped": int(swapped),
+        "h": h,
+        "scale": factor,
+    }
+    _run("pull_neighbors", lists, arrays, scalars, threads, backend)
+    return out
+
+
+def volume(mass: np.ndarray, density: np.ndarray) -> np.ndarray:
+    """Volume m / rho of each particle, (n,) [m^dim].
+
+    Raises:
+        ValueError: naming the first that overflows.
+    """
+    with np.errstate(over="ignore"):
+        result = mass / density
+    bad = np.flatnonzero(~np.isfinite(result))
+    if len(bad):
+        i = bad[0]
+        raise ValueError(f"mass[{i}] / density[{i}] is {mass[i]} / {density[i]}; it must be finite in {mass.dtype}")
+    return result
+
+
+def out_shape(quantity: str, count: Any, channels: Any, dim: int) -> tuple[Any, ...]:
+    """Shape of a sum's result."""
+    return (count, channels, dim) if quantity == "gradient" else (count, channels)
+
+
+def _run(
+    name: str,
+    lists: Neighbors,
+    arrays: Mapping[str, np.ndarray],
+    scalars: Mapping[str, Any],
+    threads: int,
+    backend: str,
+) -> None:
+    """Launch a kernel over all queries, in one part for each thread."""
+    queries = arrays["query"]
+    if not len(queries):
+        return
+    table = _kernels(backend, queries.dtype.name)
+    named = {**arrays, "neighbor_start": lists.start, "neighbor_index": lists.index}
+    named = kernel_arrays(named, backend)
+    chunks = -(-len(queries) // CHUNK)
+    bounds = np.linspace(0, chunks, min(threads, chunks) + 1).astype(int)
+    launches = [
+        bind(table[name], int(last - first), {**named, **scalars, "chunk_offset": int(first)}, "cpu")
+        for first, last in itertools.pairwise(bounds)
+    ]
+    run_shards(launches, threads)
+
+
+def _kernels(backend: str, dtype: str) -> dict[str, Any]:
+    if backend == "warp":
+        from dc_kernels._warp.sph import sums as sph
+    else:
+        from dc_kernels._numpy.sph import sums as sph  # type: ignore[no-redef]
+    return sph.kernels(dtype)
+
+
+# ------------------------------------------------------------------ checks
+
+
+def check_particles(queries: Any, points: Any, values: Any, mass: Any, density: Any) -> tuple[np.ndarray, ...]:
+    """The arrays as numpy; ValueError, naming argument, index and limit, for what cannot be summed."""
+    queries, points = (check_points(n, a, (2, 3)) for n, a in (("queries", queries), ("points", points)))
+    if queries.dtype != points.dtype or queries.shape[1] != points.shape[1]:
+        raise ValueError(
+            f"queries are {queries.dtype} {queries.shape}, points are {points.dtype} {points.shape}; dtype and "
+            "dimension must agree"
+        )
+    values = check_array("values", values, (len(points), None), points.dtype)
+    mass = check_array("mass", mass, (len(points),), points.dtype, low=0.0)
+    density = check_array("density", density, (len(points),), points.dtype, low=0.0, closed=False)
+    return queries, points, values, mass, density
+
+
+def check_options(quantity: str, threads: int, backend: str) -> None:
+    """Raise ValueError for an unknown quantity or backend, or a number of threads below 1."""
+    if quantity not in PUBLIC:
+        raise ValueError(f"quantity is {quantity!r}; it must be one of {PUBLIC}")
+    check_count("threads", threads)
+    check_backend(backend)

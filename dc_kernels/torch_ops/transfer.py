@@ -1,0 +1,376 @@
+"""Splat and gather as torch operators, differentiable by values, images and places; they need the extra ``pipeline``.
+
+Importing this module registers ``deep_contact::splat`` and ``deep_contact::gather`` with torch, so that autograd and
+``torch.compile`` see one opaque operator each. Both run in the kernels of ``transfer``, on the tensors' own memory.
+With the weights S_ip of ``transfer`` each is the other's adjoint:
+
+    splat   image_i = sum_p S_ip value_p     values: gather of the cotangent
+    gather  value_p = sum_i S_ip image_i     image:  splat of the cotangent
+    both    place of p:                      sum_c value_pc sum_i (d S_ip / d x_p) image_ci
+
+so every result is written by one thread and its bits do not depend on the number of threads. Places have no derivative
+where a point changes the nodes it reaches (bilinear: on the lines between nodes; Gaussian: at r = h): there it is that
+of one side. A point beyond the grid that is moved onto it, or that is given to its nearest node, has derivative 0.
+
+Second derivatives: by values and images they exist, of places they raise.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any, Literal
+
+import numpy as np
+import warp as wp
+
+from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.transfer import (
+    BAND,
+    TILED_BYTES,
+    Splat,
+    Stencil,
+    chunks_of,
+    first_and_count,
+    stencil_scalars,
+    transfer_kernels,
+)
+from dc_kernels.runtime.inputs import check_bins, check_count, check_points, check_start
+from dc_kernels.runtime.interop import tensor_array, tensor_integers
+from dc_kernels.runtime.launches import Calls
+from dc_kernels.runtime.optional import require
+
+torch = require("torch", "pipeline")
+
+_COMMON = (
+    "Tensor? start, Tensor? point_bin, int rows, int columns, float spacing, float origin_x, float origin_y, "
+    "int stencil, int normalize, int nearest, float h, int bins, int threads"
+)
+
+
+def splat_torch(
+    points: Any,
+    values: Any,
+    grid: Grid,
+    *,
+    h: float | None = None,
+    kernel: Stencil = "poly6",
+    normalize: Literal["particle", "shepard", "sum"] = "particle",
+    start: Any = None,
+    bins: int = 1,
+    point_bin: Any = None,
+    nearest: bool = True,
+    threads: int = 1,
+) -> Any:
+    """``transfer.splat`` of tensors, differentiable by points and values.
+
+    Args:
+        points: places relative to the worlds' origins, (n, 2), contiguous on the CPU, float32 or float64, finite [m].
+        values: (n, C), of the same dtype, contiguous on the CPU; NaN and inf are passed on, to nodes nearby too.
+        grid: where the nodes lie.
+        h: support radius of a radial kernel [m]; None: 2 spacings.
+        kernel: name of the stencil.
+        normalize: see ``transfer``.
+        start: offsets of the worlds' points, (W + 1,) integers; None: one world.
+        bins: parts of the image that points are kept apart in.
+        point_bin: bin of each point, (n,) integers; needed for bins > 1.
+        nearest: give a point that reaches no node to its nearest one, under "particle".
+        threads: worlds, or tiles of a large image, are shared by so many threads.
+
+    Returns:
+        (W, bins C, rows, columns); value c of a point of bin b is in channel b C + c.
+
+    Raises:
+        ValueError: naming the argument: another dtype, device or memory layout (nothing is copied), or out of range.
+    """
+    average = normalize == "shepard"
+    settings = _settings(grid, h, kernel, "sum" if average else normalize, start, bins, point_bin, nearest, threads)
+    image = torch.ops.deep_contact.splat(points, values, *settings)
+    return _share(image, _weights(points, settings), bins) if average else image
+
+
+def gather_torch(
+    image: Any,
+    points: Any,
+    grid: Grid,
+    *,
+    h: float | None = None,
+    kernel: Stencil = "bilinear",
+    normalize: Literal["particle", "sum"] = "particle",
+    reverse: bool = False,
+    start: Any = None,
+    bins: int = 1,
+    point_bin: Any = None,
+    nearest: bool = True,
+    threads: int = 1,
+) -> Any:
+    """``transfer.gather`` of tensors, differentiable by image and points.
+
+    Args:
+        image: (W, bins C, rows, columns), of the points' dtype, contiguous on the CPU; NaN and inf are passed on, to
+            points nearby too.
+        points: see ``splat_torch``, as are the other arguments.
+        reverse: share what a node holds among the points that reach it (reverse SPH, Engedal 2018); needs normalize
+            "particle". The divided image takes memory of its own.
+
+    Returns:
+        (n, C).
+
+    Raises:
+        ValueError: as for ``splat_torch``.
+    """
+    settings = _settings(grid, h, kernel, normalize, start, bins, point_bin, nearest, threads)
+    if reverse:
+        if normalize != "particle":
+            raise ValueError(f"normalize is {normalize!r}; reverse needs 'particle'")
+        image = _share(image, _weights(points, settings), bins)
+    return torch.ops.deep_contact.gather(image, points, *settings)
+
+
+def _settings(
+    grid: Grid,
+    h: float | None,
+    kernel: str,
+    normalize: str,
+    start: Any,
+    bins: int,
+    point_bin: Any,
+    nearest: bool,
+    threads: int,
+) -> tuple[Any, ...]:
+    """The arguments of ``_COMMON``."""
+    scalars = stencil_scalars(grid, kernel, h, normalize, nearest)
+    codes = (scalars[name] for name in ("stencil", "normalize", "nearest", "h"))
+    return (
+        None if start is None else torch.as_tensor(start),
+        None if point_bin is None else torch.as_tensor(point_bin),
+        grid.rows,
+        grid.columns,
+        grid.spacing,
+        *grid.origin,
+        *codes,
+        check_count("bins", bins),
+        check_count("threads", threads),
+    )
+
+
+def _weights(points: Any, settings: tuple[Any, ...]) -> Any:
+    """The sum of the points' weights at each node, (W, bins, rows, columns)."""
+    return torch.ops.deep_contact.splat(points, points.new_ones((points.shape[0], 1)), *settings)
+
+
+def _share(image: Any, weight: Any, bins: int) -> Any:
+    """Image / weight, 0 where no point reaches; masked before the division, for a 0 / 0 has a gradient NaN."""
+    _check_shape(image, weight.shape[0], bins, weight.shape[2:])
+    parts = image.unflatten(1, (bins, -1))
+    weight = weight.unsqueeze(2)
+    reached = weight > 0
+    return torch.where(reached, parts / torch.where(reached, weight, 1.0), 0.0).flatten(1, 2)
+
+
+# ------------------------------------------------------------------ operators
+
+
+@torch.library.custom_op(
+    "deep_contact::splat", mutates_args=(), schema=f"(Tensor points, Tensor values, {_COMMON}) -> Tensor"
+)
+def _splat(points: Any, values: Any, *settings: Any) -> Any:
+    call = _Call(points, settings)
+    shape = (call.worlds, call.bins * call.check_values(values), *call.shape)
+    if math.prod(shape[1:]) * values.element_size() > TILED_BYTES:
+        image = values.new_zeros(shape)
+        call.run_tiled(values, image)
+        return image
+    image = values.new_empty(shape)
+    # all bands are marked, so that each world's thread clears its own part of the image
+    touched = torch.ones((call.worlds, -(-call.shape[0] // BAND)), dtype=torch.int32)
+    missed = torch.empty(call.worlds, dtype=torch.int32)
+    call.run("splat_worlds", value=values, touched=touched, missed=missed, image=image)
+    return image
+
+
+@torch.library.custom_op(
+    "deep_contact::gather", mutates_args=(), schema=f"(Tensor image, Tensor points, {_COMMON}) -> Tensor"
+)
+def _gather(image: Any, points: Any, *settings: Any) -> Any:
+    call = _Call(points, settings)
+    value = points.new_empty((points.shape[0], call.check_image(image)))
+    call.run("gather_points", image=image, value=value)
+    return value
+
+
+@torch.library.custom_op(
+    "deep_contact::gather_gradient",
+    mutates_args=(),
+    schema=f"(Tensor image, Tensor points, Tensor values, {_COMMON}) -> Tensor",
+)
+def _gather_gradient(image: Any, points: Any, values: Any, *settings: Any) -> Any:
+    """Derivative of ``(values * gather(image, points)).sum()`` by the points, (n, 2)."""
+    call = _Call(points, settings)
+    channels = call.check_image(image)
+    if call.check_values(values) != channels:
+        raise ValueError(f"values has shape {tuple(values.shape)}; it must be ({len(points)}, {channels})")
+    gradient = torch.empty_like(points)
+    call.run("gather_gradient", image=image, value=values, gradient=gradient)
+    return gradient
+
+
+@_splat.register_fake
+def _(points: Any, values: Any, start: Any, *settings: Any) -> Any:
+    worlds = 1 if start is None else start.shape[0] - 1
+    return values.new_empty((worlds, settings[-2] * values.shape[1], settings[1], settings[2]))
+
+
+@_gather.register_fake
+def _(image: Any, points: Any, *settings: Any) -> Any:
+    return points.new_empty((points.shape[0], image.shape[1] // settings[-2]))
+
+
+@_gather_gradient.register_fake
+def _(image: Any, points: Any, *rest: Any) -> Any:
+    return torch.empty_like(points)
+
+
+def _setup(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+    ctx.save_for_backward(*inputs[:4])
+    ctx.scalars = inputs[4:]
+
+
+# A cotangent may be expanded or transposed memory, such as that of a sum, which kernels cannot read: the only copies.
+
+
+def _splat_backward(ctx: Any, cotangent: Any) -> tuple[Any, ...]:
+    points, values, *rest = ctx.saved_tensors
+    cotangent = cotangent.contiguous()
+    settings = (*rest, *ctx.scalars)
+    by_points = by_values = None
+    if ctx.needs_input_grad[0]:
+        by_points = torch.ops.deep_contact.gather_gradient(cotangent, points, values, *settings)
+    if ctx.needs_input_grad[1]:
+        by_values = torch.ops.deep_contact.gather(cotangent, points, *settings)
+    return by_points, by_values, *(None,) * len(settings)
+
+
+def _gather_backward(ctx: Any, cotangent: Any) -> tuple[Any, ...]:
+    image, points, *rest = ctx.saved_tensors
+    cotangent = cotangent.contiguous()
+    settings = (*rest, *ctx.scalars)
+    by_image = by_points = None
+    if ctx.needs_input_grad[0]:
+        by_image = torch.ops.deep_contact.splat(points, cotangent, *settings)
+    if ctx.needs_input_grad[1]:
+        by_points = torch.ops.deep_contact.gather_gradient(image, points, cotangent, *settings)
+    return by_image, by_points, *(None,) * len(settings)
+
+
+_splat.register_autograd(_splat_backward, setup_context=_setup)
+_gather.register_autograd(_gather_backward, setup_context=_setup)
+
+
+# ------------------------------------------------------------------ calls
+
+
+class _Call:
+    """One call of the kernels with the points and settings of an operator, which are checked here."""
+
+    def __init__(self, points: Any, settings: tuple[Any, ...]) -> None:
+        start, point_bin, rows, columns, spacing, x, y, stencil, normalize, nearest, h, bins, threads = settings
+        count = len(check_points("points", tensor_array("points", points)))
+        first, counts, most = _one_world(count) if start is None else _worlds(tensor_integers("start", start), count)
+        self.dtype = str(points.dtype).removeprefix("torch.")
+        self.shape, self.worlds, self.bins, self.threads = (rows, columns), len(first), bins, threads
+        self.values = {
+            "stencil": stencil,
+            "normalize": normalize,
+            "nearest": nearest,
+            "spacing": spacing,
+            "h": h,
+            "bins": bins,
+            "channel_offset": 0,
+            "chunks": chunks_of(most),
+            "grid_origin": _origins(self.worlds, x, y, points.dtype),
+            "point_start": first,
+            "point_count": counts,
+            "point": points,
+            "point_bin": _bins(bins, point_bin, count),
+        }
+
+    def check_values(self, values: Any) -> int:
+        """C of values (n, C)."""
+        tensor_array("values", values)
+        count = self.values["point"].shape[0]
+        if values.dim() != 2 or values.shape[0] != count or values.shape[1] < 1:
+            raise ValueError(f"values has shape {tuple(values.shape)}; it must be ({count}, C) with C >= 1")
+        self._check_dtype("values", values)
+        return values.shape[1]
+
+    def check_image(self, image: Any) -> int:
+        """C of an image (W, bins C, rows, columns)."""
+        tensor_array("image", image)
+        _check_shape(image, self.worlds, self.bins, self.shape)
+        self._check_dtype("image", image)
+        return image.shape[1] // self.bins
+
+    def _check_dtype(self, name: str, tensor: Any) -> None:
+        if tensor.dtype != self.values["point"].dtype:
+            raise ValueError(f"{name} has dtype {tensor.dtype}; points have {self.values['point'].dtype}")
+
+    def run(self, name: str, **tensors: Any) -> None:
+        """Launch a kernel on the tensors, each thread on its share of the worlds."""
+        _calls(name, self.dtype)({**self.values, **tensors}, self.worlds, self.threads)
+
+    def run_tiled(self, value: Any, image: Any) -> None:
+        """Splat onto a large, zeroed image tile by tile."""
+        types = {**_calls("splat_worlds", self.dtype).elements, "image": None}
+        arrays = {
+            key: wp.from_torch(tensor, dtype=types[key], requires_grad=False)
+            for key, tensor in {**self.values, "value": value, "image": image}.items()
+            if isinstance(tensor, torch.Tensor)
+        }
+        Splat(transfer_kernels("warp", self.dtype), {**self.values, **arrays}, threads=self.threads)()
+
+
+@functools.cache
+def _calls(name: str, dtype: str) -> Calls:
+    return Calls(transfer_kernels("warp", dtype)[name])
+
+
+@functools.lru_cache(256)
+def _one_world(count: int) -> tuple[Any, Any, int]:
+    """First point, number of points and the largest of these for one world with all points."""
+    return _worlds(None, count)
+
+
+def _worlds(start: np.ndarray | None, count: int) -> tuple[Any, Any, int]:
+    first, counts = first_and_count(check_start("start", start, count))
+    return torch.from_numpy(first), torch.from_numpy(counts), int(counts.max(initial=0))
+
+
+@functools.lru_cache(256)
+def _origins(worlds: int, x: float, y: float, dtype: Any) -> Any:
+    """The grid's origin for each world, (W, 2)."""
+    return torch.tensor([[x, y]], dtype=dtype).repeat(worlds, 1)
+
+
+@functools.cache
+def _no_bins() -> Any:
+    return torch.zeros(1, dtype=torch.int32)
+
+
+def _bins(bins: int, point_bin: Any, count: int) -> Any:
+    if point_bin is None and bins == 1:
+        return _no_bins()
+    return torch.from_numpy(check_bins(bins, tensor_integers("point_bin", point_bin), count))
+
+
+# ------------------------------------------------------------------ checks
+
+
+def _check_shape(image: Any, worlds: int, bins: int, shape: Any) -> None:
+    """Raise ValueError unless the image is (W, bins C, rows, columns)."""
+    wanted = image.dim() == 4 and image.shape[0] == worlds and tuple(image.shape[2:]) == tuple(shape)
+    if not wanted or image.shape[1] < bins or image.shape[1] % bins:
+        rows, columns = shape
+        raise ValueError(
+            f"image has shape {tuple(image.shape)}; it must be ({worlds}, {bins} C, {rows}, {columns}) with C >= 1"
+        )

@@ -1,0 +1,1 @@
+"""ContactNet: a network that corrects solves in flight."""

@@ -1,0 +1,132 @@
+"""ContactNet: corrects the impulses of a solve in flight, contact by contact (``dc_kernels.learn.features``).
+
+A convolutional trunk of several scales reads images of what the contacts carry and of how the last sweep changed it; a
+small head at each contact reads the trunk at the contact and at both its bodies, and the contact's own features, which
+no grid can blur. The answer is a correction at the scale of the contact: a multiple of the step of the last sweep (as
+Aitken's, but of its own for each contact), a part scaled by the step's RMS, and a multiple of the impulse carried.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
+from dc_kernels.runtime.optional import require
+from pipeline.networks.models import register
+
+torch = require("torch", "pipeline")
+nn = torch.nn
+F = torch.nn.functional
+Module: Any = nn.Module  # a name that mypy takes as a base
+
+SHARE = 1.0  # of Aitken's step that the network begins with
+BEGIN, ACCELERATED = LOCAL.index("begin"), LOCAL.index("accelerated")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactNetConfig:
+    """Sizes of a ContactNet."""
+
+    spacing: float = 2.0
+    """Distance of the grid's nodes [typical diameters]: it shows what is far, the features of a contact are exact."""
+    channels: tuple[int, ...] = (8, 16, 16)
+    """Channels of the trunk at each scale; each scale halves the grid [1]."""
+    near: int = 8
+    """Channels that are gathered at the contacts [1]."""
+    hidden: tuple[int, ...] = (48, 32)
+    """Widths of the head's hidden layers [1]."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.spacing < float("inf"):
+            raise ValueError(f"ContactNetConfig.spacing is {self.spacing!r}; it must be finite and > 0")
+        for name in ("channels", "hidden"):
+            values = getattr(self, name)
+            if not values or min(values) < 1:
+                raise ValueError(f"ContactNetConfig.{name} is {values!r}; it must hold widths >= 1")
+        if self.near < 1:
+            raise ValueError(f"ContactNetConfig.near is {self.near!r}; it must be >= 1")
+
+
+@register("contactnet", ContactNetConfig)
+class ContactNet(Module):
+    """Features of contacts and images of worlds -> corrections (contacts, len(OUTPUT))."""
+
+    def __init__(self, config: ContactNetConfig | None = None) -> None:
+        """Random weights that begin with the same share of Aitken's step for every contact (``SHARE``)."""
+        super().__init__()
+        self.config = config = config or ContactNetConfig()
+        widths = config.channels
+        self.down = nn.ModuleList(
+            nn.Conv2d(before, width, 3, padding=1) for before, width in zip((len(IMAGE), *widths), widths)
+        )
+        self.up = nn.ModuleList(nn.Conv2d(low + high, high, 3, padding=1) for high, low in itertools.pairwise(widths))
+        self.near = nn.Conv2d(widths[0], config.near, 1)
+        first, *rest = config.hidden
+        self.own = nn.Linear(len(LOCAL), first)
+        self.places = nn.ModuleList(nn.Linear(config.near, first, bias=False) for _ in range(3))
+        sizes = (first, *rest)
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in itertools.pairwise(sizes))
+        self.last = nn.Linear(sizes[-1], len(OUTPUT))
+        # share of the answer that is used, with plain and with accelerated solvers (``tuning``)
+        self.register_buffer("gain", torch.ones(2))
+        with torch.no_grad():
+            self.last.weight.mul_(0.1)
+            self.last.bias.zero_()
+        self.to(memory_format=torch.channels_last)  # half the time of a convolution on a CPU
+
+    def trunk(self, images: Any) -> Any:
+        """(K, len(IMAGE), rows, columns) -> (K, near, rows, columns)."""
+        kept = []
+        x = images
+        for i, layer in enumerate(self.down):
+            if i:
+                x = F.avg_pool2d(x, 2, ceil_mode=True)
+            x = F.relu(layer(x))
+            kept.append(x)
+        for layer, skip in zip(reversed(self.up), reversed(kept[:-1])):
+            x = F.interpolate(x, size=skip.shape[2:], mode="nearest")
+            x = F.relu(layer(torch.cat([skip, x], dim=1)))
+        return self.near(x)
+
+    def head(self, local: Any, near: Any) -> Any:
+        """Features (n, len(LOCAL)) and the trunk at three places, (n, near) each -> (n, len(OUTPUT))."""
+        x = self.own(local)
+        for layer, value in zip(self.places, near):
+            x = x + layer(value)
+        x = F.relu(x)
+        for layer in self.layers:
+            x = F.relu(layer(x))
+        accelerated = local[:, ACCELERATED, None]
+        answer = self.last(x) * (self.gain[0] + (self.gain[1] - self.gain[0]) * accelerated)
+        answer[:, :2] += even_share(local)[:, None]
+        return answer
+
+    def forward(self, local: Any, images: Any, gather: Callable[[Any], Any]) -> Any:
+        """Corrections; ``gather`` brings an image of the worlds to the contacts and both their bodies."""
+        return self.head(local, gather(self.trunk(images)))
+
+
+class EvenShare(Module):
+    """No network: the answer that a ContactNet begins with, for every contact alike. What a network has to beat."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.config = ContactNetConfig()
+
+    def trunk(self, images: Any) -> Any:
+        """Nothing, (K, 1, rows, columns)."""
+        return images.new_zeros(len(images), 1, *images.shape[2:])
+
+    def head(self, local: Any, near: Any) -> Any:
+        """The same share of the step of the last sweep, (n, len(OUTPUT))."""
+        output = local.new_zeros(len(local), len(OUTPUT))
+        output[:, :2] = even_share(local)[:, None]
+        return output
+
+
+def even_share(local: Any) -> Any:
+    """Share of Aitken's step while solving, (n,), none of the contacts' own before the first sweep."""
+    return SHARE * (1.0 - local[:, BEGIN])

@@ -1,0 +1,1 @@
+"""Data sets: recipe, shards, generation, reading."""

@@ -1,0 +1,464 @@
+"""Data sets for torch: states of ``shards`` in batches, shuffled across worlds, and their images.
+
+    for batch in loader("out/data", batch_size=64, split="train", shuffle=True, seed=0):
+        image, label = splatter(batch)
+
+A state is one world at one step. Worlds are read whole and kept while a pool of them lasts; states are shuffled within
+a pool, pools are drawn across all worlds. Nothing is open before the first state is asked for, so workers may be forked
+or spawned. Images are made by the kernels that make them in a simulation, from the same numbers.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from dc_kernels.model.enums import BodyType
+from dc_kernels.runtime.optional import require
+from pipeline.data import shards
+from pipeline.data.splatter import Splatter
+from pipeline.evaluate.evaluate import HELD_OUT_SEED
+
+torch = require("torch", "pipeline")
+Dataset: Any = torch.utils.data.Dataset
+DataLoader: Any = torch.utils.data.DataLoader
+Sampler: Any = torch.utils.data.Sampler
+
+__all__ = ["Batch", "BatchOrder", "Loader", "Splatter", "States", "describe", "loader"]
+
+Split = Literal["train", "validation"]
+CACHE_BYTES = 2**28  # of the worlds that a process keeps, about
+_STAGE_FIELDS = ("start", "impulse", "label")
+
+
+@dataclass(frozen=True)
+class Batch:
+    """B states one after the other, N bodies and M contacts in all, as tensors; SI units.
+
+    Bodies are those before the step. ``start`` is what the solver started from, ``impulse`` its solution at the run's
+    tolerance, ``label`` the one at the label's tolerance: normal and tangential [N s].
+    """
+
+    body_start: Any  # (B + 1,) int64, first body of each state
+    contact_start: Any  # (B + 1,) int64, first contact of each state
+    position: Any  # (N, 2), as all that is not said to be of another dtype float32
+    angle: Any  # (N,)
+    velocity: Any  # (N, 2)
+    angular_velocity: Any  # (N,)
+    mass: Any  # (N,), 0 where infinite
+    inertia: Any  # (N,), 0 where infinite
+    body_type: Any  # (N,) int32, dc.BodyType
+    body_a: Any  # (M,) int64, into the N bodies
+    body_b: Any  # (M,) int64
+    point: Any  # (M, 2)
+    normal: Any  # (M, 2), from A to B
+    gap: Any  # (M,)
+    friction: Any  # (M,)
+    restitution: Any  # (M,)
+    age: Any  # (M,) int32, 0 where the contact is new
+    color: Any  # (M,) int32
+    start: Any  # (M, 2)
+    impulse: Any  # (M, 2)
+    label: Any  # (M, 2)
+    dt: Any  # (B,)
+    gravity: Any  # (B, 2)
+    seed: Any  # (B,) int64, of the world
+    step: Any  # (B,) int64, steps before this one
+    # static shapes, which the images show as walls
+    shape_start: Any  # (B + 1,) int64, first static shape of each state
+    shape_body: Any  # (S,) int64, into the N bodies
+    shape_type: Any  # (S,) int32, dc.ShapeType
+    shape_radius: Any  # (S,)
+    vertex_start: Any  # (S + 1,) int64
+    vertices: Any  # (V, 2), in the body's frame
+
+    def __len__(self) -> int:
+        """B."""
+        return len(self.seed)
+
+    def to(self, *target: Any, **options: Any) -> Batch:
+        """The batch on another device, as ``Tensor.to``."""
+        return replace(self, **{f.name: getattr(self, f.name).to(*target, **options) for f in fields(self)})
+
+
+# axis of what is put together: fields of a world's record
+_MOTION = ("position", "angle", "velocity", "angular_velocity")
+_BODY = ("mass", "inertia", "body_type")
+_CONTACT = ("point", "normal", "gap", "friction", "restitution", "age", "color", *_STAGE_FIELDS)
+_SHAPE = ("shape_type", "shape_radius")
+_DTYPES = {"color": np.int32}
+
+
+class _World:
+    """All states of a world in memory."""
+
+    def __init__(self, file: Any, row: int) -> None:
+        """Read the world of a shard."""
+
+        def rows(axis: str, name: str, first: int, last: int) -> np.ndarray:
+            return file[f"{axis}/{name}"][first:last]
+
+        def start(name: str) -> tuple[int, int]:
+            return tuple(int(n) for n in file[f"world/{name}"][row : row + 2])  # type: ignore[return-value]
+
+        self.seed, self.dt = int(file["world/seed"][row]), file["world/dt"][row]
+        self.gravity = file["world/gravity"][row]
+        bodies, shapes, steps = start("body_start"), start("shape_start"), start("step_start")
+        motion = file["step/motion_start"][steps[0] : steps[1] + 1]
+        contact = file["step/contact_start"][steps[0] : steps[1] + 1]
+        self.motion_start, self.contact_start = motion - motion[0], contact - contact[0]
+        self.arrays: dict[str, np.ndarray] = {}
+        for name in _MOTION:
+            self.arrays[name] = rows("motion", name, motion[0], motion[-1])
+        for name in _BODY:
+            self.arrays[name] = rows("body", name, *bodies)
+        for name in ("body_a", "body_b", *_CONTACT[: -len(_STAGE_FIELDS)]):
+            values = rows("contact", name, contact[0], contact[-1])
+            self.arrays[name] = values.astype(_DTYPES.get(name, values.dtype), copy=False)
+        stages = file["contact/impulse"][:, contact[0] : contact[-1]]
+        self.arrays.update(zip(shards.STAGES, stages))
+        self._read_static(file, shapes)
+
+    def _read_static(self, file: Any, shapes: tuple[int, int]) -> None:
+        first, last = shapes
+        body = file["shape/shape_body"][first:last]
+        static = self.arrays["body_type"][body] == BodyType.STATIC
+        vertex = file["shape/vertex_start"][first : last + 1]
+        vertices = file["vertex/vertices"][vertex[0] : vertex[-1]]
+        kept = [vertices[a - vertex[0] : b - vertex[0]] for a, b in itertools.pairwise(vertex)]
+        kept = [part for part, keep in zip(kept, static) if keep]
+        self.arrays["shape_body"] = body[static]
+        for name in _SHAPE:
+            self.arrays[name] = file[f"shape/{name}"][first:last][static]
+        self.arrays["vertices"] = np.concatenate([np.zeros((0, 2), np.float32), *kept])
+        self.vertex_count = np.array([len(part) for part in kept], np.int64)
+
+
+class States(Dataset):
+    """The states of a data set that a network may see.
+
+    ``states[i]`` is a batch of one, ``states.batch([...])`` of several. A state counts if its world is of the split,
+    its step a multiple of ``stride``, its world not flagged, and it has at least ``min_contacts`` contacts.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        split: Split | None = None,
+        validation: float = 0.1,
+        split_seed: int = 0,
+        stride: int = 1,
+        min_contacts: int = 1,
+        cache_bytes: int = CACHE_BYTES,
+    ) -> None:
+        """Read the index.
+
+        Args:
+            path: folder of the data set, or its index.
+            split: "train" or "validation": whole worlds, drawn by ``split_seed``; None: all.
+            validation: share of the worlds that validate, at least one.
+            split_seed: of the draw.
+            stride: steps from one state to the next.
+            min_contacts: of a state.
+            cache_bytes: of the worlds that each process keeps, about; at least two are.
+
+        Raises:
+            ValueError: for an argument out of its range, a foreign or damaged index, a data set that is not finished,
+                or one of held-out seeds asked for with a split: those are for tests only.
+        """
+        index = _index(path)
+        self.folder = index.parent
+        if split not in (None, "train", "validation"):
+            raise ValueError(f"split is {split!r}; it must be None, 'train' or 'validation'")
+        if not 0.0 <= validation < 1.0:
+            raise ValueError(f"validation is {validation!r}; it must lie in [0, 1)")
+        for name, value, low in (
+            ("stride", stride, 1),
+            ("min_contacts", min_contacts, 0),
+            ("split_seed", split_seed, 0),
+        ):
+            if value < low:
+                raise ValueError(f"{name} is {value}; it must be >= {low}")
+        with shards.opened(index) as file:
+            self.config = shards.config_of(file)
+            self.seeds = file["world/seed"][...]
+            self.step_start = file["world/step_start"][...]
+            self.contact_count = np.diff(file["step/contact_start"][...])
+            step, flags = file["step/step"][...], file["step/flags"][...]
+            self.shard_start = file["shard/world_start"][...]
+            self.shard_names = [name.decode() for name in file["shard/name"][...]]
+            rows = {
+                axis: file[axis][name].shape[lead]
+                for axis, name, lead in (("motion", "angle", 0), ("contact", "gap", 0))
+            }
+        if split is not None and (self.seeds >= HELD_OUT_SEED).any():
+            raise ValueError(
+                f"{self.folder} has worlds of seeds from {HELD_OUT_SEED} on: for tests, never for training"
+            )
+        self.worlds = _split(len(self.seeds), split, validation, split_seed)
+        chosen = np.isin(np.arange(len(self.seeds)), self.worlds)[self._world_of(np.arange(len(step)))]
+        self.rows = np.flatnonzero(chosen & (step % stride == 0) & (flags == 0) & (self.contact_count >= min_contacts))
+        world_bytes = (rows["motion"] * 24 + rows["contact"] * 72) / max(len(self.seeds), 1)
+        self.pool = max(2, int(cache_bytes / max(world_bytes, 1.0)))
+        self._forget()
+
+    def _forget(self) -> None:
+        self._files: dict[int, Any] = {}
+        self._known: OrderedDict[int, _World] = OrderedDict()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For workers: without what is open and read."""
+        return {**self.__dict__, "_files": {}, "_known": OrderedDict()}
+
+    def __len__(self) -> int:
+        """States."""
+        return len(self.rows)
+
+    def __getitem__(self, index: int) -> Batch:
+        """One state."""
+        return self.batch([index])
+
+    def __getitems__(self, indices: Sequence[int]) -> Batch:
+        """A batch, for torch's loaders."""
+        return self.batch(indices)
+
+    def world_of(self, indices: Any) -> np.ndarray:
+        """Which world each state is of, counted through the data set."""
+        return self._world_of(self.rows[np.asarray(indices, np.int64)])
+
+    def _world_of(self, rows: np.ndarray) -> np.ndarray:
+        return np.searchsorted(self.step_start, rows, "right") - 1
+
+    def _world(self, number: int) -> _World:
+        if number in self._known:
+            self._known.move_to_end(number)
+            return self._known[number]
+        shard = int(np.searchsorted(self.shard_start, number, "right") - 1)
+        with shards.opened(self.folder / self.shard_names[shard]) as file:
+            world = _World(file, number - int(self.shard_start[shard]))
+        if world.seed != self.seeds[number]:
+            raise ValueError(f"{self.folder / self.shard_names[shard]} is not that of the index: make the index anew")
+        self._known[number] = world
+        while len(self._known) > self.pool:
+            self._known.popitem(last=False)
+        return world
+
+    def batch(self, indices: Sequence[int]) -> Batch:
+        """States as one batch, in the order given.
+
+        Raises:
+            IndexError: for an index out of range.
+            ValueError: for a shard that is damaged.
+        """
+        rows, numbers = self.rows[np.asarray(indices, np.int64)], self.world_of(indices)
+        worlds = [self._world(int(number)) for number in numbers]
+        steps = (rows - self.step_start[numbers]).tolist()
+        motion = [slice(*w.motion_start[s : s + 2]) for w, s in zip(worlds, steps)]
+        contact = [slice(*w.contact_start[s : s + 2]) for w, s in zip(worlds, steps)]
+
+        def whole(name: str) -> np.ndarray:
+            return np.concatenate([w.arrays[name] for w in worlds])
+
+        def cut(name: str, parts: Sequence[slice]) -> np.ndarray:
+            return np.concatenate([w.arrays[name][part] for w, part in zip(worlds, parts)])
+
+        bodies = np.array([part.stop - part.start for part in motion])
+        contacts = np.array([part.stop - part.start for part in contact])
+        shapes = np.array([len(w.vertex_count) for w in worlds])
+        body_start = _offsets(bodies)
+        arrays: dict[str, np.ndarray] = {
+            "body_start": body_start,
+            "contact_start": _offsets(contacts),
+            "shape_start": _offsets(shapes),
+            "vertex_start": _offsets(np.concatenate([w.vertex_count for w in worlds])),
+            "body_a": cut("body_a", contact) + np.repeat(body_start[:-1], contacts),
+            "body_b": cut("body_b", contact) + np.repeat(body_start[:-1], contacts),
+            "shape_body": whole("shape_body") + np.repeat(body_start[:-1], shapes),
+            "dt": np.array([w.dt for w in worlds], np.float32),
+            "gravity": np.stack([w.gravity for w in worlds]),
+            "seed": self.seeds[numbers],
+            "step": np.array(steps, np.int64),
+            **{name: cut(name, motion) for name in _MOTION},
+            **{name: cut(name, contact) for name in _CONTACT},
+            **{name: whole(name) for name in (*_BODY, *_SHAPE, "vertices")},
+        }
+        return Batch(**{name: torch.from_numpy(values) for name, values in arrays.items()})
+
+
+def _index(path: str | Path) -> Path:
+    """Path of an index, given it or its folder."""
+    index = Path(path) if Path(path).name == shards.INDEX else Path(path) / shards.INDEX
+    if not index.exists():
+        raise ValueError(f"{index.parent} has no {index.name}: it is no data set, or one that is not finished")
+    return index
+
+
+def _offsets(sizes: np.ndarray) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+
+
+def _split(worlds: int, split: Split | None, validation: float, seed: int) -> np.ndarray:
+    """Worlds of a split, sorted."""
+    if split is None:
+        return np.arange(worlds)
+    order = np.random.Generator(np.random.PCG64(seed)).permutation(worlds)
+    held = min(max(round(validation * worlds), 1), worlds) if validation > 0.0 else 0
+    return np.sort(order[:held] if split == "validation" else order[held:])
+
+
+class BatchOrder(Sampler):
+    """Indices of each batch; the order depends on seed and epoch, not on workers or what was read before.
+
+    Of several ranks each takes every ``world_size``-th batch, and all take equally many: the first batches come again
+    at the end where they do not divide.
+    """
+
+    def __init__(
+        self,
+        states: States,
+        batch_size: int,
+        shuffle: bool = True,
+        seed: int = 0,
+        drop_last: bool = False,
+        rank: int = 0,
+        world_size: int = 1,
+    ) -> None:
+        """Arguments as of ``loader``."""
+        for name, value, low in (("batch_size", batch_size, 1), ("seed", seed, 0), ("world_size", world_size, 1)):
+            if value < low:
+                raise ValueError(f"{name} is {value}; it must be >= {low}")
+        if not 0 <= rank < world_size:
+            raise ValueError(f"rank is {rank}; it must lie in [0, {world_size})")
+        self.states, self.batch_size, self.shuffle, self.seed = states, batch_size, shuffle, seed
+        self.drop_last, self.rank, self.world_size = drop_last, rank, world_size
+        self.epoch = 0
+        self._world = states.world_of(np.arange(len(states)))
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the order of the next pass."""
+        self.epoch = epoch
+
+    def order(self) -> np.ndarray:
+        """Indices of all states in the order of this epoch."""
+        count = len(self.states)
+        if not self.shuffle:
+            return np.arange(count)
+        stream = np.random.Generator(np.random.PCG64([self.seed, self.epoch]))
+        worlds = self.states.worlds
+        place = np.empty(len(self.states.seeds), np.int64)
+        place[stream.permutation(worlds)] = np.arange(len(worlds))
+        pool = place[self._world] // self.states.pool
+        return np.lexsort((stream.random(count), pool))
+
+    def __len__(self) -> int:
+        """Batches of this rank."""
+        count = len(self.states)
+        batches = count // self.batch_size if self.drop_last else -(-count // self.batch_size)
+        return batches // self.world_size if self.drop_last else -(-batches // self.world_size)
+
+    def __iter__(self) -> Iterator[list[int]]:
+        """The batches of this rank."""
+        order = self.order()
+        batches = [order[i : i + self.batch_size] for i in range(0, len(order), self.batch_size)]
+        for i in range(len(self)):
+            yield batches[(i * self.world_size + self.rank) % len(batches)].tolist()
+
+
+def _identity(batch: Batch) -> Batch:
+    return batch
+
+
+class Loader(DataLoader):
+    """A ``DataLoader`` of batches, made by ``loader``."""
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the order of the next pass."""
+        self.batch_sampler.set_epoch(epoch)
+
+
+def loader(
+    path: str | Path,
+    *,
+    batch_size: int,
+    split: Split | None = "train",
+    shuffle: bool = True,
+    seed: int = 0,
+    workers: int = 0,
+    rank: int = 0,
+    world_size: int = 1,
+    drop_last: bool = False,
+    **options: Any,
+) -> Loader:
+    """A ``DataLoader`` of batches; its ``set_epoch(n)`` chooses the order of each pass.
+
+    Args:
+        path: folder of the data set, or its index.
+        batch_size: states in a batch.
+        split: as of ``States``.
+        shuffle: across the worlds of a pool, pools across all worlds; else worlds and steps in turn.
+        seed: of the order.
+        workers: processes that read ahead; 0: this one reads.
+        rank: of this process among ``world_size`` that train together.
+        world_size: how many.
+        drop_last: leave out the last batch if it is smaller, and what the ranks cannot share evenly.
+        **options: validation, split_seed, stride, min_contacts, cache_bytes of ``States``.
+
+    Raises:
+        ValueError: see ``States``; or where no state is left.
+    """
+    states = States(path, split, **options)
+    if not len(states):
+        raise ValueError(f"{path} has no state with split {split!r} and {options}")
+    order = BatchOrder(states, batch_size, shuffle, seed, drop_last, rank, world_size)
+    more: Mapping[str, Any] = {"persistent_workers": True, "multiprocessing_context": "spawn"} if workers else {}
+    return Loader(states, batch_sampler=order, collate_fn=_identity, num_workers=workers, **more)
+
+
+def describe(path: str | Path) -> dict[str, Any]:
+    """What a data set holds, without its states.
+
+    Args:
+        path: folder of the data set, or its index.
+
+    Returns:
+        ``config``; ``seeds``, the first and one past the last; ``worlds``, ``states``; ``box``, which holds all static
+        shapes: low x, low y, high x, high y [m]; ``slop``, overlap that the solver left alone, mean of the worlds [m].
+
+    Raises:
+        ValueError, OSError: see ``States``.
+    """
+    with shards.opened(_index(path)) as file:
+        config = shards.config_of(file)
+        seeds, step_start = file["world/seed"][...], file["world/step_start"][...]
+        body_start, shape_start = file["world/body_start"][...], file["world/shape_start"][...]
+        # of each shape, then of each vertex, the body's row in motion at its world's first step
+        first = file["step/motion_start"][...][step_start[:-1]] - body_start[:-1]
+        world = np.repeat(np.arange(len(seeds)), np.diff(shape_start))
+        body = file["shape/shape_body"][...] + body_start[world]
+        static = file["body/body_type"][...][body] == BodyType.STATIC
+        count = np.diff(file["shape/vertex_start"][...])
+        rows = np.repeat((body + first[world])[static], count[static])
+        vertices = file["vertex/vertices"][...][np.repeat(static, count)]
+        low, high = np.zeros(2), np.zeros(2)
+        if len(rows):
+            kept, place = np.unique(rows, return_inverse=True)
+            angle, position = file["motion/angle"][kept][place], file["motion/position"][kept][place]
+            radius = np.repeat(file["shape/shape_radius"][...][static], count[static])[:, None]
+            c, s = np.cos(angle), np.sin(angle)
+            x, y = vertices.T
+            corners = position + np.stack([c * x - s * y, s * x + c * y], axis=1)
+            low, high = (corners - radius).min(axis=0), (corners + radius).max(axis=0)
+        return {
+            "config": config,
+            "seeds": (int(seeds[0]), int(seeds[-1]) + 1),
+            "worlds": len(seeds),
+            "states": int(step_start[-1]),
+            "box": (float(low[0]), float(low[1]), float(high[0]), float(high[1])),
+            "slop": config["solver"]["slop"] * float(file["world/length_scale"][...].mean()),
+        }

@@ -1,0 +1,213 @@
+"""What a data set is made from: scene, ranges, solver, label; as options, TOML and the configuration in its files."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import dc_kernels as dc
+from dc_kernels.grid.transfer import TILED_BYTES
+from dc_kernels.runtime.optional import require
+from pipeline.scenes.scenes import Scene, Thesis
+from pipeline.scenes.scenes import scene as named_scene
+
+IMAGE_CHANNELS = 6  # of stored images, those that ``dc.Images`` has by default
+SOLVER = dc.SolverConfig(min_sweeps=1)  # the sweeps of a state are those to its tolerance
+DRAW_STREAM = 2  # of a world's seed, beside those of its bodies and of random starts
+
+
+@dataclass(frozen=True, kw_only=True)
+class GenerateOptions:
+    """What a data set holds, beside its scene."""
+
+    worlds: int = 1000
+    """Worlds, of the seeds seed, seed + 1, ... [1]."""
+    seed: int = 0
+    """Seed of the first world; those from 100000 on are for tests only [1]."""
+    steps: int = 250
+    """Steps of each world [1]."""
+    dt: float = 0.01
+    """Time step [s]."""
+    ranges: tuple[tuple[str, float, float], ...] = ()
+    """Parameters of the scene, or dt, drawn uniformly for each world from its own seed: name, low, high."""
+    label_tolerance: float = 1e-5
+    """As the solver's tolerance, for the label, which is solved on from the solution [N s or 1]."""
+    label_sweeps: int = 1000
+    """Further sweeps after which a label is kept as it is, marked [1]."""
+    shard_worlds: int = 25
+    """Worlds of a shard [1]."""
+    grids: bool = False
+    """Store images of the bodies and contacts, and of the label, too; else they are made when they are read."""
+    grid_size: tuple[float, float] = (15.0, 15.0)
+    """Width and height of the region that stored images show, from (0, 0) [m]."""
+    grid_spacing: float = 0.25
+    """Distance of their nodes; the kernel reaches two of them [m]."""
+
+    def check(self) -> None:
+        """Raise a ``ValueError`` that names the option which is out of its range."""
+        lows = {"worlds": 1, "seed": 0, "steps": 1, "label_sweeps": 1, "shard_worlds": 1}
+        for name, low in lows.items():
+            if getattr(self, name) < low:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be >= {low}")
+        for name in ("dt", "label_tolerance"):
+            value = getattr(self, name)
+            if not 0.0 < value < float("inf"):
+                raise ValueError(f"{name} is {value!r}; it must be finite and > 0")
+
+    @property
+    def shard_count(self) -> int:
+        """How many shards there are."""
+        return -(-self.worlds // self.shard_worlds)
+
+    def seeds(self, number: int) -> range:
+        """Seeds of a shard's worlds."""
+        first = self.seed + number * self.shard_worlds
+        return range(first, min(first + self.shard_worlds, self.seed + self.worlds))
+
+    @property
+    def grid(self) -> dc.Grid:
+        """Of the stored images."""
+        return dc.Grid.from_box((0.0, 0.0), self.grid_size, self.grid_spacing)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """All that a data set depends on: scene, options, solver."""
+
+    scene: Scene = field(default_factory=Thesis)
+    options: GenerateOptions = field(default_factory=GenerateOptions)
+    solver: dc.SolverConfig = SOLVER
+
+    def config(self) -> dict[str, Any]:
+        """As it stands in TOML and in the files."""
+        scene = {"name": self.scene.name, **asdict(self.scene)}
+        ranges = {name: [low, high] for name, low, high in self.options.ranges}
+        whole = {**asdict(self.options), "ranges": ranges, "scene": scene, "solver": self.solver.to_dict()}
+        return json.loads(json.dumps(whole))
+
+    @property
+    def label_config(self) -> dc.SolverConfig:
+        """Settings of the solves to the label."""
+        options = self.options
+        return replace(self.solver, tolerance=options.label_tolerance, max_sweeps=options.label_sweeps)
+
+    def check(self) -> None:
+        """Raise a ``ValueError`` that names the setting which is out of its range."""
+        options, solver = self.options, self.solver
+        options.check()
+        self.scene.check()
+        if solver.history:
+            raise ValueError("solver.history is True; a data set does not keep the history")
+        if options.label_tolerance > solver.tolerance:
+            raise ValueError(
+                f"label_tolerance is {options.label_tolerance}; it must not exceed solver.tolerance {solver.tolerance}"
+            )
+        known = [f.name for f in fields(self.scene) if isinstance(getattr(self.scene, f.name), int | float)]
+        names = [name for name, _, _ in options.ranges]
+        for name, low, high in options.ranges:
+            if names.count(name) > 1:
+                raise ValueError(f"ranges.{name} is given twice")
+            if name not in (*known, "dt"):
+                raise ValueError(f"ranges.{name}: {self.scene.name} has {(*known, 'dt')} to draw from")
+            if not (np.isfinite([low, high]).all() and low <= high):
+                raise ValueError(f"ranges.{name} is ({low}, {high}); it must be finite and ascend")
+            if self.is_whole(name) and (low != int(low) or high != int(high)):
+                raise ValueError(f"ranges.{name} is ({low}, {high}); it must be integers")
+        for end in (0, 1):  # both ends of each range
+            ends: dict[str, Any] = {name: self._typed(name, limits[end]) for name, *limits in options.ranges}
+            replace(options, dt=ends.pop("dt", options.dt)).check()
+            replace(self.scene, **ends).check()
+        if options.grids:
+            rows, columns = options.grid.shape
+            most = TILED_BYTES // (
+                4 * IMAGE_CHANNELS
+            )  # larger ones are splatted tile by tile, by launches of their own
+            if rows * columns > most:
+                raise ValueError(
+                    f"grid_spacing is {options.grid_spacing}: {rows * columns} nodes; {most} can be stored"
+                )
+
+    def draw(self, seed: int) -> dict[str, float | int]:
+        """What is drawn for the world of a seed, by name."""
+        drawn: dict[str, float | int] = {}
+        for name, low, high in self.options.ranges:
+            # a stream for each, so that another range changes nothing in those that were there
+            stream = np.random.Generator(np.random.PCG64([seed, DRAW_STREAM, zlib.crc32(name.encode())]))
+            whole = self.is_whole(name)
+            drawn[name] = int(stream.integers(int(low), int(high) + 1)) if whole else float(stream.uniform(low, high))
+        return drawn
+
+    def is_whole(self, name: str) -> bool:
+        """Whether a parameter that is drawn is an integer."""
+        return name != "dt" and isinstance(getattr(self.scene, name), int)
+
+    def _typed(self, name: str, value: float) -> float | int:
+        return int(value) if self.is_whole(name) else float(value)
+
+
+def load_recipe(path: Path) -> Recipe:
+    """The recipe that a TOML file describes: options at the top, tables scene, ranges and solver; the rest by default.
+
+    Raises:
+        ValueError: naming file and setting, for one that is unknown or of another type.
+        OSError: when the file cannot be read.
+    """
+    try:
+        import tomllib
+    except ImportError:  # Python 3.10
+        tomllib = require("tomli", "pipeline")  # type: ignore[assignment]
+    try:
+        with open(path, "rb") as file:
+            return parse_recipe(tomllib.load(file))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def parse_recipe(config: Mapping[str, Any]) -> Recipe:
+    """The recipe of a configuration, as ``Recipe.config`` gives it, or of a part of it.
+
+    Raises:
+        ValueError: naming a setting that is unknown or of another type.
+    """
+    options = {name: value for name, value in config.items() if name not in ("scene", "solver")}
+    parameters = dict(config.get("scene", {}))
+    scene = named_scene(str(parameters.pop("name", Thesis.name)))
+    ranges = options.pop("ranges", {})
+    for name, limits in ranges.items():
+        if not (isinstance(limits, list | tuple) and len(limits) == 2 and all(map(_is_number, limits))):
+            raise ValueError(f"ranges.{name} is {limits!r}; it must be [low, high]")
+    recipe = Recipe(
+        scene=_updated(scene, parameters, "scene."),
+        options=_updated(GenerateOptions(ranges=tuple((n, *map(float, v)) for n, v in ranges.items())), options, ""),
+        solver=_updated(SOLVER, config.get("solver", {}), "solver."),
+    )
+    recipe.check()
+    return recipe
+
+
+def _updated(default: Any, values: Mapping[str, Any], prefix: str) -> Any:
+    """A dataclass with some fields replaced by those of a file, of the types that they have there."""
+    known = {f.name: getattr(default, f.name) for f in fields(default)}
+    changed = {}
+    for name, value in values.items():
+        if name not in known:
+            raise ValueError(f"{prefix}{name} is unknown; there are {tuple(known)}")
+        old = known[name]
+        if isinstance(old, tuple) and isinstance(value, list) and len(value) == len(old):
+            value = tuple(value)
+        elif type(old) is float and _is_number(value):
+            value = float(value)
+        elif type(value) is not type(old):
+            raise ValueError(f"{prefix}{name} is {value!r}; it must be of type {type(old).__name__}")
+        changed[name] = value
+    return replace(default, **changed)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,0 +1,1 @@
+"""The theses' protocol and comparisons of starts."""

@@ -1,0 +1,1 @@
+"""Contact problems in FCLIB's files."""

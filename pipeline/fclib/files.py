@@ -1,0 +1,304 @@
+"""Frictional contact problems in FCLIB's HDF5 layout: what other people's solvers read and write.
+
+Layout (Acary, Bremond, Koziara, Perignon: FCLIB, Inria RT-444, 2014), the 2D local problem
+u = W r + V l + q, V^T r + R l + s = 0 with Coulomb's law; normals come first:
+
+- ``fclib_local/spacedim``: 2;
+- ``fclib_local/W``, and with equations ``V``, ``R``: ``m``, ``n``, ``nzmax``, ``nz``, ``p``, ``i``, ``x``; nz is -1 in
+  compressed columns, -2 in compressed rows, the number of entries in triplets (rows ``p``, columns ``i``);
+- ``fclib_local/vectors/q``, ``mu``, and ``s``; ``fclib_local/info/title``, ``description``, ``math_info``;
+- ``solution/r``, ``u``, and ``l``; ``guesses/number_of_guesses``, ``guesses/1/r``, ...
+
+Scalars are written as FCLIB writes them, arrays of one element; true scalars are read too. Equations become bilateral
+rows behind the contacts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.delassus.problem import DelassusProblem, assemble_blocks
+from dc_kernels.runtime.optional import require
+from pipeline.files import atomic_path
+
+ROOT = "fclib_local"
+INFO = ("title", "description", "math_info")
+LAYOUTS = {-1: "columns", -2: "rows"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FclibProblem:
+    """What a file holds."""
+
+    problem: DelassusProblem
+    """The contacts, then equations as bilateral rows."""
+    info: Mapping[str, str] = field(default_factory=dict)
+    """title, description, math_info; those that there are."""
+    attributes: Mapping[str, str] = field(default_factory=dict)
+    """Attributes of the file that are text."""
+    solution: np.ndarray | None = None
+    """Impulses, (n, 2) [N s]; equations have theirs in the first column."""
+    guesses: Sequence[np.ndarray] = ()
+    """Start impulses, (n, 2) [N s] each."""
+
+
+class _Reader:
+    """Datasets of an open file; what is wrong with them is said with the file and the dataset."""
+
+    def __init__(self, path: Path, file: Any) -> None:
+        self.path, self.file = path, file
+
+    def fail(self, name: str, text: str) -> ValueError:
+        return ValueError(f"{self.path}: {name} {text}")
+
+    def array(self, name: str, kinds: str, shape: tuple[int | None, ...]) -> np.ndarray:
+        """A dataset of these kinds of dtype and this shape, None for any length."""
+        h5py = require("h5py", "pipeline")
+        data = self.file.get(name)
+        if not isinstance(data, h5py.Dataset):
+            raise self.fail(name, "is missing")
+        if data.dtype.kind not in kinds:
+            raise self.fail(name, f"has dtype {data.dtype}; it must be of {'integers' if kinds == 'iu' else 'numbers'}")
+        if len(data.shape) != len(shape) or any(want not in (None, have) for have, want in zip(data.shape, shape)):
+            wanted = ", ".join("any" if n is None else str(n) for n in shape)
+            raise self.fail(name, f"has shape {data.shape}; it must be ({wanted})")
+        try:
+            return data[...]
+        except OSError as error:
+            raise self.fail(name, f"cannot be read: the file is damaged or cut short ({error})") from None
+
+    def vector(self, name: str, length: int) -> np.ndarray:
+        """Finite numbers, (length,) float64."""
+        values = self.array(name, "fiu", (length,)).astype(np.float64)
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise self.fail(f"{name}[{bad[0]}]", f"is {values[bad[0]]}; it must be finite")
+        return values
+
+    def integer(self, name: str) -> int:
+        """An integer, as a scalar or an array of one element."""
+        data = self.file.get(name)
+        return int(self.array(name, "iu", (1,) if getattr(data, "shape", None) == (1,) else ()).ravel()[0])
+
+    def matrix(self, name: str, shape: tuple[int | None, int | None]) -> tuple[tuple[int, int], np.ndarray, Any, Any]:
+        """A matrix: shape; rows, columns and values of its entries."""
+        size = (self.integer(f"{name}/m"), self.integer(f"{name}/n"))
+        for what, have, want in zip("mn", size, shape, strict=True):
+            if have < 0 or want not in (None, have):
+                raise self.fail(f"{name}/{what}", f"is {have}; it must be {'>= 0' if want is None else want}")
+        nz = self.integer(f"{name}/nz")
+        if nz < -2:
+            raise self.fail(f"{name}/nz", f"is {nz}; it must be -1 (columns), -2 (rows) or a number of entries")
+        values = self.array(f"{name}/x", "fiu", (None,)).astype(np.float64)
+        index = self.array(f"{name}/i", "iu", (None,)).astype(np.int64)
+        if nz >= 0:
+            first, count, limits = self.array(f"{name}/p", "iu", (None,)).astype(np.int64), nz, size
+            if len(first) < count:
+                raise self.fail(f"{name}/p", f"has {len(first)} entries; nz is {nz}")
+        else:
+            along, limits = (size[1], size) if nz == -1 else (size[0], size[::-1])
+            pointer = self.array(f"{name}/p", "iu", (along + 1,)).astype(np.int64)
+            falls = np.flatnonzero(np.diff(pointer, prepend=0) < 0)
+            if len(falls) or pointer[0] != 0:
+                k = int(falls[0]) if len(falls) else 0
+                raise self.fail(f"{name}/p[{k}]", f"is {pointer[k]}; it must be ascending from 0 on")
+            first, count = np.repeat(np.arange(along), np.diff(pointer)), int(pointer[-1])
+        for what, array in (("i", index), ("x", values)):
+            if len(array) < count:
+                raise self.fail(f"{name}/{what}", f"has {len(array)} entries; it must have {count}")
+        index, values, first = index[:count], values[:count], first[:count]
+        # compressed: i runs across the pointers' axis; triplets: p are rows and i columns
+        rows, columns = (first, index) if nz != -1 else (index, first)
+        for what, array, limit in (
+            ("i", index, limits[1 if nz >= 0 else 0]),
+            ("p", first, limits[0 if nz >= 0 else 1]),
+        ):
+            bad = np.flatnonzero((array < 0) | (array >= limit))
+            if len(bad):
+                raise self.fail(f"{name}/{what}[{bad[0]}]", f"is {array[bad[0]]}; it must lie in [0, {limit})")
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise self.fail(f"{name}/x[{bad[0]}]", f"is {values[bad[0]]}; it must be finite")
+        return size, rows, columns, values
+
+    def text(self, name: str) -> str | None:
+        """A string, None where there is none."""
+        data = self.file.get(name)
+        value = data[()] if hasattr(data, "shape") and data.shape == () else None
+        if isinstance(value, bytes):
+            return value.rstrip(b"\0").decode("utf-8", errors="replace")
+        return value if isinstance(value, str) else None
+
+
+def read_fclib(path: Path) -> FclibProblem:
+    """A 2D local problem.
+
+    Raises:
+        ValueError: naming file, dataset and limit: not HDF5 or cut short, another kind of problem or dimension, a field
+            that is missing, of a wrong size or out of range.
+        OSError: the file is not there or cannot be opened.
+    """
+    h5py = require("h5py", "pipeline")
+    with open(path, "rb"):
+        pass  # says what is wrong with the path itself
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        raise ValueError(f"{path}: this is no HDF5 file, or it is cut short ({error})") from None
+    with file:
+        try:
+            return _read(_Reader(path, file))
+        except (OSError, RuntimeError, KeyError) as error:
+            raise ValueError(f"{path}: the file is damaged or cut short ({error})") from None
+
+
+def _read(reader: _Reader) -> FclibProblem:
+    file = reader.file
+    if ROOT not in file:
+        other = [name for name in ("fclib_global", "fclib_global_rolling") if name in file]
+        held = f"it holds {other[0]}" if other else f"it holds {', '.join(list(file)[:5]) or 'nothing'}"
+        raise reader.fail(ROOT, f"is missing: this is no local problem of FCLIB; {held}")
+    dimension = reader.integer(f"{ROOT}/spacedim")
+    if dimension != 2:
+        raise reader.fail(f"{ROOT}/spacedim", f"is {dimension}; it must be 2")
+    size, rows, columns, values = reader.matrix(f"{ROOT}/W", (None, None))
+    if size[0] != size[1] or size[0] % 2:
+        raise reader.fail(f"{ROOT}/W", f"is {size[0]} x {size[1]}; it must be square, of 2 rows a contact")
+    n = size[0] // 2
+    q = reader.vector(f"{ROOT}/vectors/q", 2 * n)
+    mu = reader.vector(f"{ROOT}/vectors/mu", n)
+    negative = np.flatnonzero(mu < 0.0)
+    if len(negative):
+        raise reader.fail(f"{ROOT}/vectors/mu[{negative[0]}]", f"is {mu[negative[0]]}; it must not be negative")
+    equations = 0
+    if f"{ROOT}/V" in file or f"{ROOT}/R" in file:
+        (_, equations), v_rows, v_columns, v_values = reader.matrix(f"{ROOT}/V", (2 * n, None))
+        _, r_rows, r_columns, r_values = reader.matrix(f"{ROOT}/R", (equations, equations))
+        s = reader.vector(f"{ROOT}/vectors/s", equations)
+        own = np.bincount(r_rows[r_rows == r_columns], r_values[r_rows == r_columns], equations)
+        bad = np.flatnonzero(~(own > 0.0))
+        if len(bad):
+            raise reader.fail(f"{ROOT}/R[{bad[0]}, {bad[0]}]", f"is {own[bad[0]]}; it must be > 0")
+        at = 2 * n + 2 * np.arange(equations)
+        rows = np.concatenate([rows, v_rows, at[v_columns], at[r_rows]])
+        columns = np.concatenate([columns, at[v_columns], v_rows, at[r_columns]])
+        values = np.concatenate([values, v_values, v_values, r_values])
+        q = np.concatenate([q, np.stack([s, np.zeros(equations)], axis=1).ravel()])
+        mu = np.concatenate([mu, np.zeros(equations)])
+    start, column, block = assemble_blocks(n + equations, rows // 2, columns // 2, rows % 2, columns % 2, values)
+    bilateral = np.arange(n + equations) >= n
+    try:
+        problem = DelassusProblem(
+            row_start=start, column=column, block=block, q=q.reshape(-1, 2), mu=mu, bilateral=bilateral
+        )
+    except ValueError as error:
+        raise ValueError(f"{reader.path}: {ROOT}: {error}") from None
+
+    def impulses(group: str) -> np.ndarray:
+        found = np.zeros((n + equations, 2))
+        found[:n] = reader.vector(f"{group}/r", 2 * n).reshape(-1, 2)
+        if equations:
+            found[n:, 0] = reader.vector(f"{group}/l", equations)
+        return found
+
+    guesses = reader.integer("guesses/number_of_guesses") if "guesses/number_of_guesses" in file else 0
+    texts = {name: reader.text(f"{ROOT}/info/{name}") for name in INFO}
+    return FclibProblem(
+        problem=problem,
+        info={name: text for name, text in texts.items() if text is not None},
+        attributes={name: value for name, value in file.attrs.items() if isinstance(value, str)},
+        solution=impulses("solution") if "solution" in file else None,
+        guesses=[impulses(f"guesses/{k + 1}") for k in range(guesses)],
+    )
+
+
+def write_fclib(path: Path, content: FclibProblem) -> None:
+    """Write a problem, in one go; W in compressed columns, with the zeros of its blocks.
+
+    Raises:
+        ValueError: bilateral rows that do not stand behind the contacts, or impulses of a wrong shape.
+    """
+    h5py = require("h5py", "pipeline")
+    problem = content.problem
+    n = int((~problem.bilateral).sum())
+    equations = problem.count - n
+    if problem.bilateral[:n].any():
+        raise ValueError(f"bilateral[{int(np.argmax(problem.bilateral))}] is True; bilateral rows stand last")
+    for name, given in (("solution", content.solution), *((f"guesses[{k}]", g) for k, g in enumerate(content.guesses))):
+        if given is not None:
+            problem.check_impulses(name, given)
+    rows = (2 * problem.row[:, None, None] + np.array([[0, 0], [1, 1]])).ravel()
+    columns = (2 * problem.column[:, None, None] + np.array([[0, 1], [0, 1]])).ravel()
+    values = problem.block.ravel()
+    # a bilateral row is its even line; the odd one has no meaning
+    low, high = 2 * n, 2 * problem.count
+    kept = ((rows < low) | (rows % 2 == 0)) & ((columns < low) | (columns % 2 == 0))
+
+    def part(file: Any, name: str, first: tuple[int, int], last: tuple[int, int]) -> None:
+        k = kept & (rows >= first[0]) & (rows < last[0]) & (columns >= first[1]) & (columns < last[1])
+        row = rows[k] if last[0] <= low else (rows[k] - low) // 2
+        column = columns[k] if last[1] <= low else (columns[k] - low) // 2
+        shape = tuple(b - a if b <= low else (b - a) // 2 for a, b in zip(first, last, strict=True))
+        _write_matrix(file, f"{ROOT}/{name}", shape, row, column, values[k])
+
+    with atomic_path(path) as partial, h5py.File(partial, "w") as file:
+        file.attrs.update(content.attributes)
+        file[f"{ROOT}/spacedim"] = np.array([2], np.int32)
+        part(file, "W", (0, 0), (low, low))
+        file[f"{ROOT}/vectors/q"] = problem.q[:n].ravel()
+        file[f"{ROOT}/vectors/mu"] = problem.mu[:n]
+        if equations:
+            part(file, "V", (0, low), (low, high))
+            part(file, "R", (low, low), (high, high))
+            file[f"{ROOT}/vectors/s"] = problem.q[n:, 0]
+        for name in INFO:
+            if name in content.info:
+                data = content.info[name].encode() + b"\0"  # as a C string
+                file[f"{ROOT}/info/{name}"] = np.array(data, dtype=f"S{len(data)}")
+
+        def impulses(group: str, r: np.ndarray) -> None:
+            file[f"{group}/r"] = np.asarray(r, np.float64)[:n].ravel()
+            file[f"{group}/u"] = problem.velocity(r)[:n].ravel()
+            if equations:
+                file[f"{group}/l"] = np.asarray(r, np.float64)[n:, 0]
+
+        if content.solution is not None:
+            impulses("solution", content.solution)
+        if content.guesses:
+            file["guesses/number_of_guesses"] = np.array([len(content.guesses)], np.int32)
+            for k, guess in enumerate(content.guesses):
+                impulses(f"guesses/{k + 1}", guess)
+
+
+def _write_matrix(
+    file: Any, name: str, shape: tuple[int, ...], rows: np.ndarray, columns: np.ndarray, values: np.ndarray
+) -> None:
+    """A matrix in compressed columns."""
+    order = np.lexsort((rows, columns))
+    pointer = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=shape[1]))])
+    for what, number in (("nzmax", len(values)), ("m", shape[0]), ("n", shape[1]), ("nz", -1)):
+        file[f"{name}/{what}"] = np.array([number], np.int32)
+    file[f"{name}/p"] = pointer.astype(np.int32)
+    file[f"{name}/i"] = rows[order].astype(np.int32)
+    file[f"{name}/x"] = values[order]
+
+
+def problem_files(path: Path) -> list[Path]:
+    """The file, or the .hdf5 and .h5 files of a folder by name.
+
+    Raises:
+        ValueError: where there is none.
+    """
+    if not path.is_dir():
+        if not path.exists():
+            raise ValueError(f"{path}: there is no such file or folder")
+        return [path]
+    found = sorted(file for file in path.iterdir() if file.suffix in (".hdf5", ".h5") and not file.name.startswith("."))
+    if not found:
+        raise ValueError(f"{path}: there is no .hdf5 or .h5 file in this folder")
+    return found

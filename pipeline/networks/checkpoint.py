@@ -1,0 +1,258 @@
+"""Files of networks: what a network is and knows, and the state that training continues from, bit for bit.
+
+Both are safetensors files, written under a temporary name and renamed when whole. The strings in their metadata:
+
+- ``schema`` and ``version``: ``deep-contact.network`` or ``deep-contact.training``, and its version;
+- ``network``, ``config``: name and configuration (JSON) from which ``models.build`` makes the network again;
+- ``manifest`` (of a network; JSON): what its maker says of it: grid and channels, seeds, data set, versions, metrics;
+- ``state`` (of training; JSON): groups of the optimiser, schedule, progress, identity.
+
+A network's file holds its weights under their names. That of a training holds weights under ``model/NAME``, the
+optimiser's tensors under ``optimizer/PARAMETER/NAME``, torch's generator as ``rng``, and what a caller adds under
+``extra/NAME``: it needs no other file, so that nothing can be mixed up when a run is killed between two of them.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from dc_kernels.grid.grid import Grid
+from dc_kernels.runtime.optional import require
+from pipeline.data.shards import write
+from pipeline.files import plain, versions
+from pipeline.networks import models
+
+torch = require("torch", "pipeline")
+safetensors = require("safetensors", "pipeline")
+
+NETWORK_SCHEMA, NETWORK_VERSION = "deep-contact.network", 1
+TRAINING_SCHEMA, TRAINING_VERSION = "deep-contact.training", 1
+
+
+def all_versions() -> dict[str, str]:
+    """``simulate.versions``, and those of what trains."""
+    return {**versions(), **{name: metadata.version(name) for name in ("torch", "safetensors")}}
+
+
+def commit() -> str | None:
+    """The commit of the checkout that this package runs from, with a + where it was changed; None elsewhere."""
+    git = ["git", "-C", str(Path(__file__).resolve().parent)]
+    try:
+        found = [
+            subprocess.run([*git, *command], capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+            for command in (["rev-parse", "--short", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
+        ]
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return found[0] + ("+" if found[1] else "")
+
+
+def save_checkpoint(path: Path | str, model: Any, manifest: Mapping[str, Any]) -> None:
+    """Write a network.
+
+    Args:
+        path: of the file, .safetensors.
+        model: a network that ``models.build`` made.
+        manifest: plain values: what the network was trained on and for.
+
+    Raises:
+        ValueError: for a module that ``build`` did not make, or a manifest that JSON cannot hold.
+    """
+    described = {**_described(model, NETWORK_SCHEMA, NETWORK_VERSION), "manifest": _json("manifest", manifest)}
+    _write(Path(path), model.state_dict(), described)
+
+
+def load_checkpoint(
+    path: Path | str, *, network: str | None = None, grid: Grid | None = None
+) -> tuple[Any, dict[str, Any]]:
+    """A network and its manifest.
+
+    Args:
+        path: of the file.
+        network: the name that it must have; None: any.
+        grid: the grid that its manifest must name; None: any.
+
+    Returns:
+        The network, in evaluation mode, and its manifest.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is damaged, of another kind or version, or of another network or grid than asked for.
+    """
+    described, tensors = _read(Path(path), NETWORK_SCHEMA, NETWORK_VERSION)
+    if network is not None and described["network"] != network:
+        raise ValueError(f"{path} holds the network {described['network']!r}, not {network!r}")
+    manifest = _parsed(path, described, "manifest")
+    if grid is not None:
+        found = manifest.get("grid")
+        if found != grid_dict(grid):
+            raise ValueError(f"{path} was trained on the grid {found}, not on {grid_dict(grid)}")
+    model = models.build(described["network"], _parsed(path, described, "config"))
+    _load(path, model, tensors)
+    return model.eval(), manifest
+
+
+def grid_dict(grid: Grid) -> dict[str, Any]:
+    """A grid as a manifest holds it."""
+    return {
+        "rows": int(grid.rows),
+        "columns": int(grid.columns),
+        "spacing": float(grid.spacing),
+        "origin": [float(x) for x in grid.origin],
+    }
+
+
+def save_training(
+    path: Path | str,
+    model: Any,
+    optimizer: Any,
+    schedule: Any,
+    progress: Mapping[str, Any],
+    identity: Mapping[str, Any],
+    extra: Mapping[str, Any] | None = None,
+) -> None:
+    """Write all that a training continues from.
+
+    Args:
+        path: of the file, .safetensors.
+        model: a network that ``models.build`` made.
+        optimizer: of torch, over ``model.parameters()`` in one group or more.
+        schedule: of torch, or None.
+        progress: plain values: epoch, batches done in it, steps done, best metric, ...
+        identity: plain values that decide the bits of the training: a run with others cannot continue from here.
+        extra: tensors by name, of the caller's own.
+    """
+    tensors = {f"model/{name}": tensor for name, tensor in model.state_dict().items()}
+    groups, scalars = optimizer.state_dict(), {}
+    for index, values in groups["state"].items():
+        for name, value in values.items():
+            if isinstance(value, torch.Tensor):
+                tensors[f"optimizer/{index}/{name}"] = value
+            elif value is not None:
+                scalars[f"{index}/{name}"] = value
+    tensors.update({f"extra/{name}": tensor for name, tensor in (extra or {}).items()})
+    tensors["rng"] = torch.get_rng_state()
+    state = {
+        "groups": groups["param_groups"],
+        "scalars": scalars,
+        "schedule": None if schedule is None else schedule.state_dict(),
+        "progress": progress,
+        "identity": identity,
+    }
+    described = {**_described(model, TRAINING_SCHEMA, TRAINING_VERSION), "state": _json("state", state)}
+    _write(Path(path), tensors, described)
+
+
+def load_training(
+    path: Path | str, model: Any, optimizer: Any, schedule: Any, identity: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Put a training back to where ``save_training`` left it, torch's global generator too.
+
+    Returns:
+        Progress, and the extra tensors.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is damaged, of another kind or version, or another training: the first difference is named.
+    """
+    described, tensors = _read(Path(path), TRAINING_SCHEMA, TRAINING_VERSION)
+    state = _parsed(path, described, "state")
+    mine = {"network": model.network_name, **models.config_dict(model), **identity}
+    theirs = {"network": described["network"], **_parsed(path, described, "config"), **state["identity"]}
+    for name, value in json.loads(_json("identity", mine)).items():
+        if theirs.get(name) != value:
+            raise ValueError(f"{path} was trained with {name} = {theirs.get(name)!r}; this run has {value!r}")
+    parts: dict[str, dict[str, Any]] = {"model": {}, "optimizer": {}, "extra": {}}
+    for name, tensor in tensors.items():
+        kind, _, rest = name.partition("/")
+        if kind in parts:
+            parts[kind][rest] = tensor
+    _load(path, model, parts["model"])
+    values: dict[int, dict[str, Any]] = {}
+    for name, value in {**state["scalars"], **parts["optimizer"]}.items():
+        index, _, field = name.partition("/")
+        values.setdefault(int(index), {})[field] = value
+    groups = [_as_given(saved, own) for saved, own in zip(state["groups"], optimizer.state_dict()["param_groups"])]
+    optimizer.load_state_dict({"state": dict(sorted(values.items())), "param_groups": groups})
+    if schedule is not None:
+        schedule.load_state_dict(state["schedule"])
+    torch.set_rng_state(tensors["rng"])
+    return state["progress"], parts["extra"]
+
+
+# ------------------------------------------------------------------ files
+
+
+def _described(model: Any, schema: str, version: int) -> dict[str, str]:
+    config = _json("config", models.config_dict(model))
+    return {"schema": schema, "version": str(version), "network": model.network_name, "config": config}
+
+
+def _json(name: str, value: Any) -> str:
+    try:
+        return json.dumps(plain(value), allow_nan=True)
+    except TypeError as error:
+        raise ValueError(f"{name} holds what JSON cannot: {error}") from None
+
+
+def _parsed(path: Path | str, described: Mapping[str, str], name: str) -> Any:
+    try:
+        return json.loads(described[name])
+    except (KeyError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path} is damaged: its metadata have no readable {name!r} ({error})") from None
+
+
+def _as_given(saved: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """A group of an optimiser as it was: JSON knows no tuples, such as Adam's betas."""
+    return {name: tuple(value) if isinstance(own.get(name), tuple) else value for name, value in saved.items()}
+
+
+def _write(path: Path, tensors: Mapping[str, Any], described: dict[str, str]) -> None:
+    save = require("safetensors.torch", "pipeline").save  # as bytes: a file of its own making nobody else may read
+    write(path, save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, described))
+
+
+def _read(path: Path, schema: str, version: int) -> tuple[dict[str, str], dict[str, Any]]:
+    """Metadata and tensors of a file.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is damaged or foreign.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is not there")
+    try:
+        with safetensors.safe_open(path, framework="pt") as file:
+            described = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, it is no dict
+    except safetensors.SafetensorError as error:
+        raise ValueError(f"{path} is damaged or no safetensors file: {error}") from None
+    if described.get("schema") != schema:
+        raise ValueError(f"{path} has the schema {described.get('schema')!r}; it must be {schema!r}")
+    if described.get("version") != str(version):
+        raise ValueError(f"{path} has version {described.get('version')} of {schema}; this code reads {version}")
+    return described, tensors
+
+
+def _load(path: Path | str, model: Any, tensors: Mapping[str, Any]) -> None:
+    """Copy weights into a model.
+
+    Raises:
+        ValueError: naming the first that is missing, too many or of another shape or dtype.
+    """
+    own = model.state_dict()
+    for name in sorted(own.keys() | tensors.keys()):
+        if name not in tensors or name not in own:
+            raise ValueError(f"{path} {'lacks' if name in own else 'has'} {name!r}, unlike {model.network_name}")
+        found, wanted = tensors[name], own[name]
+        if found.shape != wanted.shape or found.dtype != wanted.dtype:
+            raise ValueError(
+                f"{path}: {name} is {found.dtype} {tuple(found.shape)}; "
+                f"{model.network_name} has {wanted.dtype} {tuple(wanted.shape)}"
+            )
+    model.load_state_dict(tensors)

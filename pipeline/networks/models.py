@@ -1,0 +1,355 @@
+"""Networks that answer an image of a world's bodies and contacts with an image of its impulses.
+
+The four of the theses (Copenhagen, 2018) map (B, channels, rows, columns) to (B, outputs, rows, columns):
+
+- ``convfc`` (J. Wu): four times [3x3 convolution, batch norm, ReLU, 2x2 max pool] of 64, 128, 256, 512 filters, then
+  dropout, dense 4000, dropout, dense. At 41 x 41 x 5 it has 33.4 million parameters, which tells that an odd side is
+  pooled up (41, 21, 11, 6, 3): pooled down, it would have 23.2 million.
+- ``pressure`` (L. Engedal, after Tompson et al. 2016): 4x4 convolution to 16 filters; two more at each of three scales,
+  brought back to full size and summed; 1x1 convolutions 16, 8, 4, 2.
+- ``peak`` (L. Engedal): 4x4 convolutions of 8, 16, 32, 64 filters with average pooling between; each scale and the
+  input reduced to 6 channels, brought back to full size and summed; dense layers.
+- ``unet`` (L. Tirca): encoder and decoder with skip connections, dilated convolutions at the bottom.
+
+Where the theses are silent: ReLU follows every convolution and dense layer but the last; convolutions pad with zeros to
+the same size, those of even width with one node less before than after; odd sides are pooled up; an image comes back to
+full size bilinearly, and what lies beyond the grid is cut off. ConvFC's dense layer has a ReLU and both its dropouts
+Peak's rate. Peak has one hidden dense layer of 512. UNet has three scales of 16, 32, 64 filters, two 3x3 convolutions
+each, dilations 1, 2, 4 of 128 filters below them, and no normalization: impulses have a scale that must get through.
+Inputs are divided by a scale for each channel and cut off at a bound, answers multiplied by a scale
+(``GridNetwork.set_scales``; unless set, nothing is changed): the walls' 100 kg beside a body's 0.1 kg a node drown what
+the bodies do. ``width`` multiplies the filters and hidden units of all.
+"""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from typing import Any, NamedTuple
+
+from dc_kernels.runtime.optional import require
+
+torch = require("torch", "pipeline")
+nn, functional = torch.nn, torch.nn.functional
+Module: Any = nn.Module  # a name that mypy takes as a base
+
+
+class Entry(NamedTuple):
+    """A network as ``build`` knows it."""
+
+    config: type
+    """A frozen dataclass whose values are plain: numbers, strings, booleans, tuples of them."""
+    module: Callable[[Any], Any]
+    """Config -> ``torch.nn.Module``."""
+
+
+NETWORKS: dict[str, Entry] = {}
+ELSEWHERE = {"contactnet": "pipeline.contactnet.network"}  # name: module that registers it when imported
+
+
+def register(name: str, config: type) -> Callable[[Any], Any]:
+    """Make a module class known to ``build`` and to checkpoints under a name."""
+
+    def add(module: Any) -> Any:
+        NETWORKS[name] = Entry(config, module)
+        return module
+
+    return add
+
+
+def entry(name: str) -> Entry:
+    """The network of a name.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    if name not in NETWORKS and name in ELSEWHERE:
+        importlib.import_module(ELSEWHERE[name])
+    if name not in NETWORKS:
+        raise ValueError(f"network is {name!r}; it must be one of {tuple(dict.fromkeys([*NETWORKS, *ELSEWHERE]))}")
+    return NETWORKS[name]
+
+
+def build(name: str, config: Any = None) -> Any:
+    """A network with fresh weights, drawn from torch's global generator.
+
+    Args:
+        name: convfc, pressure, peak, unet, or another one that is registered.
+        config: its configuration, or a mapping of its fields, in which a list stands for a tuple, as JSON knows none;
+            None: the defaults.
+
+    Returns:
+        The module, with the attributes ``network_name`` and ``config``, from which a checkpoint builds it again.
+
+    Raises:
+        ValueError: for an unknown name, an unknown field, or a value out of range.
+    """
+    kind, module = entry(name)
+    if config is None:
+        config = kind()
+    elif isinstance(config, Mapping):
+        known = [f.name for f in fields(kind)]
+        for key in config:
+            if key not in known:
+                raise ValueError(f"config of {name} has the field {key!r}; it has {tuple(known)} only")
+        config = kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in config.items()})
+    elif type(config) is not kind:
+        raise ValueError(f"config of {name} is a {type(config).__name__}; it must be a {kind.__name__}")
+    network = module(config)
+    if isinstance(network, GridNetwork):
+        network = network.to(memory_format=torch.channels_last)  # a third faster on a CPU
+    network.network_name, network.config = name, config
+    return network
+
+
+def config_dict(network: Any) -> dict[str, Any]:
+    """The configuration of a network that ``build`` made, by field.
+
+    Raises:
+        ValueError: for a module that ``build`` did not make.
+    """
+    config = getattr(network, "config", None)
+    if not is_dataclass(config) or not hasattr(network, "network_name"):
+        raise ValueError(f"model is a {type(network).__name__} that models.build did not make")
+    return asdict(config)  # type: ignore[arg-type]
+
+
+def parameter_count(network: Any) -> int:
+    """Weights that training changes."""
+    return sum(p.numel() for p in network.parameters() if p.requires_grad)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridConfig:
+    """Sizes of a network of the theses; the defaults are Engedal's grid and channels."""
+
+    rows: int = 61
+    """Nodes along y [1]."""
+    columns: int = 61
+    """Nodes along x [1]."""
+    channels: int = 6
+    """Channels of the input [1]."""
+    outputs: int = 2
+    """Channels of the answer: normal and tangential impulse of each bin of normal directions [1]."""
+    width: float = 1.0
+    """Factor on the number of filters and hidden units [1]."""
+    dropout: float = 0.4
+    """Share of values that ConvFC and Peak drop in training [1]."""
+
+    def __post_init__(self) -> None:
+        for name, low in (("rows", 8), ("columns", 8), ("channels", 1), ("outputs", 1)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or not low <= value < 2**16:
+                raise ValueError(f"GridConfig.{name} is {value!r}; it must be an integer in [{low}, 65536)")
+        if not 0.0 < self.width <= 16.0:
+            raise ValueError(f"GridConfig.width is {self.width!r}; it must lie in (0, 16]")
+        if not 0.0 <= self.dropout < 1.0:
+            raise ValueError(f"GridConfig.dropout is {self.dropout!r}; it must lie in [0, 1)")
+
+    def filters(self, count: int) -> int:
+        """A number of filters or units, scaled."""
+        return max(1, round(self.width * count))
+
+    @property
+    def nodes(self) -> int:
+        """Nodes of the grid."""
+        return self.rows * self.columns
+
+
+class GridNetwork(Module):
+    """What the theses' networks have in common: the check of the input, and the scales of channels and answers."""
+
+    def __init__(self, config: GridConfig) -> None:
+        super().__init__()
+        self.shape = (config.channels, config.rows, config.columns)
+        self.register_buffer("input_scale", torch.ones(config.channels, 1, 1))
+        self.register_buffer("output_scale", torch.ones(config.outputs, 1, 1))
+        self.register_buffer("input_bound", torch.tensor(math.inf))
+
+    def set_scales(self, channels: Any, outputs: Any, bound: float = math.inf) -> None:
+        """Divide each input channel, and multiply each channel of the answer, by a positive number.
+
+        Args:
+            channels: of the input, (channels,).
+            outputs: of the answer, (outputs,).
+            bound: scaled inputs are cut to [-bound, bound].
+
+        Raises:
+            ValueError: for another number of them, or one that is not positive; only the bound may be inf.
+        """
+        for name, buffer, given in (("channels", self.input_scale, channels), ("outputs", self.output_scale, outputs)):
+            values = torch.as_tensor(given, dtype=buffer.dtype)
+            if values.shape != (len(buffer),):
+                raise ValueError(f"{name} has shape {tuple(values.shape)}; it must be ({len(buffer)},)")
+            wrong = ~(torch.isfinite(values) & (values > 0))
+            if wrong.any():
+                i = int(wrong.nonzero()[0])
+                raise ValueError(f"{name}[{i}] is {float(values[i])}; it must be finite and > 0")
+            buffer.copy_(values[:, None, None])
+        if not bound > 0.0:
+            raise ValueError(f"bound is {bound}; it must be > 0")
+        self.input_bound.fill_(bound)
+
+    def forward(self, images: Any) -> Any:
+        """Impulse images (B, outputs, rows, columns) of input images (B, channels, rows, columns).
+
+        Raises:
+            ValueError: for images of another shape.
+        """
+        if images.dim() != 4 or tuple(images.shape[1:]) != self.shape:
+            wanted = ", ".join(map(str, self.shape))
+            raise ValueError(f"images has shape {tuple(images.shape)}; the network reads (B, {wanted})")
+        scaled = torch.clamp(images / self.input_scale, -self.input_bound, self.input_bound)
+        scaled = scaled.contiguous(memory_format=torch.channels_last)
+        return (self.answer(scaled) * self.output_scale).contiguous()
+
+    def answer(self, x: Any) -> Any:
+        """The answer to scaled images, in units of its scale."""
+        raise NotImplementedError
+
+
+@register("convfc", GridConfig)
+class ConvFC(GridNetwork):
+    """Wu 2018: convolutions, then two dense layers, the last one as wide as the image."""
+
+    def __init__(self, config: GridConfig) -> None:
+        super().__init__(config)
+        sizes = [config.channels, *(config.filters(n) for n in (64, 128, 256, 512))]
+        rows, columns = config.rows, config.columns
+        layers = []
+        for before, after in itertools.pairwise(sizes):
+            layers += [nn.Conv2d(before, after, 3, padding=1), nn.BatchNorm2d(after), nn.ReLU()]
+            layers.append(nn.MaxPool2d(2, ceil_mode=True))
+            rows, columns = -(-rows // 2), -(-columns // 2)
+        hidden = config.filters(4000)
+        self.layers = nn.Sequential(
+            *layers,
+            nn.Flatten(),
+            nn.Dropout(config.dropout),
+            nn.Linear(sizes[-1] * rows * columns, hidden),
+            nn.ReLU(),
+            nn.Dropout(config.dropout),
+            nn.Linear(hidden, config.outputs * config.nodes),
+            nn.Unflatten(1, (config.outputs, config.rows, config.columns)),
+        )
+
+    def answer(self, x: Any) -> Any:
+        return self.layers(x)
+
+
+@register("pressure", GridConfig)
+class Pressure(GridNetwork):
+    """Engedal 2018, after the pressure solver of Tompson et al. 2016: three scales, summed."""
+
+    SCALES = 3
+
+    def __init__(self, config: GridConfig) -> None:
+        super().__init__(config)
+        most, *fewer = (config.filters(n) for n in (16, 8, 4))
+        self.first = conv4(config.channels, most)
+        self.scales = nn.ModuleList(nn.Sequential(conv4(most, most), conv4(most, most)) for _ in range(self.SCALES))
+        layers = []
+        for before, after in itertools.pairwise([most, *fewer]):
+            layers += [nn.Conv2d(before, after, 1), nn.ReLU()]
+        self.last = nn.Sequential(*layers, nn.Conv2d(fewer[-1], config.outputs, 1))
+
+    def answer(self, x: Any) -> Any:
+        scaled = self.first(x)
+        total = self.scales[0](scaled)
+        for level, block in enumerate(self.scales[1:], start=1):
+            scaled = halved(scaled)
+            total = total + enlarged(block(scaled), 2**level, x)
+        return self.last(total)
+
+
+@register("peak", GridConfig)
+class Peak(GridNetwork):
+    """Engedal 2018: four scales and the input, summed, then dense layers over the whole image."""
+
+    REDUCED = 6  # channels that each scale is reduced to, at any width
+
+    def __init__(self, config: GridConfig) -> None:
+        super().__init__(config)
+        sizes = [config.channels, *(config.filters(n) for n in (8, 16, 32, 64))]
+        self.convolutions = nn.ModuleList(conv4(a, b) for a, b in itertools.pairwise(sizes))
+        self.reductions = nn.ModuleList(nn.Conv2d(n, self.REDUCED, 1) for n in sizes)
+        hidden = config.filters(512)
+        self.dense = nn.Sequential(
+            nn.Flatten(),
+            nn.Dropout(config.dropout),
+            nn.Linear(self.REDUCED * config.nodes, hidden),
+            nn.ReLU(),
+            nn.Dropout(config.dropout),
+            nn.Linear(hidden, config.outputs * config.nodes),
+            nn.Unflatten(1, (config.outputs, config.rows, config.columns)),
+        )
+
+    def answer(self, x: Any) -> Any:
+        total, scaled = self.reductions[0](x), x
+        for level, (convolve, reduce) in enumerate(zip(self.convolutions, self.reductions[1:])):
+            scaled = convolve(scaled if level == 0 else halved(scaled))
+            total = total + enlarged(reduce(scaled), 2**level, x)
+        return self.dense(total)
+
+
+@register("unet", GridConfig)
+class UNet(GridNetwork):
+    """Tirca 2018: encoder and decoder with skip connections, dilated convolutions at the bottom."""
+
+    DILATIONS = (1, 2, 4)
+
+    def __init__(self, config: GridConfig) -> None:
+        super().__init__(config)
+        sizes = [config.filters(n) for n in (16, 32, 64)]
+        bottom = config.filters(128)
+        inputs = [config.channels, *sizes]
+        self.down = nn.ModuleList(conv3_pair(a, b) for a, b in zip(inputs, sizes))
+        dilated = []
+        for before, dilation in zip([sizes[-1], bottom, bottom], self.DILATIONS):
+            dilated += [nn.Conv2d(before, bottom, 3, padding=dilation, dilation=dilation), nn.ReLU()]
+        self.bottom = nn.Sequential(*dilated)
+        below = [*sizes[1:], bottom]
+        self.up = nn.ModuleList(nn.ConvTranspose2d(b, a, 2, stride=2) for a, b in zip(sizes, below))
+        self.merge = nn.ModuleList(conv3_pair(2 * a, a) for a in sizes)
+        self.last = nn.Conv2d(sizes[0], config.outputs, 1)
+
+    def answer(self, x: Any) -> Any:
+        skips = []
+        for block in self.down:
+            skips.append(block(x))
+            x = functional.max_pool2d(skips[-1], 2, ceil_mode=True)
+        x = self.bottom(x)
+        for skip, up, merge in zip(skips[::-1], self.up[::-1], self.merge[::-1]):
+            x = merge(torch.cat([skip, cut(up(x), skip)], dim=1))
+        return self.last(x)
+
+
+def conv3_pair(before: int, after: int) -> Any:
+    """Two 3x3 convolutions, each with its ReLU."""
+    convolutions = nn.Conv2d(before, after, 3, padding=1), nn.Conv2d(after, after, 3, padding=1)
+    return nn.Sequential(convolutions[0], nn.ReLU(), convolutions[1], nn.ReLU())
+
+
+def conv4(before: int, after: int) -> Any:
+    """4x4 convolution to the same size, and ReLU."""
+    return nn.Sequential(nn.ZeroPad2d((1, 2, 1, 2)), nn.Conv2d(before, after, 4), nn.ReLU())
+
+
+def halved(x: Any) -> Any:
+    """Means of 2x2 nodes; at the end of an odd side, of those that there are."""
+    return functional.avg_pool2d(x, 2, ceil_mode=True, count_include_pad=False)
+
+
+def enlarged(x: Any, factor: int, like: Any) -> Any:
+    """Bilinearly enlarged by a factor and cut to the size of another image, node 0 over the first ``factor`` nodes."""
+    if factor == 1:
+        return x
+    return cut(functional.interpolate(x, scale_factor=factor, mode="bilinear", align_corners=False), like)
+
+
+def cut(x: Any, like: Any) -> Any:
+    """The first rows and columns of an image, as many as another has."""
+    return x[..., : like.shape[-2], : like.shape[-1]]

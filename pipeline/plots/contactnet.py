@@ -1,0 +1,80 @@
+"""Pictures of the training of a ContactNet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.runtime.optional import require
+from pipeline.plots.plots import CYCLE, MUTED, figure
+
+SHOWN = 0.995  # quantile of the true corrections that the axes reach to
+
+
+def curve_label(name: str) -> str:
+    """A name of validation in words: "validation/after_20", "validation/aitken_100", "validation/gain"."""
+    kind, _, number = name.removeprefix("validation/").partition("_")
+    if kind == "after":
+        return f"all, {number} sweeps after the call"
+    if not number:
+        return "all"
+    return f"{'plain' if kind == 'none' else kind.capitalize()}, {number} discs"
+
+
+def contact_curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> Any:
+    """Error left over that of an even share of Aitken's step, by step.
+
+    Args:
+        rows: of ``training.Log``.
+        title: of the figure.
+    """
+    with figure(11.0, 4.4) as fig:
+        fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+        left, right = fig.subplots(1, 2, width_ratios=(2.0, 1.0))
+        names = dict.fromkeys(name for row in rows for name in row if name.startswith("validation/"))
+        points = [(row["step"], row["train/gain"]) for row in rows if "train/gain" in row]
+        if points:
+            left.plot(*zip(*points), color=MUTED, linewidth=0.6, label="training")
+        for i, name in enumerate(names):
+            points = [(row["step"], row[name]) for row in rows if name in row]
+            left.plot(*zip(*points), marker="o", markersize=3, color=CYCLE[i % len(CYCLE)], label=curve_label(name))
+        left.axhline(0.0, color=MUTED, linewidth=1.0)
+        left.set(xlabel="step", ylabel="log of the error left / that of an even share", title="gain of the network")
+        left.legend(fontsize=7.5, ncols=3, loc="upper right")
+        points = [(row["step"], row["train/rate"]) for row in rows if "train/rate" in row]
+        if points:
+            right.plot(*zip(*points), color=CYCLE[2])
+        right.set(xlabel="step", title="learning rate")
+    return fig
+
+
+def contact_predictions_figure(before: np.ndarray, after: np.ndarray, label: np.ndarray, title: str) -> Any:
+    """Corrections of one call against the true ones; a perfect answer lies on the diagonal.
+
+    Args:
+        before: impulses before the call, (M, 2) [N s].
+        after: after it.
+        label: true ones.
+        title: of the figure.
+    """
+    colors = require("matplotlib.colors", "pipeline")
+    with figure(11.0, 5.2) as fig:
+        fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+        for i, (axes, name) in enumerate(zip(fig.subplots(1, 2), ("normal", "tangential"))):
+            true, found = label[:, i] - before[:, i], after[:, i] - before[:, i]
+            most = max(float(np.quantile(np.abs(true), SHOWN)), 1e-12)
+            edges = np.linspace(-most, most, 101)
+            count, _, _ = np.histogram2d(np.clip(true, -most, most), np.clip(found, -most, most), bins=(edges, edges))
+            norm = colors.LogNorm(1.0, max(float(count.max()), 2.0))
+            mesh = axes.pcolormesh(edges, edges, np.ma.masked_equal(count.T, 0.0), cmap="viridis", norm=norm)
+            axes.plot((-most, most), (-most, most), color=CYCLE[0], linewidth=1.0)
+            left = float(((true - found) ** 2).sum() / max((true**2).sum(), 1e-30))
+            axes.set_title(f"{name}, {len(true):,} contacts\nsquared error {left:.2f} of that before")
+            axes.set(xlabel="true correction [N s]", ylabel="correction by the network [N s]")
+            axes.set_box_aspect(1.0)
+            bar = fig.colorbar(mesh, ax=axes, pad=0.01, aspect=28)
+            bar.set_label("contacts")
+            bar.outline.set_visible(False)
+    return fig

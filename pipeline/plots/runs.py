@@ -1,0 +1,208 @@
+"""Pictures of what strategies did on the thesis worlds: the plots of the theses, the table, where the time went."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.runtime.optional import require
+from pipeline.evaluate.runs import COLUMNS, EVALUATION, PARTS, PATHS, Column, Run, cells
+from pipeline.plots.plots import INK, LINES, MUTED, draw_world, figure
+
+COLORS = (
+    *("#c2410c", "#1d4ed8", "#0f766e", "#7c3aed", "#d4a017", "#475569"),
+    *("#be185d", "#65a30d", "#0ea5e9", "#111827", "#f472b6", "#92400e"),
+)
+"""Of the starts, in their order."""
+WINDOW = 9  # steps that the noise of many lines is averaged over [1]
+ERROR_FLOOR = 1e-10  # [N^2 s^2]: below it lies the error of a start at the solution
+PART_COLORS = dict(
+    zip(PARTS, ("#cbd5df", "#475569", "#7c3aed", "#1d4ed8", "#c2410c", "#0f766e", "#e3b341", "#9fb0c0"), strict=True)
+)
+
+
+def line_styles(runs: Sequence[Run]) -> list[dict[str, str]]:
+    """A colour for each start strategy, a line style for each solver, and the label.
+
+    More starts than there are colours take the next line style too.
+    """
+    starts, solvers = (list(dict.fromkeys(getattr(run, name) for run in runs)) for name in ("start", "solver"))
+    styles = []
+    for run in runs:
+        turn, color = divmod(starts.index(run.start), len(COLORS))
+        line = LINES[(solvers.index(run.solver) + turn) % len(LINES)]
+        styles.append({"color": COLORS[color], "linestyle": line, "label": run.label})
+    return styles
+
+
+def _count_axis(axes: Any, runs: Sequence[Run]) -> None:
+    """Sweeps on a logarithmic x axis."""
+    axes.set_xscale("log")
+    axes.set_xlim(1, max(run.max_sweeps for run in runs))
+    axes.xaxis.set_major_formatter(require("matplotlib.ticker", "pipeline").FormatStrFormatter("%d"))
+
+
+def draw_steps_left(axes: Any, runs: Sequence[Run], legend: bool = True) -> None:
+    """Share of steps still iterating after n sweeps, one line for each run."""
+    for run, style in zip(runs, line_styles(runs), strict=True):
+        sweeps = np.arange(1, run.max_sweeps + 1)
+        taken = np.sort(np.where(run.converged, run.sweeps, run.max_sweeps + 1)[run.with_contacts])
+        left = 1.0 - np.searchsorted(taken, sweeps, side="right") / max(len(taken), 1)
+        axes.plot(sweeps, 100.0 * left, **style)
+    _count_axis(axes, runs)
+    axes.set(ylim=(0, 100), xlabel="sweeps n", ylabel="steps [%]", title="steps still iterating after n sweeps")
+    if legend:
+        axes.legend(fontsize=8.5)
+
+
+def draw_change(axes: Any, runs: Sequence[Run]) -> None:
+    """Largest impulse change of sweep n, median over the steps with contacts."""
+    for run, style in zip(runs, line_styles(runs), strict=True):
+        if run.decay is not None:
+            axes.plot(np.arange(1, len(run.decay) + 1), run.decay, **style)
+    _count_axis(axes, runs)
+    axes.set_yscale("log")
+    axes.axhline(runs[0].tolerance, color=MUTED, linewidth=1.0, linestyle="--")
+    axes.set(xlabel="sweep n", ylabel="impulse change [N s]", title="largest impulse change of sweep n (median)")
+
+
+def draw_over_steps(axes: Any, runs: Sequence[Run], name: str, title: str, window: int = 1) -> None:
+    """A quantity (steps, worlds) of each run over the steps, median over the worlds, mean over a window of steps."""
+    for run, style in zip(runs, line_styles(runs), strict=True):
+        values = np.median(getattr(run, name), axis=1)
+        steps = np.arange(1, len(values) + 1)
+        if 1 < window <= len(values):
+            steps, values = (np.convolve(x, np.full(window, 1.0 / window), mode="valid") for x in (steps, values))
+        axes.plot(steps, values, linewidth=1.2, **style)
+    how = f"median of {runs[0].sweeps.shape[1]} worlds" + (f", mean over {window} steps" if window > 1 else "")
+    axes.set(xlabel="step", title=f"{title} ({how})")
+    axes.set_xlim(1, len(runs[0].sweeps))
+    axes.set_ylim(bottom=0)
+
+
+def protocol_figure(runs: Sequence[Run], title: str) -> Any:
+    """The theses' plots: steps left and impulse change per sweep, contacts and sweeps per step."""
+    with figure(12.0, 8.0) as fig:
+        fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+        axes = fig.subplots(2, 2)
+        draw_steps_left(axes[0, 0], runs)
+        if any(run.decay is not None for run in runs):
+            draw_change(axes[0, 1], runs)
+        else:
+            axes[0, 1].axis("off")
+            draw_table(axes[0, 1], runs)
+        draw_over_steps(axes[1, 0], runs, "contacts", "contacts per step")
+        draw_over_steps(axes[1, 1], runs, "sweeps", "sweeps per step")
+    return fig
+
+
+def draw_table(axes: Any, runs: Sequence[Run], columns: Sequence[Column] = COLUMNS) -> None:
+    """The table of ``runs.table`` as text, the label of each row in the colour of its line."""
+    axes.axis("off")
+    rows, styles = cells(runs, columns), line_styles(runs)
+    table = axes.table(rows, colLabels=[c.title for c in columns], cellLoc="right", loc="center", bbox=(0, 0, 1, 1))
+    table.auto_set_font_size(False)
+    table.set_fontsize(8.5)
+    table.auto_set_column_width(list(range(len(columns))))
+    for (row, column), cell in table.get_celld().items():
+        cell.visible_edges = "B"
+        cell.set_edgecolor("#e6ebf0")
+        cell.get_text().set_color(MUTED if row == 0 else INK)
+        if column == 0:
+            cell.get_text().set_horizontalalignment("left")
+            if row:
+                cell.get_text().set_color(styles[row - 1]["color"])
+
+
+def demo_figure(sim: Any, runs: Sequence[Run], title: str) -> Any:
+    """One picture of it all: a world at its end with its forces, sweeps per step, steps left per sweep, the table."""
+    with figure(15.0, 8.4) as fig:
+        fig.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
+        grid = fig.add_gridspec(2, 2, height_ratios=(1.75, 1.0))
+        axes = fig.add_subplot(grid[0, 0])
+        draw_world(axes, sim)
+        axes.set_title(f"one world after {float(sim.state.numpy('time')[0]):.2f} s: how its bodies press on each other")
+        draw_over_steps(fig.add_subplot(grid[1, 0]), runs, "sweeps", "sweeps per step")
+        draw_steps_left(fig.add_subplot(grid[0, 1]), runs)
+        table = fig.add_subplot(grid[1, 1])
+        draw_table(table, runs)
+        table.set_title("sweeps: mean, median, and share of steps done in n")
+    return fig
+
+
+def draw_errors(axes: Any, runs: Sequence[Run], component: int) -> None:
+    """Mean squared difference of start and final impulse over the steps, median over the worlds with contacts."""
+    for run, style in zip(runs, line_styles(runs), strict=True):
+        if run.errors is not None:
+            values = [row[np.isfinite(row) & (row > 0.0)] for row in run.errors[..., component]]  # shown by their log
+            middle = [np.median(row) if len(row) else np.nan for row in values]
+            axes.plot(np.arange(1, len(middle) + 1), middle, linewidth=1.2, **style)
+    what, worlds = ("normal", "tangential")[component], runs[0].sweeps.shape[1]
+    axes.set_yscale("log")
+    axes.set_ylim(bottom=ERROR_FLOOR)
+    axes.set(xlabel="step", ylabel="[N² s²]", title=f"MSE of the {what} start impulses (median of {worlds} worlds)")
+    axes.set_xlim(1, len(runs[0].sweeps))
+
+
+def _rows(axes: Any, runs: Sequence[Run]) -> None:
+    """One row a run, the first on top, its label in its colour."""
+    axes.set_yticks(range(len(runs)), [run.start.capitalize() for run in runs])
+    for label, style in zip(axes.get_yticklabels(), line_styles(runs), strict=True):
+        label.set_color(style["color"])
+    axes.set_ylim(len(runs) - 0.5, -0.5)
+    axes.grid(axis="y", visible=False)
+
+
+def draw_worlds(axes: Any, runs: Sequence[Run]) -> None:
+    """Mean sweeps of each world, a dot, and of all, a bar."""
+    for i, (run, style) in enumerate(zip(runs, line_styles(runs), strict=True)):
+        means = run.world_means
+        axes.plot(means, np.full(len(means), i), "o", color=style["color"], markersize=4, alpha=0.55, markeredgewidth=0)
+        axes.plot([run.summary()["mean_sweeps"]] * 2, [i - 0.35, i + 0.35], color=style["color"], linewidth=2.2)
+    _rows(axes, runs)
+    axes.set_xlim(left=0)
+    axes.set(xlabel="sweeps", title="mean sweeps: of each world, of all")
+
+
+def draw_wall(axes: Any, runs: Sequence[Run]) -> None:
+    """Wall time of a step of one world by part; oracles are given their solve in advance."""
+    scale = 1e6 / runs[0].sweeps.size
+    left = np.zeros(len(runs))
+    for part in PARTS:
+        spent = np.array([scale * run.parts.get(part, 0.0) for run in runs])
+        if part == "start":
+            spent[[not run.counts for run in runs]] = 0.0
+        if spent.any():
+            axes.barh(range(len(runs)), spent, left=left, height=0.62, color=PART_COLORS[part], label=part, linewidth=0)
+            left += spent
+    _rows(axes, runs)
+    axes.set(xlabel="wall time of a world's step [us]", title="where the time goes (without solves in advance)")
+    if left.any():
+        axes.legend(fontsize=8, ncols=2)
+
+
+def evaluation_figure(runs: Sequence[Run], title: str) -> Any:
+    """All plots of the theses for runs of one solver and loop, with spread, wall time and the table."""
+    with figure(17.0, 12.0 + 0.25 * len(runs)) as fig:
+        fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+        grid = fig.add_gridspec(4, 3, height_ratios=(1, 1, 1, 0.09 * (len(runs) + 1.5)))
+        panels = [[fig.add_subplot(grid[row, column]) for column in range(3)] for row in range(2)]
+        draw_steps_left(panels[0][0], runs, legend=False)
+        if any(run.decay is not None for run in runs):
+            draw_change(panels[0][1], runs)
+        else:
+            panels[0][1].axis("off")
+        draw_worlds(panels[0][2], runs)
+        draw_over_steps(panels[1][0], runs, "sweeps", "sweeps per step", WINDOW)
+        same = runs[0].loop == "open"
+        draw_over_steps(panels[1][1], runs[:1] if same else runs, "contacts", "contacts per step")
+        draw_wall(panels[1][2], runs)
+        for component in range(2):
+            draw_errors(fig.add_subplot(grid[2, component]), runs, component)
+        legend = fig.add_subplot(grid[2, 2])
+        legend.axis("off")
+        legend.legend(*panels[0][0].get_legend_handles_labels(), loc="center", fontsize=9.5, title=PATHS[runs[0].loop])
+        draw_table(fig.add_subplot(grid[3, :]), runs, EVALUATION)
+    return fig

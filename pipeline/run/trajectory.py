@@ -1,0 +1,158 @@
+"""The file of a run: ``trajectory.h5``.
+
+Layout of ``trajectory.h5`` (schema ``deep-contact.trajectory``, version 1; attributes of the file: ``schema``,
+``version``, ``complete``, ``steps``, ``config`` and ``versions`` as JSON; every dataset has ``unit`` and ``meaning``):
+
+- ``model/NAME``: the arrays of ``dc_kernels.model.fields.MODEL`` and ``JOINTS`` at the start;
+- ``record/step``, ``record/time`` (records,) and ``record/position``, ``angle``, ``velocity``,
+  ``angular_velocity`` (records, bodies[, 2]): the start, then every ``record_every`` steps, then the end;
+- ``step/NAME`` (steps, worlds): the quantities of ``STEP_FIELDS`` in every step;
+- ``history/change`` (steps, worlds, max_sweeps): with ``history``, the largest impulse change of each sweep,
+  NaN after the last one.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+import dc_kernels as dc
+from dc_kernels.measure import contact_slots
+from dc_kernels.model.fields import STATE
+from pipeline.files import versions
+
+SCHEMA = "deep-contact.trajectory"
+VERSION = 1
+CHUNK_BYTES = 2**20  # of a dataset's chunk, about
+
+RECORD_FIELDS = {name: STATE[name] for name in ("position", "angle", "velocity", "angular_velocity")}
+
+# name: dtype, unit, meaning
+STEP_FIELDS = {
+    "sweeps": ("int32", "1", "sweeps of the solver"),
+    "change": ("float64", "N s", "largest impulse change of the last sweep"),
+    "residual": ("float64", "1", "relative natural map at the end of the solve"),
+    "contact_count": ("int32", "1", "contact points, those within the speculative margin included"),
+    "pressing_count": ("int32", "1", "contact points that press or overlap"),
+    "kinetic_energy": ("float64", "J", "of the dynamic bodies after the step"),
+    "potential_energy": ("float64", "J", "of the dynamic bodies after the step, zero at the world's origin"),
+    "penetration_max": ("float64", "m", "largest overlap at the beginning of the step"),
+    "penetration_mean": (
+        "float64",
+        "m",
+        "mean over the contacts that press or overlap at the beginning of the step",
+    ),
+    "flags": ("int32", "1", "dc_kernels.Flag bits: why a world does not advance"),
+}
+
+
+def pressing(sim: dc.Simulation) -> np.ndarray:
+    """Contacts of each world that press or overlap, (worlds,): those that a solver without a margin would know."""
+    slots, world = contact_slots(sim.contacts)
+    counts = (sim.contacts.numpy("impulse")[slots, 0] > 0.0) | (sim.contacts.numpy("gap")[slots] < 0.0)
+    return np.bincount(world[counts], minlength=sim.model.world_count)
+
+
+def measure(sim: dc.Simulation) -> dict[str, np.ndarray]:
+    """The quantities of ``STEP_FIELDS`` after a step, (worlds,) each."""
+    overlap = dc.overlap(sim)
+    return {
+        "sweeps": sim.stats.numpy("sweeps"),
+        "change": sim.stats.numpy("change"),
+        "residual": sim.stats.numpy("residual"),
+        "contact_count": sim.contacts.numpy("contact_count"),
+        "pressing_count": pressing(sim),
+        "kinetic_energy": dc.kinetic_energy(sim),
+        "potential_energy": dc.potential_energy(sim),
+        "penetration_max": overlap.max,
+        "penetration_mean": overlap.mean,
+        "flags": sim.state.numpy("flags"),
+    }
+
+
+class Column:
+    """A dataset that grows row by row; rows are written a chunk at a time."""
+
+    def __init__(self, group: Any, name: str, row: tuple[int, ...], dtype: Any, unit: str, meaning: str) -> None:
+        """Create the dataset, empty, of rows of that shape."""
+        self.dtype = np.dtype(dtype)
+        size = max(1, int(np.prod(row, dtype=np.int64)) * self.dtype.itemsize)
+        self.height = int(np.clip(CHUNK_BYTES // size, 1, 256))
+        chunk = (self.height, *row)
+        if size > 4 * CHUNK_BYTES:
+            chunk = (1, max(1, row[0] * CHUNK_BYTES // size), *row[1:])
+        compressed = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
+        self.data = group.create_dataset(
+            name, (0, *row), self.dtype, maxshape=(None, *row), chunks=tuple(max(1, n) for n in chunk), **compressed
+        )
+        self.data.attrs.update(unit=unit, meaning=meaning)
+        self.rows: list[np.ndarray] = []
+
+    def append(self, row: Any) -> None:
+        """Add a row (copied)."""
+        self.rows.append(np.array(row, self.dtype))
+        if len(self.rows) >= self.height:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what is waiting."""
+        if self.rows:
+            first = self.data.shape[0]
+            self.data.resize(first + len(self.rows), axis=0)
+            self.data[first:] = np.stack(self.rows)
+            self.rows = []
+
+
+class TrajectoryWriter:
+    """Writes a run into an open HDF5 file, in the layout of this module."""
+
+    def __init__(self, file: Any, sim: dc.Simulation, config: dict[str, Any]) -> None:
+        """Write the model and the state at the start."""
+        self.file = file
+        model = sim.model
+        file.attrs.update(schema=SCHEMA, version=VERSION, complete=False, steps=0)
+        file.attrs.update(config=json.dumps(config), versions=json.dumps(versions()))
+        for group in (model, sim.joints):
+            for name, field in group.table.items():
+                data = file.create_dataset(f"model/{name}", data=group.numpy(name))
+                data.attrs.update(unit=field.unit, meaning=field.meaning)
+        record = file.create_group("record")
+        self.record = {
+            "step": Column(record, "step", (), np.int64, "1", "steps done"),
+            "time": Column(record, "time", (), np.float64, "s", "steps done times dt"),
+        }
+        for name, field in RECORD_FIELDS.items():
+            array = sim.state.numpy(name)
+            self.record[name] = Column(record, name, array.shape, array.dtype, field.unit, field.meaning)
+        group, worlds = file.create_group("step"), (model.world_count,)
+        self.step = {name: Column(group, name, worlds, *spec) for name, spec in STEP_FIELDS.items()}
+        self.history: Column | None = None
+        if sim.config.history:
+            shape = (model.world_count, sim.config.max_sweeps)
+            meaning = "largest impulse change of each sweep, NaN after the last one"
+            self.history = Column(file.create_group("history"), "change", shape, np.float32, "N s", meaning)
+
+    def add_record(self, step: int, time: float, state: dc.State) -> None:
+        """Record the bodies."""
+        self.record["step"].append(step)
+        self.record["time"].append(time)
+        for name in RECORD_FIELDS:
+            self.record[name].append(state.numpy(name))
+
+    def add_step(self, measured: dict[str, np.ndarray], history: np.ndarray | None) -> None:
+        """Record a step's quantities."""
+        for name, column in self.step.items():
+            column.append(measured[name])
+        if self.history is not None and history is not None:
+            done = np.arange(history.shape[1]) < measured["sweeps"][:, None]
+            self.history.append(np.where(done, history, np.nan))
+
+    def finish(self, steps: int, complete: bool) -> dict[str, np.ndarray]:
+        """Write what is waiting and return the quantities of all steps, (steps, worlds) each."""
+        columns = [*self.record.values(), *self.step.values()]
+        for column in columns if self.history is None else [*columns, self.history]:
+            column.flush()
+        self.file.attrs.update(complete=complete, steps=steps)
+        return {name: column.data[...] for name, column in self.step.items()}

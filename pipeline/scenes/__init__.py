@@ -1,0 +1,3 @@
+"""Scenes by name."""
+
+from pipeline.scenes.scenes import scene as scene

@@ -1,0 +1,1 @@
+"""Where a solve starts from."""

@@ -1,0 +1,318 @@
+"""A contact solve with a network in the loop: a start, then corrections while it has not converged.
+
+    model, manifest = load_checkpoint(PRETRAINED)
+    solve = LearnedSolve(sim, model)
+    sim.collide(dt)
+    solve.solve()  # in the place of sim.solve()
+    sim.advance()
+
+Whatever the network answers, the solve ends as it would without it, at a bounded cost. A correction with NaN or inf, or
+far beyond what the last sweeps let expect, is not taken. One that failed, after which the step of a sweep is no smaller
+than it was before, makes the world leave out a call; where it has grown much, it is taken back. A world most of whose
+calls fail is left to the solver: from then on it is the plain one, on the impulses that it has.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+import dc_kernels as dc
+from dc_kernels.learn.features import SolveReader
+from dc_kernels.runtime.optional import require
+from dc_kernels.solve.iteration import NORMS
+
+TRUST = 4  # calls that may fail beyond two in three before a world is left to the solver
+RUNAWAY = 1e4  # times the impulses, which no correction may reach: float32 has 7 digits
+EVERY, EVERY_ACCELERATED = 12, 15  # sweeps between two calls: where the solver extrapolates by itself, more
+PARTS = ("solve", "splat", "network", "gather")
+COUNTS = ("solves", "empty", "early", "calls", "refused", "failed", "undone")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CallOptions:
+    """When the network is called."""
+
+    every: int | None = None
+    """Sweeps between two calls; None: 12, or 15 where the solver extrapolates by itself [1]."""
+    begin: bool = True
+    """Call it before the first sweep."""
+    middle: bool = True
+    """Call it while the solve has not converged."""
+    most: int = 60
+    """Calls of a world in a solve, at most [1]."""
+    harm: float = 3.0
+    """A correction is taken back where the step of a sweep then is so many times that before it, or more [1]."""
+    limit: float = 10.0
+    """RMS of a correction beyond which it is not taken, in units of that which the last sweeps let expect [1]."""
+
+    def __post_init__(self) -> None:
+        for name, low in (("every", 2), ("most", 0)):
+            value = getattr(self, name)
+            if value is not None and value < low:
+                raise ValueError(f"CallOptions.{name} is {value}; it must be >= {low}")
+        for name, least in (("harm", 1.0), ("limit", 0.0)):
+            if not getattr(self, name) >= least:
+                raise ValueError(f"CallOptions.{name} is {getattr(self, name)}; it must be >= {least}")
+
+
+@dataclass
+class CallStats:
+    """What was called and what was not, summed over solves, (W,) each."""
+
+    solves: np.ndarray
+    """Solves of the world."""
+    empty: np.ndarray
+    """Of these without a contact: nothing to solve."""
+    early: np.ndarray
+    """Of these done in the first sweeps: no call while solving."""
+    calls: np.ndarray
+    """Calls of the network."""
+    refused: np.ndarray
+    """Corrections not taken: not finite, or too large."""
+    failed: np.ndarray
+    """Corrections after which the step of a sweep had not shrunk."""
+    undone: np.ndarray
+    """Of these taken back."""
+    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PARTS, 0.0))
+    """Wall time by part [s]; features and corrections count as "splat" and "gather"."""
+
+    @classmethod
+    def zeros(cls, worlds: int) -> CallStats:
+        """Nothing so far."""
+        counts: dict[str, Any] = {name: np.zeros(worlds, np.int64) for name in COUNTS}
+        return cls(**counts)
+
+    def totals(self) -> dict[str, Any]:
+        """Sums over the worlds, by name."""
+        return {**{name: int(getattr(self, name).sum()) for name in COUNTS}, "seconds": dict(self.seconds)}
+
+
+def grid_of(sim: dc.Simulation, spacing: float) -> dc.Grid:
+    """The grid over all that stands in any world, with nodes ``spacing`` typical diameters apart (the largest world's).
+
+    A contact beyond it, of a body that flew away, is moved to its border.
+    """
+    model, state = sim.model, sim.state
+    owner = model.numpy("shape_body")
+    center = state.numpy("position")[owner]
+    reach = model.numpy("shape_extent")[:, None] + np.abs(model.numpy("shape_center"))
+    step = spacing * float(model.numpy("length_scale").max())
+    lower, upper = (center - reach).min(axis=0), (center + reach).max(axis=0)
+    return dc.Grid.from_box(lower, np.maximum(upper, lower + step), step)
+
+
+class LearnedSolve:
+    """The solve of a simulation's steps with a network in the loop.
+
+    Worlds that are still unconverged go through the network as one batch. Worlds without contacts and solves that
+    converge within the first sweeps never reach it.
+    """
+
+    def __init__(
+        self,
+        sim: dc.Simulation,
+        model: Any,
+        options: CallOptions | None = None,
+        *,
+        grid: dc.Grid | None = None,
+        compile: bool = False,
+        bfloat16: bool = False,
+    ) -> None:
+        """Allocate what the network reads.
+
+        Args:
+            sim: float32, on the CPU, schedule "world".
+            model: a ``ContactNet``, or any module with ``trunk`` and ``head``.
+            options: when it is called.
+            grid: of its images; None: over all that stands, at the model's spacing.
+            compile: run the network through ``torch.compile``.
+            bfloat16: run the convolutions in bfloat16, for large batches on a CPU that has it; costs a copy.
+
+        Raises:
+            ValueError: for a simulation that the network cannot read.
+        """
+        self._torch = torch = require("torch", "pipeline")
+        if sim.dtype != np.float32:
+            raise ValueError(f"sim.dtype is {sim.dtype}; the network reads float32")
+        self.sim, self.options = sim, options or CallOptions()
+        self.model = model.eval()
+        grid = grid or grid_of(sim, model.config.spacing)
+        self.reader = SolveReader(sim, grid, limit=self.options.limit)
+        trunk = torch.compile(model.trunk) if compile else model.trunk
+        self._trunk = _in_bfloat16(torch, trunk) if bfloat16 else trunk
+        self._head = torch.compile(model.head) if compile else model.head
+        plain = sim.config.acceleration == "none"
+        self.every = self.options.every or (EVERY if plain else EVERY_ACCELERATED)
+        self.stats = CallStats.zeros(sim.model.world_count)
+        self.watch: Callable[[np.ndarray, bool], None] | None = None
+        """Called with the worlds, and whether no sweep is done, when their features are read: for training."""
+
+    def step(self, dt: float) -> None:
+        """A time step: collide, solve, advance; see ``Simulation.step``."""
+        self.sim.collide(dt)
+        self.solve()
+        self.sim.advance()
+
+    def __call__(self, sim: dc.Simulation) -> None:
+        """``solve`` of the simulation that this was made for."""
+        if sim is not self.sim:
+            raise ValueError("the network reads another simulation")
+        self.solve()
+
+    def solve(self) -> None:
+        """Solve from ``contacts.impulse``, between ``collide`` and ``advance``.
+
+        Raises:
+            ValueError: see ``Simulation.solve``.
+        """
+        sim, options, stats = self.sim, self.options, self.stats
+        self._timed("solve", sim.solve, pause=0)
+        running = sim.running
+        stats.solves += 1
+        stats.empty += sim.contacts.numpy("contact_count") == 0
+        if not running.any():
+            return
+        self.reader.begin()
+        worlds = len(running)
+        self._waiting = np.zeros(worlds, bool)  # for the verdict on a call
+        self._before = np.zeros(worlds)  # squared step of the sweep before it
+        self._size = np.full(worlds, np.inf)  # of steps and impulses, the least so far [N s]
+        self._failures = np.zeros(worlds, np.int64)
+        self._pause = np.zeros(worlds, np.int64)  # calls to leave out
+        asking = running.copy()  # worlds that calls are made for
+        calls = np.zeros(worlds, np.int64)
+        if options.begin and options.most:
+            calls += self._call(asking, begin=True)
+        first = True
+        while running.any():
+            more = bool(asking.any()) and (options.middle or bool(self._waiting.any()))
+            self._timed("solve", sim.resume, pause=self.every if more else None)
+            was, running = running, sim.running
+            if first:
+                stats.early += was & ~running
+                first = False
+            if not running.any() or not more:
+                continue
+            asking &= running
+            self._judge(asking)
+            if options.middle:
+                asking &= (calls < options.most) & (3 * self._failures < 2 * calls + 3 * TRUST)
+                calls += self._call(asking & (self._pause == 0), begin=False)
+                self._pause = np.maximum(self._pause - 1, 0)
+            else:
+                asking[:] = False
+
+    def _call(self, asking: np.ndarray, begin: bool) -> np.ndarray:
+        """Correct the impulses of these worlds; returns them, bool (W,)."""
+        worlds = np.flatnonzero(asking)
+        if not len(worlds):
+            return asking
+        reader = self.reader
+        contacts = self._read(worlds, begin)
+        if begin:
+            # where no contact would take a step beyond the tolerance, the first sweep is the last
+            needed = reader.scale[: len(worlds), 0] * np.sqrt(contacts) >= self.sim.config.tolerance
+            if not needed.all():
+                asking = asking.copy()
+                asking[worlds[~needed]] = False
+                worlds = worlds[needed]
+                if not len(worlds):
+                    return asking
+                contacts = self._read(worlds, begin)
+        if self.watch is not None:
+            self.watch(worlds, begin)
+        with self._torch.inference_mode():
+            trunk = self._timed("network", self._trunk, reader.images())
+            near = self._timed("gather", reader.gather, trunk.contiguous())
+            output = self._timed("network", self._head, reader.features(), near)
+            lost = self._lost(worlds)
+            if lost.any():
+                output[self._torch.from_numpy(np.repeat(lost, np.diff(reader.packed_start[: len(worlds) + 1])))] = (
+                    np.nan
+                )
+        taken = self._timed("gather", reader.correct, output)
+        if begin:
+            self._before[worlds] = contacts * reader.scale[: len(worlds), 0].astype(float) ** 2
+        else:
+            self._before[worlds] = self._step()[worlds]
+        self._waiting[worlds] = taken
+        self.stats.calls[worlds] += 1
+        refused = worlds[~taken]
+        self._pause[refused] = 2
+        self._failures[refused] += 1
+        self.stats.refused[refused] += 1
+        return asking
+
+    def _read(self, worlds: np.ndarray, begin: bool) -> np.ndarray:
+        """Read the features of some worlds; contacts of each, (asked,)."""
+        self._timed("splat", self.reader.read, worlds, begin=begin)
+        return np.diff(self.reader.packed_start[: len(worlds) + 1])
+
+    def _lost(self, worlds: np.ndarray) -> np.ndarray:
+        """Whether a correction might leave impulses beside which velocities are summed up to no digit, (asked,)."""
+        scale = self.reader.scale[: len(worlds)].astype(float)
+        self._size[worlds] = np.minimum(self._size[worlds], scale[:, :2].max(axis=1))
+        return self.options.limit * scale[:, 3] > RUNAWAY * self._size[worlds]
+
+    def _step(self) -> np.ndarray:
+        """Squared step of the last sweep, (W,)."""
+        return self.sim.stats.numpy("norms").reshape(-1, NORMS)[:, 5]
+
+    def _judge(self, asking: np.ndarray) -> None:
+        """Take back what did harm; a world whose sweeps take no smaller steps leaves out a call."""
+        judged = self._waiting & asking
+        if not judged.any():
+            return
+        self._waiting[:] = False
+        now, before = self._step(), self._before
+        harmed = judged & ~(now < self.options.harm**2 * before)
+        if harmed.any():
+            first = self.sim.contacts.numpy("contact_start")
+            count = self.sim.contacts.numpy("contact_count")
+            impulse, known = self.sim.contacts.numpy("impulse"), self.reader.known
+            for w in np.flatnonzero(harmed):
+                part = slice(first[w], first[w] + count[w])
+                impulse[part] = known[part] = self.reader.before[part]
+            self.sim.stats.numpy("replaced")[harmed] = 1
+            self.stats.undone += harmed
+        failed = judged & ~(now < before)
+        self._pause[failed] = 1
+        self._failures += failed
+        self.stats.failed += failed
+
+    def _timed(self, part: str, function: Any, *arguments: Any, **options: Any) -> Any:
+        began = time.perf_counter()
+        result = function(*arguments, **options)
+        self.stats.seconds[part] += time.perf_counter() - began
+        return result
+
+    def explain(self) -> str:
+        """How often the network was called, and why not."""
+        total = self.stats.totals()
+        solves = max(total["solves"], 1)
+        share = {name: f"{100.0 * total[name] / solves:.1f} %" for name in ("empty", "early")}
+        return "\n".join(
+            [
+                f"network: {total['calls'] / solves:.2f} calls a solve, of {total['solves']} solves",
+                f"  skipped: no contact in {share['empty']}, done in the first {self.every} sweeps or so in "
+                f"{share['early']}",
+                f"  of the corrections {total['refused']} were refused, {total['failed']} failed and {total['undone']} "
+                "of these were taken back",
+            ]
+        )
+
+
+def _in_bfloat16(torch: Any, trunk: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A trunk whose convolutions run in bfloat16, its answer in float32."""
+
+    def run(images: Any) -> Any:
+        with torch.autocast("cpu", torch.bfloat16):
+            answer = trunk(images)
+        return answer.float()
+
+    return run

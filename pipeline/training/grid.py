@@ -1,0 +1,486 @@
+"""Training of the theses' networks on images of a data set's states (``train`` has the options and the files)."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator
+from dataclasses import asdict
+from threading import Event
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.transfer import SUPPORT
+from dc_kernels.runtime.optional import require
+from pipeline.data import dataset
+from pipeline.files import atomic_path, plain, write_json
+from pipeline.networks import models
+from pipeline.networks.checkpoint import (
+    all_versions,
+    grid_dict,
+    load_checkpoint,
+    load_training,
+    save_checkpoint,
+    save_training,
+)
+from pipeline.plots import plots
+from pipeline.plots import training as training_plots
+from pipeline.process import interruptible
+from pipeline.training.losses import Decoder, Loss
+from pipeline.training.tools import (
+    Log,
+    Processes,
+    RateSearch,
+    check_loss,
+    clip_gradients,
+    find_rate,
+    make_optimizer,
+    make_schedule,
+    own_randomness,
+    processes,
+    seed_everything,
+)
+from pipeline.training.train import CACHED, SETUPS, NetworkName, TrainOptions
+
+torch = require("torch", "pipeline")
+
+SCALE_STATES = 512  # from which the scales of channels and impulses are taken
+RATE_BATCHES = 8  # that the rate finder goes over in turn
+BOUND = 10.0  # of the scaled channels: the walls' mass lies far beyond
+SHOWN_CONTACTS = 50_000  # of the picture of predicted against true impulses
+TINY = 1e-30
+BEST, LAST, STATE = "best.safetensors", "last.safetensors", "training.safetensors"
+# options that change no bit of what is trained, or, as data is, are told better elsewhere
+FREE = ("data", "out", "resume", "threads", "workers", "log_every", "save_every")
+
+
+def train_grid(network: NetworkName, options: TrainOptions, progress: bool = True) -> dict[str, Any]:
+    """See ``train.train``."""
+    torch.set_num_threads(options.threads)
+    with processes() as group, interruptible() as stop:
+        run = GridTraining(network, options, group)
+        try:
+            return run.run(stop, progress and group.first)
+        finally:
+            run.log.close()
+
+
+class GridTraining:
+    """A training under way."""
+
+    def __init__(self, network: NetworkName, options: TrainOptions, group: Processes) -> None:
+        """Find the data, make network and optimiser, and continue where an earlier run stopped.
+
+        Raises:
+            ValueError: see ``train.train``.
+        """
+        self.network, self.options, self.group = network, options, group
+        if options.batch_size % group.size:
+            raise ValueError(f"batch_size is {options.batch_size}; {group.size} processes cannot share it evenly")
+        setup = SETUPS[network]
+        self.data = dataset.describe(options.data)
+        solver = self.data["config"]["solver"]
+        if options.loss in ("energy", "sweeps") and solver["position_correction"] == "baumgarte":
+            raise ValueError(
+                f"loss is {options.loss!r}, which does not know the velocity bias that overlaps had in {options.data}: "
+                "its solver.position_correction is 'baumgarte'"
+            )
+        self.grid = make_grid(self.data["box"], setup.nodes if options.nodes is None else options.nodes)
+        self.images: dict[str, Any] = {
+            "bodies": setup.bodies,
+            "contacts": (*setup.contacts, *(CACHED if options.cached else ())),
+            "kernel": "poly6",
+            "h": SUPPORT * self.grid.spacing if options.h is None else options.h,
+            "bins": options.bins,
+            "walls": options.walls,
+        }
+        self.splatter = dataset.Splatter(self.grid, **self.images, threads=options.threads)
+        self.decode = Decoder(
+            grid=self.grid,
+            kernel=self.images["kernel"],
+            h=self.images["h"],
+            bins=options.bins,
+            reverse=(options.decode or setup.decode) == "reverse",
+            threads=options.threads,
+        )
+        self.train = self.loader("train", rank=group.rank, world_size=group.size)
+        self.validation = self.loader("validation")
+        if not len(self.train):
+            raise ValueError(f"{options.data} has fewer training states than a batch of {options.batch_size}")
+
+        seed_everything(options.seed)
+        config = models.GridConfig(
+            rows=self.grid.rows,
+            columns=self.grid.columns,
+            channels=len(self.splatter.channels),
+            outputs=2 * options.bins,
+            width=options.width,
+            dropout=options.dropout,
+        )
+        self.model = models.build(network, config)
+        grid_scale, contact_scale = self.set_scales()
+        group.broadcast(self.model)
+        seed_everything(options.seed, group.rank)
+        self.loss = Loss(
+            name=options.loss,
+            decode=self.decode,
+            grid_scale=grid_scale,
+            contact_scale=contact_scale,
+            sweeps=options.sweeps,
+            slop=self.data["slop"],
+            restitution_threshold=solver["restitution_threshold"],
+        )
+        self.epoch = self.batch = self.step = 0
+        self.best: float | None = None
+        self.metrics: dict[str, float] = {}
+        self.running = [0.0, 0]  # sum of the losses since the last line of the log, and their number
+        self.spent = 0.0  # [s] in earlier runs
+        self.search: RateSearch | None = None
+        steps = options.epochs * len(self.train)
+        rate = setup.rate if options.rate is None else options.rate
+        self.choices: dict[str, Any] = {
+            "optimizer": options.optimizer or setup.optimizer,
+            "schedule": options.schedule or setup.schedule,
+            "rate": rate,
+        }
+        if options.find_rate and not options.resume:
+            self.search = self.find_rate()
+            self.choices["rate"] = self.search.rate
+        self.optimizer = self.make_optimizer()
+        self.schedule = make_schedule(self.optimizer, self.choices["schedule"], steps, decay=options.decay)
+        if options.resume:
+            self.restore()
+        self.log = Log(options.out, self.step, enabled=group.first)
+
+    # ------------------------------------------------------------------ data
+
+    def loader(self, split: dataset.Split, **share: int) -> Any:
+        """Batches of a split: the training's in an order of the epoch's, of which this process takes its share."""
+        options, training = self.options, split == "train"
+        return dataset.loader(
+            options.data,
+            batch_size=options.batch_size // share.get("world_size", 1),
+            split=split,
+            shuffle=training,
+            drop_last=training,
+            seed=options.seed,
+            workers=options.workers,
+            stride=options.stride,
+            validation=options.validation,
+            **share,
+        )
+
+    def batches(self, epoch: int, skip: int = 0) -> Iterator[Any]:
+        """The training batches of an epoch, without the first ones; torch's generator is left alone."""
+        self.train.set_epoch(epoch)
+        with own_randomness():
+            batches = iter(self.train)
+        return itertools.islice(batches, skip, None)
+
+    def set_scales(self) -> tuple[Any, Any]:
+        """Scale the network by what training states show; returns the scales of the losses, of images and contacts.
+
+        An image is mostly empty, so a channel's scale is the RMS over the nodes that it reaches, without walls, as they
+        are far heavier than bodies. In units of the losses' scales the answer zero has a mean square of 1.
+        """
+        if self.options.scaling == "none":
+            return torch.ones(self.model.config.outputs), torch.ones(2)
+        walls, states = self.options.walls, 0
+        channels, reached, contacts = RunningSquare(), RunningSquare(), RunningSquare()
+        nodes = RunningSquare()
+        with own_randomness():
+            for batch in self.loader("train"):
+                images, target = self.splatter(batch)
+                if walls:
+                    images = torch.where(images < walls, images, 0.0)
+                channels.add(images, images != 0)
+                reached.add(target, target != 0)
+                nodes.add(target, torch.ones_like(target))
+                contacts.add(batch.label.T[None], torch.ones_like(batch.label.T[None]))
+                states += len(batch.dt)
+                if states >= SCALE_STATES:
+                    break
+        self.model.set_scales(channels.root(), reached.root(), BOUND)
+        return nodes.root(), contacts.root()
+
+    # ------------------------------------------------------------------ steps
+
+    def run(self, stop: Event, progress: bool) -> dict[str, Any]:
+        """Train to the end or until ``stop``, write all files, and return the summary."""
+        options, tqdm = self.options, require("tqdm", "pipeline").tqdm
+        began, stopped = time.perf_counter(), False
+        steps = len(self.train)
+        bar = tqdm(
+            total=options.epochs * steps,
+            initial=self.step,
+            desc=f"train {self.network}",
+            unit="step",
+            disable=not progress,
+        )
+        with bar:
+            while self.epoch < options.epochs and not stopped:
+                for batch in self.batches(self.epoch, skip=self.batch):
+                    stopped = self.learn(batch, stop.is_set())
+                    bar.update()
+                    if self.step % options.log_every == 0:
+                        bar.set_postfix(loss=f"{self.note():.4g}", **self.shown_metrics())
+                    if stopped or self.step % options.save_every == 0:
+                        self.save(began)
+                    if stopped:
+                        break
+                if not stopped:
+                    self.epoch, self.batch = self.epoch + 1, 0
+                    self.validate()
+                    self.save(began)
+        return self.finish(began)
+
+    def learn(self, batch: Any, stop: bool = False) -> bool:
+        """One step of the optimiser; returns whether any process is to stop.
+
+        Raises:
+            ValueError: loss or gradient are not finite, naming the step.
+        """
+        self.model.train()
+        self.optimizer.zero_grad()
+        total, weight = self.total(batch)
+        means = self.group.mean(torch.stack([total.detach(), weight.detach(), torch.tensor(float(stop))]))
+        loss = means[0] / means[1]
+        check_loss(loss, self.step)
+        (total / means[1]).backward()
+        self.group.average_gradients(self.model.parameters())
+        self.gradient = clip_gradients(self.model.parameters(), self.options.clip, self.step)
+        self.optimizer.step()
+        self.schedule.step()
+        self.step, self.batch = self.step + 1, self.batch + 1
+        self.running = [self.running[0] + float(loss), self.running[1] + 1]
+        return bool(means[2] > 0)
+
+    def total(self, batch: Any) -> tuple[Any, Any]:
+        """Total and weight of a batch's loss."""
+        images, target = self.splatter(batch)
+        return self.loss(self.model(images), target, batch)
+
+    def make_optimizer(self) -> Any:
+        """The optimiser of the choices."""
+        return make_optimizer(
+            self.model.parameters(),
+            self.choices["optimizer"],
+            self.choices["rate"],
+            weight_decay=self.options.weight_decay,
+        )
+
+    def find_rate(self) -> RateSearch:
+        """The rate of a short training in which it grows."""
+        batches = list(itertools.islice(self.batches(0), RATE_BATCHES))
+        self.model.train()
+
+        def loss(i: int) -> Any:
+            total, weight = self.total(batches[i])
+            return total / self.group.mean(weight)
+
+        return find_rate(self.model, self.make_optimizer(), loss, batches=len(batches), group=self.group)
+
+    def note(self) -> float:
+        """Log what the steps since the last line did; returns their mean loss."""
+        mean = self.running[0] / max(self.running[1], 1)
+        rate = self.optimizer.param_groups[0]["lr"]
+        self.log.add(self.step, {"train/loss": mean, "train/rate": rate, "train/gradient": self.gradient})
+        self.running = [0.0, 0]
+        return mean
+
+    # ------------------------------------------------------------------ validation
+
+    def validate(self) -> None:
+        """Measure the network on the validation states, log it, and keep it if it is the best so far.
+
+        Every process does all of it, so that all know the same without a message.
+        """
+        self.metrics = self.measure()
+        self.log.add(self.step, {f"validation/{name}": value for name, value in self.metrics.items()})
+        if self.best is not None and not self.metrics["loss"] < self.best:
+            return
+        self.best = self.metrics["loss"]
+        if self.group.first:
+            save_checkpoint(self.options.out / BEST, self.model, self.manifest())
+
+    def shown_metrics(self) -> dict[str, str]:
+        """What the bar says of the last validation."""
+        return {name: f"{self.metrics[name]:.3g}" for name in training_plots.NAMES.values() if name in self.metrics}
+
+    def measure(self) -> dict[str, float]:
+        """Losses on the validation states, and squared errors at their contacts over that of zero.
+
+        "loss", "normal" and "tangential" are the network's; "..._zero" and "..._cache" what impulses of zero and those
+        of the step before have, "..._grid" the truth sent to the grid and back: what a perfect network would have.
+        """
+        kinds = ("", "_zero") if self.loss.on_grid else ("", "_zero", "_cache", "_grid")
+        losses = np.zeros((len(kinds), 2))
+        square, errors = np.zeros(2), np.zeros((3, 2))
+        self.model.eval()
+        with own_randomness(), torch.inference_mode():
+            for batch in self.validation:
+                images, target = self.splatter(batch)
+                output = self.model(images)
+                found = (self.decode(output, batch), batch.start, self.decode(target, batch))
+                errors += [_squares(x - batch.label) for x in found]
+                square += _squares(batch.label)
+                if self.loss.on_grid:
+                    parts = [self.loss(image, target, batch) for image in (output, torch.zeros_like(output))]
+                else:
+                    answers = (found[0], torch.zeros_like(batch.start), *found[1:])
+                    parts = [self.loss.of_impulses(impulse, batch) for impulse in answers]
+                losses += [[float(total), float(weight)] for total, weight in parts]
+        measured = {f"loss{kind}": total / max(weight, TINY) for kind, (total, weight) in zip(kinds, losses.tolist())}
+        relative = (errors / np.maximum(square, TINY)).tolist()
+        for kind, values in zip(("", "_cache", "_grid"), relative):
+            measured.update({name + kind: value for name, value in zip(training_plots.NAMES.values(), values)})
+        return measured
+
+    def predict(self, model: Any) -> training_plots.Prediction:
+        """What a network answers to validation states, and the grids of the one with the most contacts."""
+        parts: list[tuple[Any, ...]] = []
+        most, shown = -1, None
+        with own_randomness(), torch.inference_mode():
+            for batch in self.validation:
+                images, target = self.splatter(batch)
+                output = model(images)
+                parts.append((self.decode(output, batch), batch.label, self.decode(target, batch)))
+                counts = batch.contact_start.diff()
+                i = int(counts.argmax())
+                if int(counts[i]) > most:
+                    most = int(counts[i])
+                    points = batch.point[batch.contact_start[i] : batch.contact_start[i + 1]]
+                    title = f"world {int(batch.seed[i])}, step {int(batch.step[i])}"
+                    shown = [output[i].numpy(), target[i].numpy(), points.numpy(), title]
+                if sum(len(part[0]) for part in parts) >= SHOWN_CONTACTS:
+                    break
+        assert shown is not None
+        impulse, label, floor = (torch.cat(column).numpy() for column in zip(*parts))
+        answer, target, points, title = shown
+        answer, target = (image.reshape(-1, 2, *self.grid.shape).sum(axis=0) for image in (answer, target))
+        return training_plots.Prediction(impulse, label, floor, self.grid, answer, target, points, title)
+
+    # ------------------------------------------------------------------ files
+
+    def identity(self) -> dict[str, Any]:
+        """What decides the bits of this training."""
+        options = {name: value for name, value in asdict(self.options).items() if name not in FREE}
+        return {**options, "processes": self.group.size, "data": self.data}
+
+    def manifest(self) -> dict[str, Any]:
+        """What the network's file says of it."""
+        return {
+            "grid": grid_dict(self.grid),
+            "images": plain(self.images),
+            "decode": {"reverse": self.decode.reverse},
+            "parameters": models.parameter_count(self.model),
+            "options": _plain_options(self.options),
+            "choices": self.choices,
+            "seed": self.options.seed,
+            "data": self.data,
+            "step": self.step,
+            "epoch": self.epoch,
+            "metrics": self.metrics,
+            "versions": all_versions(),
+        }
+
+    def save(self, began: float) -> None:
+        """Write the network and what the training continues from; all processes call it."""
+        rng = self.group.gather(torch.get_rng_state())
+        if not self.group.first:
+            return
+        progress = {
+            "epoch": self.epoch,
+            "batch": self.batch,
+            "step": self.step,
+            "best": self.best,
+            "metrics": self.metrics,
+            "running": self.running,
+            "choices": self.choices,
+            "search": self.search and self.search.plain(),
+            "spent": self.spent + time.perf_counter() - began,
+        }
+        save_checkpoint(self.options.out / LAST, self.model, self.manifest())
+        state = self.options.out / STATE
+        save_training(state, self.model, self.optimizer, self.schedule, progress, self.identity(), {"rng": rng})
+
+    def restore(self) -> None:
+        """Continue where ``save`` left off."""
+        state = self.options.out / STATE
+        progress, extra = load_training(state, self.model, self.optimizer, self.schedule, self.identity())
+        torch.set_rng_state(extra["rng"][self.group.rank])
+        for name in ("epoch", "batch", "step", "best", "metrics", "running", "choices", "spent"):
+            setattr(self, name, progress[name])
+        self.search = progress["search"] and RateSearch(**progress["search"])
+
+    def finish(self, began: float) -> dict[str, Any]:
+        """Draw the pictures, write and return the summary."""
+        options, complete = self.options, self.epoch == self.options.epochs
+        summary: dict[str, Any] = {
+            "network": self.network,
+            "complete": complete,
+            "epochs": self.epoch,
+            "steps": self.step,
+            "parameters": models.parameter_count(self.model),
+            "best_loss": self.best,
+            "metrics": self.metrics,
+            "training_s": self.spent + time.perf_counter() - began,
+            "choices": self.choices,
+            "search": self.search and self.search.plain(),
+            "processes": self.group.size,
+            "data": self.data,
+            "options": _plain_options(options),
+            "versions": all_versions(),
+            "out": str(options.out),
+        }
+        if not self.group.first:
+            return summary
+        title = f"{self.network}, {summary['parameters']:,} weights, {self.epoch} epochs, loss {options.loss}"
+        figures = {"curves.png": training_plots.curves_figure(self.log.rows, title)}
+        if self.search is not None:
+            figures["rates.png"] = training_plots.rates_figure(self.search)
+        if (options.out / BEST).exists() and self.metrics:
+            shown = self.predict(load_checkpoint(options.out / BEST)[0])
+            figures["predictions.png"] = training_plots.predictions_figure(shown, f"{title}: validation states")
+        for name, figure in figures.items():
+            with atomic_path(options.out / name) as partial:
+                plots.save(figure, partial)
+        networks = [name for name in (BEST, LAST, STATE) if (options.out / name).exists()]
+        summary["files"] = [*networks, "metrics.jsonl", "train.json", *figures]
+        write_json(options.out / "train.json", summary)
+        return summary
+
+
+class RunningSquare:
+    """Mean square of each channel (dimension 1) over what counts of several tensors."""
+
+    def __init__(self) -> None:
+        self.square: Any = 0.0
+        self.count: Any = 0.0
+
+    def add(self, values: Any, counts: Any) -> None:
+        """Add the values that count."""
+        self.square = self.square + (values.square() * counts).transpose(0, 1).flatten(1).sum(dim=1)
+        self.count = self.count + counts.transpose(0, 1).flatten(1).sum(dim=1)
+
+    def root(self) -> Any:
+        """Its root, 1 for a channel in which there is nothing, (channels,)."""
+        root = (self.square / torch.clamp(self.count, min=1)).sqrt()
+        return torch.where(root > 0, root, 1.0)
+
+
+def make_grid(box: Any, nodes: int) -> Grid:
+    """The grid over a box (low x, low y, high x, high y) [m] with so many nodes along its longer side."""
+    low, high = box[:2], box[2:]
+    return Grid.from_box(low, high, max(high[0] - low[0], high[1] - low[1]) / (nodes - 1))
+
+
+def _squares(error: Any) -> np.ndarray:
+    """Sums of squares of each column, in float64."""
+    return error.double().square().sum(dim=0).numpy()
+
+
+def _plain_options(options: TrainOptions) -> dict[str, Any]:
+    return {name: str(value) if name in ("data", "out") else value for name, value in asdict(options).items()}

@@ -1,0 +1,203 @@
+"""What a network is to be good at: losses on grids, on contacts, by energy, and after sweeps of the solver.
+
+A loss returns ``(total, weight)``, and its value is total / weight: so the mean over a batch that is shared by several
+processes, each with other contacts, is that of the whole batch. Errors are measured in units of a scale for each
+channel, that of the labels where it is to be relative.
+
+- ``grid_mse``, ``grid_mae``: the theses': mean over the nodes and channels of the image of the labels.
+- ``contact_mse``: mean over the contacts of the answer, gathered where they lie.
+- ``energy``: kinetic energy of the velocities that the error makes, e^T J M^-1 J^T e, over that of the labels: what
+  moves no body costs nothing, as piles have many answers.
+- ``sweeps``: squared error that k sweeps of the solver leave of the gathered answer, over the square of the labels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, get_args
+
+from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.transfer import Stencil
+from dc_kernels.model.config import SolverConfig
+from dc_kernels.runtime.optional import require
+from dc_kernels.solve.rows import COLORS
+from dc_kernels.torch_ops.sweeps import ContactProblem, sweeps_torch
+from dc_kernels.torch_ops.transfer import gather_torch
+from pipeline.training.train import LossName
+
+torch = require("torch", "pipeline")
+
+DEFAULT = SolverConfig()
+OPEN = 1e6  # as the solver's rows: a row that lets this many times the gap close within the step never acts
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decoder:
+    """How an impulse image is read at the contacts."""
+
+    grid: Grid
+    """Where the nodes lie."""
+    kernel: Stencil = "poly6"
+    """Stencil of the splat that made the images."""
+    h: float | None = None
+    """Its support radius [m]; None: 2 spacings."""
+    bins: int = 1
+    """Bins of normal directions."""
+    reverse: bool = True
+    """Reverse SPH (Engedal): what a node holds is shared among the contacts that reach it; False: bilinear (Wu)."""
+    threads: int = 1
+    """Worlds are shared by so many threads."""
+
+    def __call__(self, image: Any, batch: Any) -> Any:
+        """Normal and tangential impulse of each contact, (M, 2) [N s], of an image (B, 2 bins, rows, columns)."""
+        return gather_torch(
+            image,
+            batch.point,
+            self.grid,
+            kernel=self.kernel if self.reverse else "bilinear",
+            h=self.h,
+            reverse=self.reverse,
+            start=batch.contact_start,
+            bins=self.bins,
+            point_bin=direction_bins(batch.normal, self.bins) if self.bins > 1 else None,
+            threads=self.threads,
+        )
+
+
+def direction_bins(normal: Any, bins: int) -> Any:
+    """Bin of each normal (M, 2), its direction taken modulo pi: that of ``dc.Images``, (M,) int32."""
+    x, y = normal.unbind(dim=1)
+    flip = (y < 0) | ((y == 0) & (x < 0))
+    turn = torch.atan2(torch.where(flip, -y, y), torch.where(flip, -x, x)) * (1.0 / torch.pi)
+    return (turn * bins + 0.5).to(torch.int32) % bins
+
+
+def squared(output: Any, target: Any, scale: Any) -> tuple[Any, Any]:
+    """Sum of the squared errors in units of the scale, and the number of values."""
+    return ((output - target) / scale).square().sum(), output.new_tensor(float(output.numel()))
+
+
+def absolute(output: Any, target: Any, scale: Any) -> tuple[Any, Any]:
+    """Sum of the errors' magnitudes in units of the scale, and the number of values."""
+    return ((output - target) / scale).abs().sum(), output.new_tensor(float(output.numel()))
+
+
+def energy(impulse: Any, label: Any, problem: ContactProblem, threads: int = 1) -> tuple[Any, Any]:
+    """Energy of the error and of the labels, of all worlds [J]; impulses in the problem's order."""
+    error = problem.energy((impulse - label).contiguous(), threads=threads).sum()
+    return error, problem.energy(label, threads=threads).sum()
+
+
+def after_sweeps(
+    impulse: Any, label: Any, problem: ContactProblem, sweeps: int, leak: float = 0.0, threads: int = 1
+) -> tuple[Any, Any]:
+    """Squared error of the impulses after sweeps, and square of the labels [N^2 s^2]; see ``sweeps_torch``."""
+    swept = sweeps_torch(impulse, problem, sweeps, leak=leak, threads=threads)[0]
+    return (swept - label).square().sum(), label.square().sum()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loss:
+    """A loss by name: call it with an answer, the image of the labels and the batch."""
+
+    name: LossName
+    """See the top of the module."""
+    decode: Decoder
+    """How the answer is read at the contacts."""
+    grid_scale: Any
+    """Of the image's channels, (outputs,) [N s]."""
+    contact_scale: Any
+    """Of normal and tangential impulses, (2,) [N s]."""
+    sweeps: int = 20
+    """k of "sweeps"."""
+    leak: float = 0.1
+    """Share of the gradient that "sweeps" passes where the friction cone stops a row."""
+    slop: float = DEFAULT.slop
+    """See ``contact_problem`` [m]."""
+    restitution_threshold: float = DEFAULT.restitution_threshold
+    """See ``contact_problem`` [m/s]."""
+
+    def __post_init__(self) -> None:
+        if self.name not in get_args(LossName):
+            raise ValueError(f"loss is {self.name!r}; it must be one of {get_args(LossName)}")
+
+    @property
+    def on_grid(self) -> bool:
+        """Whether it is measured at the nodes."""
+        return self.name.startswith("grid")
+
+    def __call__(self, output: Any, target: Any, batch: Any) -> tuple[Any, Any]:
+        """Total and weight of an answer (B, outputs, rows, columns) [N s]."""
+        if self.on_grid:
+            measure = squared if self.name == "grid_mse" else absolute
+            return measure(output, target, self.grid_scale[:, None, None])
+        return self.of_impulses(self.decode(output, batch), batch)
+
+    def of_impulses(self, impulse: Any, batch: Any) -> tuple[Any, Any]:
+        """Total and weight of impulses at the contacts, (M, 2) [N s]; a loss on grids has none."""
+        if self.name == "contact_mse":
+            return squared(impulse, batch.label, self.contact_scale)
+        problem, order = contact_problem(batch, self.slop, self.restitution_threshold)
+        impulse, label = impulse[order], batch.label[order]
+        if self.name == "energy":
+            return energy(impulse, label, problem, self.decode.threads)
+        return after_sweeps(impulse, label, problem, self.sweeps, self.leak, self.decode.threads)
+
+
+def contact_problem(
+    batch: Any, slop: float = DEFAULT.slop, restitution_threshold: float = DEFAULT.restitution_threshold
+) -> tuple[ContactProblem, Any]:
+    """The problem of each state as the solver packs it, its contacts in the solver's order: by colour.
+
+    Velocity biases of overlaps (``SolverConfig.position_correction`` "baumgarte") are not part of it.
+
+    Args:
+        batch: of the data set.
+        slop: overlap that the solver leaves alone, gap that counts as closed [m]: that of its configuration times the
+            worlds' length scale.
+        restitution_threshold: approach speed below which a contact does not bounce [m/s].
+
+    Returns:
+        The problem, and the order of its contacts: ``impulse[order]`` are those of the batch's ``impulse``.
+    """
+    states = torch.arange(len(batch.dt))
+    of_body = states.repeat_interleave(batch.body_start.diff())
+    of_contact = states.repeat_interleave(batch.contact_start.diff())
+    order = torch.argsort(of_contact * COLORS + batch.color, stable=True)
+    dynamic = batch.mass > 0
+    dt = batch.dt[of_body, None]
+    moved = batch.velocity + torch.where(dynamic[:, None], dt * batch.gravity[of_body], 0.0)
+    values = {name: getattr(batch, name)[order] for name in ("body_a", "body_b", "normal", "friction")}
+    point, gap, e = (getattr(batch, name)[order] for name in ("point", "gap", "restitution"))
+    values.update({f"arm_{side}": point - batch.position[values[f"body_{side}"]] for side in "ab"})
+    velocity = torch.cat([moved, batch.angular_velocity[:, None]], dim=1)
+    dt = batch.dt[of_contact[order]]
+    normal_speed = _normal_speed(velocity, values)
+    before = _normal_speed(torch.cat([batch.velocity, batch.angular_velocity[:, None]], dim=1), values)
+    bias = torch.where(gap > slop, gap / dt, 0.0)
+    bounced = torch.where(
+        before > 0,
+        torch.maximum(bias, e * before),
+        torch.where(before < -restitution_threshold, torch.minimum(bias, e * before), bias),
+    )
+    stays_open = (gap > slop) & (gap + normal_speed * dt >= 0)
+    bias = torch.where(e > 0, torch.where(stays_open, OPEN * gap / dt, bounced), bias)
+    problem = ContactProblem(
+        contact_start=batch.contact_start,
+        body_start=batch.body_start,
+        bias=bias,
+        inv_mass=torch.where(dynamic, 1.0 / batch.mass, 0.0),
+        inv_inertia=torch.where(batch.inertia > 0, 1.0 / batch.inertia, 0.0),
+        velocity=velocity,
+        **values,
+    )
+    return problem, order
+
+
+def _normal_speed(velocity: Any, contacts: dict[str, Any]) -> Any:
+    """Of B against A at each contact along the normal, (M,) [m/s]; velocity (N, 3)."""
+    sides = []
+    for side in "ab":
+        body, arm = velocity[contacts[f"body_{side}"]], contacts[f"arm_{side}"]
+        sides.append(body[:, :2] + body[:, 2:] * torch.stack([-arm[:, 1], arm[:, 0]], dim=1))
+    return ((sides[1] - sides[0]) * contacts["normal"]).sum(dim=1)

@@ -1,0 +1,274 @@
+"""Candidate pairs against all pairs, a k-d tree, and the motion of a step."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+import dc_kernels as dc
+from tests.geometry import contacts_of, core, hull_distance, pairs_of, simulate, tight_boxes
+
+KINDS = (dc.BodyType.DYNAMIC, dc.BodyType.DYNAMIC, dc.BodyType.KINEMATIC, dc.BodyType.STATIC)
+
+
+def random_world(builder, rng, bodies, size, spread, speed=0.0, far=(0.0, 0.0), **world):
+    """Bodies of all types with one or two shapes; sizes from ``size`` = (low, high), evenly in their logarithm."""
+    builder.add_world(gravity=(0, 0), **world)
+    for _ in range(bodies):
+        kind = rng.choice(KINDS)
+        velocity, spin = (0.0, 0.0), 0.0
+        if kind != dc.BodyType.STATIC:
+            velocity, spin = rng.uniform(-speed, speed, 2), rng.uniform(-speed, speed)
+        position = rng.uniform(-spread, spread, 2) + far
+        body = builder.add_body(position, rng.uniform(-4, 4), velocity, spin, type=kind)
+        for _ in range(rng.integers(1, 3)):
+            r = math.exp(rng.uniform(*np.log(size)))
+            center = r * rng.uniform(-2, 2, 2)
+            # bits 1 and 2; few refuse the other
+            bits = {"category": int(rng.integers(1, 4)), "mask": int(rng.choice([1, 2, 3, 0xFFFFFFFF]))}
+            form = rng.integers(0, 4)
+            if form == 0:
+                builder.add_disc(body, r, center, **bits)
+            elif form == 1:
+                builder.add_box(body, r, r * rng.uniform(0.1, 1), center, **bits)
+            elif form == 2:
+                builder.add_capsule(body, center, center + r, 0.3 * r, **bits)
+            elif kind == dc.BodyType.STATIC:
+                builder.add_chain(body, center + r * np.array([(0, 0), (1, 0), (2, 1)]), **bits)
+            else:
+                builder.add_polygon(body, center + r * np.array([(0, 0), (1, 0), (0, 1)]), 0.1 * r, **bits)
+
+
+def allowed(sim, a, b):
+    """Whether the shapes may meet at all: bodies, types, filters."""
+    model = sim.model
+    i, j = model.numpy("shape_body")[[a, b]]
+    kinds = model.numpy("body_type")[[i, j]]
+    category, mask = model.numpy("shape_category"), model.numpy("shape_mask")
+    return bool(i != j and (kinds == dc.BodyType.DYNAMIC).any() and category[a] & mask[b] and category[b] & mask[a])
+
+
+def box_pairs(sim, boxes, world, grow):
+    """All allowed pairs of shapes of a world whose boxes are closer than ``grow``, as sets of (low, high) index."""
+    first, last = sim.model.numpy("shape_start")[world : world + 2]
+    box = boxes[first:last]
+    apart = np.maximum(box[:, None, :2] - box[None, :, 2:], box[None, :, :2] - box[:, None, 2:]).max(axis=2)
+    close = np.argwhere(np.triu(apart <= grow, 1)) + first
+    return {(int(a), int(b)) for a, b in close if allowed(sim, a, b)}
+
+
+def check_pairs(sim):
+    """Everything the pair list promises, in every world; returns the number of pairs."""
+    model = sim.model
+    boxes = tight_boxes(sim)
+    owner = model.numpy("shape_body")
+    static = model.numpy("body_type")[owner] == dc.BodyType.STATIC
+    total = 0
+    for w in range(model.world_count):
+        pairs = [(int(a), int(b)) for a, b in pairs_of(sim, w)]
+        assert pairs == sorted(set(pairs))
+        for a, b in pairs:
+            assert not static[b]
+            assert static[a] or a < b
+        found = {(min(pair), max(pair)) for pair in pairs}
+        assert len(found) == len(pairs)
+        scale = float(model.numpy("length_scale")[w])
+        assert found >= box_pairs(sim, boxes, w, sim.config.speculative * scale * (1 - 1e-5))
+        # and exactly the overlaps of the boxes with margin that it was made from
+        assert found == box_pairs(sim, sim.pairs.numpy("box"), w, 0.0)
+        total += len(pairs)
+    return total
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 40), st.sampled_from([1.0, 100.0, 1e4]), st.floats(0.3, 30))
+def test_all_pairs_that_can_meet_are_candidates(seed, bodies, ratio, spread):
+    rng = np.random.default_rng(seed)
+    builder = dc.ModelBuilder()
+    random_world(builder, rng, bodies, (0.3 / math.sqrt(ratio), 0.31 * math.sqrt(ratio)), spread, far=(-7, 3))
+    sim = simulate(builder)
+    sim.collide(1e-3)
+    check_pairs(sim)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_worlds_of_different_size_do_not_mix(dtype):
+    rng = np.random.default_rng(1)
+    builder = dc.ModelBuilder()
+    for bodies in (0, 1, 60, 3, 0, 25, 200):
+        random_world(builder, rng, bodies, (0.1, 1), 4.0, speed=2.0)
+    sim = simulate(builder, dtype, pairs_per_shape=0.5)
+    sim.collide(0.01)
+    assert check_pairs(sim) > 500
+    for w in range(sim.model.world_count):
+        first, last = sim.model.numpy("shape_start")[w : w + 2]
+        assert ((pairs_of(sim, w) >= first) & (pairs_of(sim, w) < last)).all()
+
+
+def test_worlds_give_the_same_pairs_alone_and_together():
+    def add(builder, seed):
+        random_world(builder, np.random.default_rng(seed), 30, (0.1, 1), 3.0)
+
+    together = dc.ModelBuilder()
+    for seed in range(3):
+        add(together, seed)
+    sim = simulate(together)
+    sim.collide(0.01)
+    for seed in range(3):
+        alone = dc.ModelBuilder()
+        add(alone, seed)
+        single = simulate(alone)
+        single.collide(0.01)
+        first = sim.model.numpy("shape_start")[seed]
+        assert np.array_equal(pairs_of(sim, seed) - first, pairs_of(single))
+
+
+def test_worlds_without_moving_bodies():
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_world()
+    for i in range(5):
+        builder.add_box(builder.add_body((0.1 * i, 0), type=dc.BodyType.STATIC), 1, 1)
+    builder.add_world()
+    for i in range(5):
+        builder.add_disc(builder.add_body((0.1 * i, 0), type=dc.BodyType.KINEMATIC, velocity=(i, 1)), 1)
+    builder.add_world()
+    builder.add_body((1, 1), mass=1.0)
+    sim = simulate(builder)
+    sim.run(3, 0.01)
+    assert not sim.pairs.numpy("pair_count").any()
+    assert np.allclose(sim.state.numpy("time"), 0.03)
+
+
+@pytest.mark.parametrize(("count", "spread"), [(300, 5.0), (300, 0.3), (2000, 30.0)])
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_contacts_of_equal_discs_are_those_of_a_k_d_tree(count, spread, dtype):
+    rng = np.random.default_rng(count)
+    radius = 0.25
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0, 0))
+    builder.add_discs(rng.uniform(-spread, spread, (count, 2)), radius)
+    sim = simulate(builder, dtype)
+    sim.collide(0.01)
+    reach = 2 * radius * (1 + sim.config.speculative)
+    centers = sim.state.numpy("position").astype(float)
+    tree = cKDTree(centers)
+    sure, perhaps = (tree.query_pairs(reach * f) for f in (1 - 1e-5, 1 + 1e-5))
+    assert sure <= {(int(a), int(b)) for a, b in pairs_of(sim)}
+    table = contacts_of(sim)
+    found = {(int(a), int(b)) for a, b in zip(table["body_a"], table["body_b"], strict=True)}
+    assert sure <= found <= perhaps
+
+
+@pytest.mark.parametrize("ratio", [100.0, 1e4])
+def test_sizes_far_apart_bring_few_needless_pairs(ratio):
+    rng = np.random.default_rng(7)
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0, 0))
+    # a few large discs among many small ones, that fill the same area
+    builder.add_discs(rng.uniform(-20, 20, (3000, 2)), 0.1)
+    builder.add_discs(rng.uniform(-20, 20, (6, 2)) * math.sqrt(ratio), 0.1 * ratio)
+    sim = simulate(builder)
+    sim.collide(1e-3)
+    candidates = check_pairs(sim)
+    overlaps = len(box_pairs(sim, tight_boxes(sim), 0, 0.0))
+    assert overlaps > 300
+    # a margin of 8 % on each side of a box of 20 cm makes its area 1.35 times as large
+    assert candidates < 1.5 * overlaps + 20
+
+
+def still_world(**body):
+    """Two discs that touch, one far away, one long thin box."""
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0, 0), length_scale=1.0)
+    for x in (0.0, 1.0, 9.0):
+        builder.add_disc(builder.add_body((x, 0), **(body if x == 9.0 else {})), 0.5)
+    builder.add_box(builder.add_body((0, 9)), 6.0, 0.01)
+    return simulate(builder)
+
+
+def test_pairs_are_kept_while_motion_is_small():
+    sim = still_world(velocity=(0.1, -0.1))
+    sim.run(5, 0.01)
+    assert sim.pairs.numpy("rebuilds")[0] == 1
+    before = pairs_of(sim).copy()
+    sim.state.numpy("position")[2] += (0.02, -0.02)
+    sim.run(1, 0.01)
+    assert sim.pairs.numpy("rebuilds")[0] == 1
+    assert np.array_equal(before, pairs_of(sim))
+
+
+def test_pairs_are_made_anew_when_a_body_leaves_its_margin():
+    sim = still_world(velocity=(-1.0, 0.0))
+    seen = []
+    for _ in range(800):
+        sim.step(0.01)
+        seen.append(int(sim.pairs.numpy("rebuilds")[0]))
+        near = hull_distance(core(sim, 1)[0], core(sim, 2)[0]) - 1.0
+        assert near > 0.02 or (1, 2) in {tuple(p) for p in pairs_of(sim).tolist()}
+    # once in 8 cm + 4 steps of motion or more, not in every step
+    assert 20 < seen[-1] < 110
+
+
+def test_pairs_are_made_anew_when_the_user_moves_a_body():
+    sim = still_world()
+    sim.step(0.01)
+    assert pairs_of(sim).tolist() == [[0, 1]]
+    sim.state.numpy("position")[2] = (-1.0, 0.0)
+    sim.step(0.01)
+    assert sim.pairs.numpy("rebuilds")[0] == 2
+    assert pairs_of(sim).tolist() == [[0, 1], [0, 2]]
+    assert contacts_of(sim)["body_b"].tolist() == [1, 2]
+
+
+def test_pairs_are_made_anew_when_a_long_box_turns():
+    sim = still_world()
+    sim.state.numpy("position")[3] = (0.0, 6.6)
+    sim.step(0.01)
+    assert pairs_of(sim).tolist() == [[0, 1]]
+    sim.state.numpy("angle")[3] = math.pi / 2
+    sim.step(0.01)
+    assert [0, 3] in pairs_of(sim).tolist()
+
+    sim = still_world()
+    sim.state.numpy("position")[3] = (0.0, 6.51)
+    sim.state.numpy("angular_velocity")[3] = 2.0
+    for _ in range(100):
+        sim.step(0.01)
+        if hull_distance(core(sim, 0)[0], core(sim, 3)[0]) < 0.52:
+            assert [0, 3] in pairs_of(sim).tolist()
+            break
+    else:
+        raise AssertionError("the box never reached the disc")
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_all_in_one_cell(dtype):
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0, 0))
+    builder.add_discs(np.full((20, 2), -3.7) + np.linspace(0, 0.01, 20)[:, None], 1.0)
+    sim = simulate(builder, dtype)
+    sim.collide(0.01)
+    assert check_pairs(sim) == 190
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 60))
+def test_the_list_holds_all_that_meets_within_the_step(seed, speed):
+    rng = np.random.default_rng(seed)
+    dt = 1 / 60
+    builder = dc.ModelBuilder()
+    random_world(builder, rng, 20, (0.1, 0.5), 3.0, speed=speed)
+    sim = simulate(builder)
+    sim.collide(dt)
+    # a second step on the kept or new pairs, from where free flight leads
+    for _ in range(2):
+        start = {name: sim.state.numpy(name).copy() for name in ("position", "angle")}
+        check_pairs(sim)
+        listed = {(min(p), max(p)) for p in pairs_of(sim).tolist()}
+        for t in np.linspace(0, dt, 9):
+            sim.state.numpy("position")[:] = start["position"] + t * sim.state.numpy("velocity")
+            sim.state.numpy("angle")[:] = start["angle"] + t * sim.state.numpy("angular_velocity")
+            assert box_pairs(sim, tight_boxes(sim), 0, 0.0) <= listed
+        sim.collide(dt)

@@ -1,0 +1,512 @@
+"""Splat, gather and their gradients: closed forms, conservation, adjointness, and the kernels against the oracle."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.transfer import (
+    BAND,
+    CHUNK,
+    Splat,
+    Transfer,
+    gather,
+    kernel_array,
+    kernel_vectors,
+    splat,
+    stencil_scalars,
+    transfer_kernels,
+)
+from dc_kernels.runtime.backends import bind
+from dc_kernels.sph.smoothing import KERNELS, STENCILS, smoothing
+
+SPACING = 0.25
+RADIAL, SEPARABLE = tuple(KERNELS), ("bilinear", "bspline")
+# relative to the largest entry; in float32 a point whose support barely reaches a node has weights of few digits, and
+# the derivatives of their ratio fewer
+BOUND = {"float64": 1e-11, "float32": 5e-5}
+GRADIENT_BOUND = {"float64": 1e-9, "float32": 2e-3}
+
+
+def cloud(grid: Grid, count: int, seed: int = 0, margin: float = 0.0, dtype: Any = np.float64) -> np.ndarray:
+    """Random points, up to ``margin`` spacings outside the grid."""
+    draw = np.random.default_rng(seed)
+    edge = margin * grid.spacing
+    return draw.uniform(np.array(grid.origin) - edge, np.array(grid.upper) + edge, (count, 2)).astype(dtype)
+
+
+def border_cloud(grid: Grid, count: int, seed: int = 0, dtype: Any = np.float64) -> np.ndarray:
+    """Points inside, near, on and beyond the border."""
+    points = cloud(grid, count, seed, margin=3.0, dtype=dtype)
+    low, high = np.array(grid.origin), np.array(grid.upper)
+    points[::7] = np.clip(points[::7], low, high)  # those that were outside now lie on the border
+    points[1] = low
+    points[2] = high
+    points[3] = low - 50 * grid.spacing
+    return points
+
+
+def launch(table: Any, name: str, dim: int, arrays: dict[str, Any], backend: str, **scalars: Any) -> None:
+    """Bind a kernel of a backend to numpy arrays by name and run it."""
+    vectors = ("grid_origin", "point", "gradient")
+    values: dict[str, Any] = dict(scalars)
+    for key, array in arrays.items():
+        values[key] = kernel_vectors(array, backend) if key in vectors else kernel_array(array, backend)
+    bind(table[name], dim, values, "cpu")()
+
+
+def weights(points: np.ndarray, grid: Grid, **options: Any) -> np.ndarray:
+    """The matrix of the splat, (nodes, points), found by splatting one point at a time."""
+    worlds = splat(points, np.ones((len(points), 1), points.dtype), grid, start=range(len(points) + 1), **options)
+    return worlds.reshape(len(points), -1).T
+
+
+# ---------------------------------------------------------------------- the oracle
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("normalize", ["sum", "particle"])
+@pytest.mark.parametrize("kernel", STENCILS)
+def test_kernels_agree_with_the_oracle(kernel, normalize, dtype):
+    """Three worlds, one without points, at channels amid others; small and narrow grids; supports of all sizes."""
+    draw = np.random.default_rng(5)
+    counts = np.array([9, 0, 14], np.int32)
+    start, total = np.array([0, 9, 9], np.int32), 23
+    world = np.repeat([0, 1, 2], counts)
+    tables = {backend: transfer_kernels(backend, dtype) for backend in ("warp", "numpy")}
+    shapes = (((13, 9), 2.0), ((2, 2), 0.4), ((2, 40), 8.0), ((19, 11), 1.3))
+    for (shape, support), nearest, bins in itertools.product(shapes, (0, 1), (1, 3)):
+        channels, before = int(draw.integers(1, 7)), int(draw.integers(0, 3))
+        origin = draw.normal(size=(3, 2)).astype(dtype)
+        size = SPACING * np.array(shape[::-1])
+        points = (draw.uniform(-0.4, 1.4, (total, 2)) * size + origin[world]).astype(dtype)
+        points[4], points[11, 1], points[20, 0] = np.nan, np.inf, 1e30
+        values = draw.normal(size=(total, channels)).astype(dtype)
+        field = draw.normal(size=(3, before + bins * channels + 1, *shape)).astype(dtype)
+        given = {
+            "grid_origin": origin,
+            "point_start": start,
+            "point_count": counts,
+            "point": points,
+            "point_bin": draw.integers(0, bins, total).astype(np.int32),
+        }
+        scalars = stencil_scalars(Grid(rows=shape[0], columns=shape[1], spacing=SPACING), kernel, None, normalize, True)
+        scalars.update(h=support * SPACING, nearest=nearest, bins=bins)
+        scalars.update(channel_offset=before, world_offset=0, chunks=1)
+        found: dict[str, list[np.ndarray]] = {}
+        for backend, table in tables.items():
+            image = np.zeros_like(field)
+            touched = np.zeros((3, -(-shape[0] // BAND)), np.int32)
+            missed = np.full(3, -1, np.int32)
+            arrays = {**given, "value": values, "touched": touched, "missed": missed, "image": image}
+            launch(table, "splat_worlds", 3, arrays, backend, **scalars)
+            value, gradient = np.full_like(values, 9.0), np.full_like(points, 9.0)
+            launch(table, "gather_points", 3, {**given, "image": field, "value": value}, backend, **scalars)
+            arrays = {**given, "image": field, "value": values, "gradient": gradient}
+            launch(table, "gather_gradient", 3, arrays, backend, **scalars)
+            found[backend] = [image, value, gradient, missed, touched]
+        # a derivative that is 0 because one node takes all is a difference of terms that are not
+        least = (1e-30, 1e-30, 1 / SPACING)
+        for fast, slow, bound, scale in zip(found["warp"], found["numpy"], (BOUND, BOUND, GRADIENT_BOUND), least):
+            np.testing.assert_allclose(fast, slow, rtol=0, atol=bound[dtype] * max(np.abs(slow).max(), scale))
+        np.testing.assert_array_equal(found["warp"][3], found["numpy"][3])
+        assert (found["warp"][4] >= found["numpy"][4]).all()  # each band that was written is marked
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_division_by_the_weights_of_each_bin(backend):
+    draw = np.random.default_rng(1)
+    weight = np.maximum(draw.normal(size=(2, 3, 4, 5)), 0.0)
+    image = draw.normal(size=(2, 6, 4, 5))
+    by = weight.repeat(2, axis=1)
+    expected = np.divide(image, by, out=np.zeros_like(image), where=by > 0)
+    launch(
+        transfer_kernels(backend, "float64"),
+        "divide_image",
+        2,
+        {"weight": weight, "image": image},
+        backend,
+        world_offset=0,
+    )
+    np.testing.assert_allclose(image, expected, rtol=1e-15)
+
+
+@pytest.mark.parametrize("normalize", ["sum", "particle"])
+@pytest.mark.parametrize("kernel", RADIAL)
+def test_radial_weights_are_those_of_all_nodes_within_the_support(kernel, normalize):
+    """Against the dense matrix; supports from less than a cell to more than the grid."""
+    for shape, support in (((9, 12), 0.6), ((9, 12), 2.0), ((30, 25), 8.0), ((5, 3), 20.0), ((2, 40), 5.5)):
+        grid = Grid(rows=shape[0], columns=shape[1], spacing=SPACING, origin=(-1.0, 2.0))
+        points = border_cloud(grid, 40)
+        h = support * SPACING
+        far = np.linalg.norm(grid.nodes().reshape(-1, 1, 2) - points, axis=-1)
+        dense = smoothing(kernel, far, h)
+        if normalize == "particle":
+            dense /= np.maximum(dense.sum(axis=0), 1e-300)
+        found = weights(points, grid, h=h, kernel=kernel, normalize=normalize, nearest=False)
+        np.testing.assert_allclose(found, dense, rtol=1e-9, atol=1e-13 * dense.max())
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+@pytest.mark.parametrize("normalize", ["sum", "particle"])
+@pytest.mark.parametrize("kernel", STENCILS)
+def test_gradient_is_that_of_the_gather(kernel, normalize, backend):
+    """Central differences, where the derivative exists and is not huge: not on grid lines, nodes barely reached."""
+    grid = Grid(rows=7, columns=9, spacing=SPACING, origin=(0.5, -0.5))
+    h, step = 0.53, 1e-6
+    points = cloud(grid, 60, seed=3, margin=1.5)
+    offset = (points - grid.origin) / SPACING
+    far = np.linalg.norm(grid.nodes().reshape(-1, 1, 2) - points, axis=-1)
+    reached = far.min(axis=0) < 0.8 * h
+    points = np.ascontiguousarray(points[(np.abs(offset - np.round(offset)).min(axis=1) > 1e-3) & reached])
+    assert len(points) > 30
+    draw = np.random.default_rng(2)
+    image, values = draw.normal(size=(1, 3, 7, 9)), draw.normal(size=(len(points), 3))
+    options = {"h": h, "kernel": kernel, "normalize": normalize, "backend": backend}
+    expected = np.empty_like(points)
+    for axis in range(2):
+        shift = step * np.eye(2)[axis]
+        ends = [gather(image, points + sign * shift, grid, **options) for sign in (1, -1)]
+        expected[:, axis] = (values * (ends[0] - ends[1])).sum(axis=1) / (2 * step)
+    transfer = Transfer(points, grid, **options)
+    gradient = np.empty_like(points)
+    values_of = {**transfer.values, "gradient": kernel_vectors(gradient, backend), "world_offset": 0, "chunks": 1}
+    values_of.update(image=kernel_array(image, backend), value=kernel_array(values, backend))
+    bind(transfer.table["gather_gradient"], 1, values_of, "cpu")()
+    np.testing.assert_allclose(gradient, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
+
+
+# ---------------------------------------------------------------------- what a transfer keeps
+
+
+@pytest.mark.parametrize("support", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("kernel", STENCILS)
+def test_particle_weights_conserve_every_channel(kernel, support):
+    grid = Grid(rows=33, columns=21, spacing=SPACING, origin=(3.0, -7.0))
+    points = border_cloud(grid, 3000, dtype=np.float32)
+    values = np.random.default_rng(1).uniform(0.5, 2.0, (3000, 3)).astype(np.float32)
+    image = splat(points, values, grid, h=support * SPACING, kernel=kernel)
+    given = values.sum(axis=0, dtype=np.float64)
+    np.testing.assert_allclose(image[0].sum(axis=(1, 2), dtype=np.float64), given, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kernel", STENCILS)
+def test_averages_and_gathers_reproduce_constants(kernel):
+    grid = Grid(rows=10, columns=17, spacing=SPACING)
+    points = border_cloud(grid, 50)
+    constant = np.array([1.0, -3.5])
+    average = splat(points, np.tile(constant, (50, 1)), grid, kernel=kernel, normalize="shepard")
+    reached = splat(points, np.ones((50, 1)), grid, kernel=kernel, normalize="sum")[0, 0] > 0
+    assert reached.any() and not reached.all()
+    for c, expected in enumerate(constant):
+        np.testing.assert_allclose(average[0, c][reached], expected, rtol=1e-12)
+        assert not average[0, c][~reached].any()
+    image = np.tile(constant[:, None, None], (1, 1, 10, 17))
+    np.testing.assert_allclose(gather(image, points, grid, kernel=kernel), np.tile(constant, (50, 1)), rtol=1e-12)
+
+
+@pytest.mark.parametrize("kernel", SEPARABLE)
+def test_linear_fields_are_reproduced_up_to_the_border(kernel):
+    for rows, columns in ((2, 2), (2, 40), (3, 5), (20, 4)):
+        grid = Grid(rows=rows, columns=columns, spacing=SPACING, origin=(-2.0, 1.0))
+        points = border_cloud(grid, 60)
+        image = (1.5 + grid.nodes() @ [2.0, -3.0])[None, None]
+        inside = np.clip(points, grid.origin, grid.upper)  # beyond the grid the border's value holds on
+        found = gather(np.ascontiguousarray(image), points, grid, kernel=kernel)
+        np.testing.assert_allclose(found[:, 0], 1.5 + inside @ [2.0, -3.0], rtol=0, atol=1e-12)
+
+
+def test_reverse_gives_back_what_was_splatted():
+    """The sum over the nodes always; each point's own value where no two supports overlap (reverse SPH)."""
+    grid = Grid(rows=20, columns=20, spacing=SPACING)
+    values = np.random.default_rng(4).normal(size=(4, 2))
+    apart = np.array([[0.6, 0.7], [3.0, 0.65], [0.7, 3.1], [3.3, 3.3]])
+    image = splat(apart, values, grid)
+    np.testing.assert_allclose(gather(image, apart, grid, kernel="poly6", reverse=True), values, rtol=1e-12)
+    together = cloud(grid, 4, seed=1) * 0.2 + 1.0
+    image = splat(together, values, grid)
+    back = gather(image, together, grid, kernel="poly6", reverse=True)
+    np.testing.assert_allclose(back.sum(axis=0), values.sum(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(image, splat(together, values, grid))  # the caller's image is as it was
+
+
+@pytest.mark.parametrize(("dtype", "bound"), [("float32", 2e-6), ("float64", 1e-14)])
+@pytest.mark.parametrize("normalize", ["sum", "particle"])
+@pytest.mark.parametrize("kernel", STENCILS)
+def test_gather_is_the_transpose_of_splat(kernel, normalize, dtype, bound):
+    """<S f, g> = <f, S^T g>, to the round-off of sums of such length."""
+    grid = Grid(rows=11, columns=14, spacing=SPACING)
+    draw = np.random.default_rng(8)
+    points = border_cloud(grid, 200, dtype=dtype)
+    start, bins = [0, 90, 90, 200], draw.integers(0, 2, 200)
+    f = draw.normal(size=(200, 3)).astype(dtype)
+    g = draw.normal(size=(3, 6, 11, 14)).astype(dtype)
+    options: dict[str, Any] = {"kernel": kernel, "normalize": normalize, "start": start, "bins": 2, "point_bin": bins}
+    image, back = splat(points, f, grid, **options), gather(g, points, grid, **options)
+    left, right = np.vdot(image.astype(float), g), np.vdot(f, back.astype(float))
+    scale = np.linalg.norm(image) * np.linalg.norm(g)
+    assert abs(left - right) <= bound * scale
+
+
+# ---------------------------------------------------------------------- places
+
+
+def test_bilinear_weights_on_nodes_edges_and_corners():
+    """Powers of two, so exact in float32 too."""
+    grid = Grid(rows=3, columns=4, spacing=0.5, origin=(1.0, -1.0))
+    for dtype, (at, expected) in itertools.product(
+        (np.float32, np.float64),
+        (
+            ((1.5, -0.5), {(1, 1): 1.0}),  # a node
+            ((1.75, -0.5), {(1, 1): 0.5, (1, 2): 0.5}),  # an edge
+            ((1.625, -0.625), {(0, 1): 0.1875, (0, 2): 0.0625, (1, 1): 0.5625, (1, 2): 0.1875}),
+            ((1.0, -1.0), {(0, 0): 1.0}),  # corners of the grid
+            ((2.5, 0.0), {(2, 3): 1.0}),
+            ((2.5, -0.75), {(0, 3): 0.5, (1, 3): 0.5}),  # its border
+            ((9.0, -0.75), {(0, 3): 0.5, (1, 3): 0.5}),  # beyond
+            ((-9.0, 9.0), {(2, 0): 1.0}),
+        ),
+    ):
+        wanted = np.zeros((3, 4))
+        for node, weight in expected.items():
+            wanted[node] = weight
+        image = splat(np.array([at], dtype), np.ones((1, 1), dtype), grid, kernel="bilinear")
+        np.testing.assert_array_equal(image[0, 0], wanted)
+
+
+@pytest.mark.parametrize("kernel", [name for name in RADIAL if name != "gaussian"])  # which jumps at r = h
+def test_a_support_of_one_spacing_on_a_node_an_edge_and_a_cell(kernel):
+    grid = Grid(rows=4, columns=4, spacing=0.5)
+    for at, nodes in (
+        ((0.5, 1.0), [(2, 1)]),  # its neighbours lie at r = h, where W is 0
+        ((0.75, 1.0), [(2, 1), (2, 2)]),
+        ((0.75, 0.75), [(1, 1), (1, 2), (2, 1), (2, 2)]),
+        ((0.0, 0.0), [(0, 0)]),
+        ((1.5, 1.5), [(3, 3)]),
+    ):
+        wanted = np.zeros((4, 4))
+        for node in nodes:
+            wanted[node] = 1 / len(nodes)
+        image = splat(np.array([at]), np.ones((1, 1)), grid, h=0.5, kernel=kernel)
+        np.testing.assert_allclose(image[0, 0], wanted, rtol=1e-14)
+
+
+@pytest.mark.parametrize("kernel", STENCILS)
+def test_particles_of_one_cell_add_up(kernel):
+    grid = Grid(rows=9, columns=9, spacing=SPACING)
+    points = np.array([[0.52, 0.61], [0.58, 0.55], [0.52, 0.61]])
+    values = np.array([[1.0, -2.0], [3.0, 0.5], [0.25, 4.0]])
+    alone = sum(splat(points[i : i + 1], values[i : i + 1], grid, kernel=kernel) for i in range(3))
+    np.testing.assert_allclose(splat(points, values, grid, kernel=kernel), alone, rtol=1e-13, atol=1e-15)
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_what_reaches_no_node_goes_to_the_nearest_or_is_lost(backend):
+    """One point in a cell's middle, one just outside, one far outside, one inside; h is a third of the spacing."""
+    grid = Grid(rows=4, columns=5, spacing=0.75)
+    points = np.array([[0.4, 1.1], [-0.2, 0.8], [90.0, -7.0], [1.6, 1.6]])
+    values = np.array([[1.0], [2.0], [4.0], [8.0]])
+    kept, lost = np.zeros((4, 5)), np.zeros((4, 5))
+    kept[1, 1], kept[1, 0], kept[0, 4], kept[2, 2], lost[1, 0], lost[2, 2] = 1.0, 2.0, 4.0, 8.0, 2.0, 8.0
+    for nearest, expected in ((True, kept), (False, lost)):
+        transfer = Transfer(points, grid, h=0.25, nearest=nearest, backend=backend)
+        image = np.zeros((1, 1, 4, 5))
+        bound = transfer.splat(values, image)
+        bound()
+        np.testing.assert_allclose(image[0, 0], expected, rtol=1e-13)
+        np.testing.assert_array_equal(bound.missed, [2])
+        found = np.full((4, 1), 9.0)
+        transfer.gather(np.arange(20.0).reshape(1, 1, 4, 5), found)()
+        wanted = [6.0, 5.0, 4.0, 12.0] if nearest else [0.0, 5.0, 0.0, 12.0]
+        np.testing.assert_allclose(found[:, 0], wanted, rtol=1e-13)
+    # a plain sum has no weight 1 to give
+    assert splat(points[2:3], values[2:3], grid, h=0.25, normalize="sum", backend=backend).sum() == 0.0
+
+
+@pytest.mark.parametrize("kernel", STENCILS)
+def test_points_that_ceased_to_be_finite_contribute_nothing(kernel):
+    """Values are checked when bound; what blows up afterwards must not spoil the image or crash."""
+    grid = Grid(rows=8, columns=8, spacing=SPACING)
+    points = cloud(grid, 4)
+    image, values = np.zeros((1, 1, 8, 8)), np.ones((4, 1))
+    transfer = Transfer(points, grid, kernel=kernel)
+    bound, back = transfer.splat(values, image), transfer.gather(image, values)
+    points[0], points[2, 1] = np.nan, -np.inf
+    bound()
+    assert image.sum() == pytest.approx(2.0)
+    assert bound.missed[0] == 2
+    back()
+    assert values[0] == 0.0 and values[2] == 0.0 and values[1] > 0.0
+
+
+# ---------------------------------------------------------------------- worlds, threads, memory
+
+
+def test_nothing_to_splat():
+    grid = Grid(rows=5, columns=6, spacing=SPACING)
+    none, empty = np.zeros((0, 2), np.float32), np.zeros((0, 3), np.float32)
+    assert splat(none, empty, grid).shape == (1, 3, 5, 6)
+    assert splat(none, empty, grid, start=[0]).shape == (0, 3, 5, 6)
+    image = splat(none, empty, grid, start=[0, 0, 0])
+    assert image.shape == (2, 3, 5, 6) and not image.any()
+    assert gather(image, none, grid, start=[0, 0, 0]).shape == (0, 3)
+    point = np.array([[0.5, 0.5]], np.float32)
+    image = splat(point, np.ones((1, 1), np.float32), grid, start=[0, 0, 1, 1])
+    np.testing.assert_allclose(image.sum(axis=(1, 2, 3)), [0.0, 1.0, 0.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("kernel", ["poly6", "bspline"])
+def test_worlds_and_threads_do_not_change_a_bit(kernel):
+    grid = Grid(rows=30, columns=30, spacing=SPACING)
+    start = np.array([0, 700, 700, 5600, 6000])  # the third world gathers in two chunks
+    assert start[3] - start[2] > CHUNK
+    points = border_cloud(grid, 6000, dtype=np.float32)
+    values = np.random.default_rng(0).normal(size=(6000, 3)).astype(np.float32)
+    bins = np.random.default_rng(1).integers(0, 2, 6000)
+    options: dict[str, Any] = {"kernel": kernel, "bins": 2}
+    together = splat(points, values, grid, start=start, point_bin=bins, **options)
+    back = gather(together, points, grid, start=start, point_bin=bins, **options)
+    for w, (a, b) in enumerate(itertools.pairwise(start)):
+        alone = splat(points[a:b], values[a:b], grid, point_bin=bins[a:b], **options)
+        np.testing.assert_array_equal(alone[0], together[w])
+        np.testing.assert_array_equal(gather(alone, points[a:b], grid, point_bin=bins[a:b], **options), back[a:b])
+    for threads in (2, 3):
+        again = splat(points, values, grid, start=start, point_bin=bins, threads=threads, **options)
+        np.testing.assert_array_equal(again, together)
+        again = gather(together, points, grid, start=start, point_bin=bins, threads=threads, **options)
+        np.testing.assert_array_equal(again, back)
+
+
+@pytest.mark.parametrize("kernel", STENCILS)
+def test_tiles_do_not_change_a_bit(kernel):
+    """Large images go tile by tile; points beyond the border and supports over several tiles included."""
+    grid = Grid(rows=300, columns=700, spacing=SPACING)
+    for bins, support, normalize in ((1, 2.0, "particle"), (2, 9.0, "sum"), (1, 0.4, "particle")):
+        points = border_cloud(grid, 2000, dtype=np.float32)
+        options: dict[str, Any] = {"h": support * SPACING, "kernel": kernel, "normalize": normalize, "bins": bins}
+        bin_of = np.random.default_rng(1).integers(0, bins, 2000)
+        transfer = Transfer(points, grid, start=[0, 900, 900, 2000], point_bin=bin_of, **options)
+        values = np.random.default_rng(0).normal(size=(2000, 2)).astype(np.float32)
+        found = []
+        for tiled, threads in ((False, 1), (True, 1), (True, 3)):
+            image = np.zeros((3, 2 * bins, *grid.shape), np.float32)
+            arrays = {"value": kernel_array(values, "warp"), "image": kernel_array(image, "warp")}
+            bound = Splat(transfer.table, {**transfer.values, **arrays}, threads=threads, tiled=tiled)
+            assert bound.tiled == tiled
+            bound()
+            bound()  # clears what the first call left
+            found.append((image, bound.missed))
+        for image, missed in found[1:]:
+            np.testing.assert_array_equal(image, found[0][0])
+            np.testing.assert_array_equal(missed, found[0][1])
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_only_the_bands_that_points_reach_are_written(backend):
+    """A mark in the other bands stays, and what the call before left is cleared."""
+    grid = Grid(rows=5 * BAND + 3, columns=12, spacing=SPACING)
+    points = np.array([[1.0, 4 * SPACING], [2.0, 4.4 * SPACING]])
+    image = np.zeros((1, 2, *grid.shape))
+    bound = Transfer(points, grid, backend=backend).splat(np.ones((2, 2)), image)
+    image[:, :, BAND:] = 7.0
+    bound()
+    assert image[0, 0, :BAND].sum() == pytest.approx(2.0)
+    assert (image[:, :, BAND:] == 7.0).all()
+    image[:, :, 3 * BAND :] = 0.0
+    points[:, 1] += 4 * BAND * SPACING  # into the fifth band, rows 34 to 38
+    bound()
+    assert not image[:, :, :BAND].any()
+    assert (image[:, :, BAND : 3 * BAND] == 7.0).all()
+    assert image[0, 1, 4 * BAND :].sum() == pytest.approx(2.0)
+
+
+def test_a_splat_clears_and_writes_its_own_channels_only():
+    grid = Grid(rows=20, columns=9, spacing=SPACING)
+    points = cloud(grid, 30)
+    image = np.full((1, 5, 20, 9), 3.0)
+    transfer = Transfer(points, grid)
+    image[:, 1:3] = 0.0
+    values = {**transfer.values, "channel_offset": 1}
+    values.update(value=kernel_array(np.ones((30, 2)), "warp"), image=kernel_array(image, "warp"))
+    bound = Splat(transfer.table, values)
+    for _ in range(2):
+        bound()
+        assert (image[:, [0, 3, 4]] == 3.0).all()
+        np.testing.assert_allclose(image[0, 1:3].sum(axis=(1, 2)), 30.0)
+
+
+def test_a_million_particles_as_numpy_adds_them():
+    grid = Grid(rows=257, columns=129, spacing=SPACING, origin=(5.0, -3.0))
+    points = cloud(grid, 10**6)
+    mass = np.random.default_rng(2).uniform(0.5, 1.5, 10**6)
+    u = (points - grid.origin) / grid.spacing
+    cell = np.minimum(u.astype(int), [127, 255])
+    t = u - cell
+    expected = np.zeros(grid.shape)
+    for i, j in itertools.product((0, 1), (0, 1)):
+        part = np.where(i, t[:, 1], 1 - t[:, 1]) * np.where(j, t[:, 0], 1 - t[:, 0])
+        np.add.at(expected, (cell[:, 1] + i, cell[:, 0] + j), part * mass)
+    image = splat(points, mass[:, None], grid, kernel="bilinear")
+    np.testing.assert_allclose(image[0, 0], expected, rtol=1e-10)
+    assert image.sum() == pytest.approx(mass.sum(), rel=1e-13)
+
+
+# ---------------------------------------------------------------------- refusals
+
+
+def test_out_is_written_whole_and_returned():
+    grid = Grid(rows=6, columns=7, spacing=SPACING)
+    points, values = cloud(grid, 5), np.ones((5, 2))
+    out = np.full((1, 2, 6, 7), 9.0)
+    assert splat(points, values, grid, out=out) is out
+    np.testing.assert_array_equal(out, splat(points, values, grid))
+    back = np.full((5, 2), 9.0)
+    assert gather(out, points, grid, out=back) is back
+    np.testing.assert_array_equal(back, gather(out, points, grid))
+
+
+def test_bad_input_is_refused_by_name_index_and_limit():
+    grid = Grid(rows=6, columns=7, spacing=SPACING)
+    points, values, image = cloud(grid, 4), np.ones((4, 2)), np.ones((1, 2, 6, 7))
+    bad_point, bad_value, bad_image = points.copy(), values.copy(), image.copy()
+    bad_point[3, 0], bad_value[1, 1], bad_image[0, 1, 2, 3] = np.nan, np.inf, np.nan
+    for message, call in (
+        (r"points\[3, 0\] is nan; it must be finite", lambda: splat(bad_point, values, grid)),
+        (r"values\[1, 1\] is inf; it must be finite", lambda: splat(points, bad_value, grid)),
+        (r"image\[0, 1, 2, 3\] is nan; it must be finite", lambda: gather(bad_image, points, grid)),
+        (r"points has shape \(4, 3\); it must be \(n, 2\)", lambda: splat(np.ones((4, 3)), values, grid)),
+        (r"points is a list", lambda: splat([[0.0, 0.0]], values, grid)),
+        (r"points has dtype int64", lambda: splat(np.ones((4, 2), int), values, grid)),
+        (r"points has strides .*; it must be contiguous", lambda: splat(np.ones((4, 4))[:, :2], values, grid)),
+        (r"values has shape \(3, 2\); it must be \(4, any\)", lambda: splat(points, values[:3], grid)),
+        (r"values has shape \(4, 0\)", lambda: splat(points, values[:, :0], grid)),
+        (r"values has dtype float32; it must be float64", lambda: splat(points, values.astype("f"), grid)),
+        (r"image has shape \(1, 2, 7, 6\)", lambda: gather(image.reshape(1, 2, 7, 6), points, grid)),
+        (r"image has dtype float32", lambda: gather(image.astype("f"), points, grid)),
+        (r"kernel is 'cone'", lambda: splat(points, values, grid, kernel="cone")),
+        (r"normalize is 'all'", lambda: splat(points, values, grid, normalize="all")),
+        (r"reverse needs 'particle'", lambda: gather(image, points, grid, reverse=True, normalize="sum")),
+        (r"h is 0.0; it must be finite and > 0", lambda: splat(points, values, grid, h=0.0)),
+        (r"h is nan", lambda: splat(points, values, grid, h=np.nan)),
+        (r"start\[1\] is 3; it must be the number of points, 4", lambda: splat(points, values, grid, start=[0, 3])),
+        (
+            r"start\[2\] is 1; it must be at least start\[1\], 2",
+            lambda: splat(points, values, grid, start=[0, 2, 1, 4]),
+        ),
+        (r"bins is 0", lambda: splat(points, values, grid, bins=0)),
+        (r"point_bin must say", lambda: splat(points, values, grid, bins=2)),
+        (
+            r"point_bin\[2\] is 2; it must lie in \[0, 1\]",
+            lambda: splat(points, values, grid, bins=2, point_bin=[0, 1, 2, 0]),
+        ),
+        (r"threads is 0", lambda: splat(points, values, grid, threads=0)),
+        (r"backend is 'c'", lambda: splat(points, values, grid, backend="c")),
+        (r"out has shape \(1, 1, 6, 7\)", lambda: splat(points, values, grid, out=np.ones((1, 1, 6, 7)))),
+        (r"out has dtype float32", lambda: gather(image, points, grid, out=np.ones((4, 2), np.float32))),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()

@@ -1,0 +1,80 @@
+"""One buffer for every user, and values checked on their way in."""
+
+import numpy as np
+import pytest
+
+import dc_kernels as dc
+from dc_kernels.model.arrays import State, aligned_zeros, check_values, float_dtype
+
+SIZES = {"body": 5, "world": 2}
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_numpy_and_torch_see_the_same_memory(backend, dtype):
+    torch = pytest.importorskip("torch")
+    state = State(SIZES, dtype, backend=backend)
+    view, tensor = dc.to_numpy(state.position), dc.to_torch(state.position)
+    address = state.position.ptr if backend == "warp" else state.position.ctypes.data
+    assert view.ctypes.data == tensor.data_ptr() == address
+    assert address % 64 == 0  # for SIMD loads
+    assert tensor.shape == view.shape == (5, 2)
+    assert tensor.dtype == getattr(torch, dtype)
+    tensor[3, 1] = 2.5
+    assert view[3, 1] == 2.5
+    view[0, 0] = -1.0
+    assert tensor[0, 0] == -1.0
+
+
+def test_a_tensor_written_between_the_phases_is_the_start():
+    """The path of a learned start: torch writes the impulses that the solver begins with."""
+    pytest.importorskip("torch")
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_chain(builder.add_body(type=dc.BodyType.STATIC), [(5.0, 0.0), (-5.0, 0.0)])
+    builder.add_discs([(0.0, 0.5)], 0.5)
+    sim = dc.Simulation(*builder.finalize(), config=dc.SolverConfig(max_sweeps=0))
+    sim.collide(0.01)
+    dc.to_torch(sim.contacts.impulse)[0, 0] = 0.25
+    sim.solve()  # no sweeps: the start is the answer
+    assert sim.contacts.impulse.numpy()[0, 0] == 0.25
+    mass = float(sim.model.numpy("mass")[1])
+    assert sim.motion.numpy("solved")[1, 1] == pytest.approx(0.25 / mass - 9.8 * 0.01, rel=1e-5)
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_assign_copies_values_of_the_right_kind(backend):
+    state = State(SIZES, "float32", backend=backend)
+    state.assign("position", np.arange(10.0).reshape(5, 2))
+    np.testing.assert_array_equal(state.numpy("position"), np.arange(10.0).reshape(5, 2))
+    for name, values, message in (
+        ("position", np.zeros((5, 3)), r"position has shape \(5, 3\); it must be \(5, 2\)"),
+        ("angle", [0.0, 0.0, np.nan, 0.0, 0.0], r"angle\[2\] is nan; it must be finite"),
+        ("velocity", np.full((5, 2), np.inf), r"velocity\[0, 0\] is inf; it must be finite"),
+        ("flags", [0.5, 0.0], r"flags\[0\] is 0.5; it must be a int32"),
+        ("flags", [0, 2**40], r"flags\[1\] is 1099511627776; it must be a int32"),
+        ("angle", ["a"] * 5, r"angle has dtype .*; it must be numeric"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            state.assign(name, values)
+
+
+def test_dtypes_other_than_float32_and_float64_are_refused():
+    for dtype in ("float16", "int32", "complex64"):
+        with pytest.raises(ValueError, match=dtype):
+            float_dtype(dtype)
+
+
+def test_bytes_by_axis_are_those_of_the_arrays():
+    state = State(SIZES, "float64")
+    assert state.nbytes() == sum(state.numpy(name).nbytes for name in state.table)
+    assert state.nbytes_by_axis()["world"] == state.numpy("time").nbytes + state.numpy("flags").nbytes
+
+
+def test_zeros_are_aligned_and_values_contiguous():
+    for count in (1, 3, 1000):
+        array = aligned_zeros((count, 2), np.dtype(np.float32))
+        assert array.ctypes.data % 64 == 0
+        assert not array.any()
+    strided = np.arange(20.0)[::2]
+    assert check_values("x", strided, (10,), np.dtype(np.float32)).flags.c_contiguous

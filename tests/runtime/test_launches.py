@@ -1,0 +1,97 @@
+"""Launches fed with other memory at each call: by address, by shape, on either way of packing arguments."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.transfer import Transfer
+from dc_kernels.runtime import launches
+from dc_kernels.runtime.backends import command
+from dc_kernels.runtime.program import Fed, Kernel
+
+GRID = Grid(rows=6, columns=7, spacing=0.5)
+POINTS = np.random.default_rng(1).uniform(0.0, 3.0, (11, 2))
+
+
+@pytest.fixture(params=["packed", "by Warp"])
+def packing(request, monkeypatch):
+    """Arguments that stay packed, and a version of Warp that is not known to take them so."""
+    assert wp.__version__.startswith(launches.PACKED)  # or every call is slower: see that the new version fits
+    if request.param == "by Warp":
+        monkeypatch.setattr(launches, "PACKED", ())
+
+
+def gathering(images, out, start=None):
+    """The kernel that gathers images, its arguments, and how many threads it takes."""
+    transfer = Transfer(POINTS, GRID, start=start, kernel="bilinear")
+    values = {**transfer.values, "chunks": 1, "image": wp.array(images, copy=False), "value": wp.array(out, copy=False)}
+    return transfer.table["gather_points"], values
+
+
+def test_a_launch_reads_what_it_is_pointed_at(packing):
+    out = np.zeros((11, 2))
+    kernel, values = gathering(np.zeros((1, 2, 6, 7)), out)
+    bound = launches.Bound(command(kernel, 1, {**values, "world_offset": 0}, "cpu"))
+    draw = np.random.default_rng(2)
+    for _ in range(3):
+        image = draw.normal(size=(1, 2, 6, 7))
+        bound.point("image", image.ctypes.data, image.shape)
+        bound()
+        np.testing.assert_allclose(out, gathered(image), rtol=1e-12)
+    image *= 3.0  # read where it lies
+    bound()
+    np.testing.assert_allclose(out, gathered(image), rtol=1e-12)
+
+
+def gathered(image):
+    out = np.zeros((11, image.shape[1]))
+    Transfer(POINTS, GRID, kernel="bilinear").gather(image, out)()
+    return out
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_fed_kernel_runs_over_all_worlds(packing, threads):
+    start = np.array([0, 4, 4, 11])
+    out = np.zeros((11, 2))
+    kernel, values = gathering(np.zeros((3, 2, 6, 7)), out, start)
+    fed = Fed(Kernel(kernel, values, 1), "image", 3, backend="warp", threads=threads)
+    draw = np.random.default_rng(3)
+    for shape in ((3, 2, 6, 7), (3, 2, 6, 7), (3, 2, 5, 7), (3, 2, 6, 7)):  # another shape, and back
+        image = draw.normal(size=shape)
+        fed(image, image.ctypes.data)
+        wanted = np.zeros((11, 2))
+        grid = Grid(rows=shape[2], columns=7, spacing=0.5)
+        Transfer(POINTS, grid, start=start, kernel="bilinear").gather(image, wanted)()
+        np.testing.assert_array_equal(out, wanted)
+
+
+def test_calls_take_tensors_of_any_size(packing):
+    torch = pytest.importorskip("torch")
+    kernel, values = gathering(np.zeros((1, 2, 6, 7)), np.zeros((11, 2)))
+    tensors = {name: wp.to_torch(value) for name, value in values.items() if isinstance(value, wp.array)}
+    calls = launches.Calls(kernel)
+    for channels in (2, 5, 2):
+        image = torch.rand(1, channels, 6, 7, dtype=torch.float64)
+        out = torch.zeros(11, channels, dtype=torch.float64)
+        calls({**values, **tensors, "image": image, "value": out}, 1, 1)
+        np.testing.assert_allclose(out.numpy(), gathered(image.numpy()), rtol=1e-12)
+    assert len(calls._free) == 1
+
+
+def test_calls_share_worlds_and_keep_a_launch_for_each_thread(packing):
+    torch = pytest.importorskip("torch")
+    start = np.array([0, 4, 4, 11])
+    kernel, values = gathering(np.zeros((3, 2, 6, 7)), np.zeros((11, 2)), start)
+    tensors = {name: wp.to_torch(value) for name, value in values.items() if isinstance(value, wp.array)}
+    calls, made = launches.Calls(kernel), []
+    image = torch.rand(3, 2, 6, 7, dtype=torch.float64)
+    for threads in (1, 2, 3, 2):
+        out = torch.zeros(11, 2, dtype=torch.float64)
+        calls({**values, **tensors, "image": image, "value": out}, 3, threads)
+        made.append(out)
+    for other in made[1:]:
+        torch.testing.assert_close(other, made[0], rtol=0, atol=0)
+    assert made[0].any() and len(calls._free) == 3

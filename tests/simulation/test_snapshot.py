@@ -1,0 +1,299 @@
+"""A run that goes on from a snapshot equals one that never stopped; damaged files are refused."""
+
+import errno
+import os
+import shutil
+import signal
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+
+import dc_kernels as dc
+from dc_kernels import snapshot
+from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE
+
+TABLES = {"model": MODEL, "state": STATE, "joints": JOINTS, "contacts": CONTACTS}
+DT = 0.01
+
+
+def model_of_two_worlds(dtype="float32", backend="warp"):
+    """A pile of discs and polygons on a chain with a joint; discs only."""
+    rng = np.random.default_rng(3)
+    builder = dc.ModelBuilder()
+    builder.add_world(origin=(100.0, 0.0))
+    ground = builder.add_body((100, 0), type=dc.BodyType.STATIC)
+    builder.add_chain(ground, ((-1, 3), (-1, 0), (1, 0), (1, 3)), restitution=0.5)
+    discs = builder.add_discs(np.stack((100 + rng.uniform(-0.8, 0.8, 8), np.arange(8) * 0.25 + 0.2), axis=1), 0.12)
+    for i in range(3):
+        builder.add_box(builder.add_body((99.5 + 0.4 * i, 2.4), angle=0.1 * i), 0.15, 0.1, radius=0.02)
+    builder.add_distance_joint(discs[0], discs[1])
+    builder.add_world(gravity=(0.0, -5.0))
+    ground = builder.add_body(type=dc.BodyType.STATIC)
+    builder.add_chain(ground, ((-1, 3), (-1, 0), (1, 0), (1, 3)))
+    builder.add_discs(np.stack((rng.uniform(-0.8, 0.8, 9), np.arange(9) * 0.25 + 0.2), axis=1), 0.12)
+    return builder.finalize(dtype, backend=backend)
+
+
+def simulation(dtype="float32", backend="warp", **options):
+    config = dc.SolverConfig(tolerance=1e-5, max_sweeps=60)
+    return dc.Simulation(*model_of_two_worlds(dtype, backend), config=config, **options)
+
+
+def contents(sim):
+    """All that counts, as bytes; of the contacts only the slots in use."""
+    slots, _ = dc.measure.contact_slots(sim.contacts)
+    found = {}
+    for group, table in TABLES.items():
+        for field in table.values():
+            if field.name != "contact_start":  # capacity may differ
+                values = getattr(sim, group).numpy(field.name)
+                values = values[slots] if field.per == "contact" else values
+                found[f"{group}/{field.name}"] = (values.dtype.name, values.shape, values.tobytes())
+    return found
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A snapshot in the middle of a run, not to be changed."""
+    sim = simulation()
+    sim.run(40, DT)
+    path = tmp_path_factory.mktemp("snapshot") / "saved.h5"
+    sim.save(path)
+    return path
+
+
+@pytest.fixture
+def copy(saved, tmp_path):
+    """A snapshot to damage."""
+    return shutil.copy(saved, tmp_path / "copy.h5")
+
+
+@pytest.mark.parametrize(("dtype", "backend"), [("float32", "warp"), ("float64", "warp"), ("float64", "numpy")])
+def test_going_on_equals_never_stopping(dtype, backend, tmp_path):
+    steps = 40 if backend == "warp" else 25
+    sim = simulation(dtype, backend)
+    sim.run(steps, DT)
+    sim.save(tmp_path / "snapshot.h5")
+    loaded = dc.Simulation.load(tmp_path / "snapshot.h5")
+    assert sim.contacts.numpy("impulse").any()  # there is a cache to lose
+    assert contents(loaded) == contents(sim)
+    assert loaded.config == sim.config
+    assert (loaded.model.dtype, loaded.model.backend) == (sim.model.dtype, backend)
+    for _ in range(steps):
+        sim.step(DT)
+        loaded.step(DT)
+        assert np.array_equal(loaded.stats.sweeps, sim.stats.sweeps)
+    assert contents(loaded) == contents(sim)
+
+
+def test_threads_and_schedule(saved, tmp_path):
+    one, two = (dc.Simulation.load(saved, threads=threads) for threads in (1, 2))
+    for sim in (one, two):
+        sim.run(10, DT)
+    assert contents(one) == contents(two)
+    sim = simulation(schedule="color", on_overflow="raise")
+    sim.save(tmp_path / "snapshot.h5")
+    loaded = dc.Simulation.load(tmp_path / "snapshot.h5")
+    assert (loaded.schedule, loaded.on_overflow) == ("color", "raise")
+
+
+def test_before_the_first_step(tmp_path):
+    sim = simulation()
+    sim.save(tmp_path / "snapshot.h5")
+    loaded = dc.Simulation.load(tmp_path / "snapshot.h5")
+    for one in (sim, loaded):
+        one.run(5, DT)
+    assert contents(loaded) == contents(sim)
+
+
+@pytest.mark.parametrize("specialize", [True, False])
+def test_the_kernels_stay_the_same(specialize, tmp_path):
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_discs(((0, 0), (3, 0)), 1.0)
+    sim = dc.Simulation(*builder.finalize(), specialize=specialize)
+    sim.save(tmp_path / "snapshot.h5")
+    assert dc.Simulation.load(tmp_path / "snapshot.h5").variant == sim.variant
+    assert dc.Simulation.load(tmp_path / "snapshot.h5", specialize=False).variant == "general"
+
+
+def test_not_in_the_middle_of_a_step(tmp_path):
+    sim = simulation()
+    sim.collide(DT)
+    with pytest.raises(ValueError, match="middle of a step"):
+        sim.save(tmp_path / "snapshot.h5")
+    sim.step(DT)
+    sim.save(tmp_path / "snapshot.h5")
+
+
+def test_a_frozen_world_stays_frozen(tmp_path):
+    sim = simulation()
+    sim.state.numpy("force")[3] = np.nan  # what the constructor would refuse
+    sim.state.numpy("flags")[0] = dc.Flag.NONFINITE
+    sim.save(tmp_path / "snapshot.h5")
+    assert contents(dc.Simulation.load(tmp_path / "snapshot.h5")) == contents(sim)
+
+
+def test_datasets_say_what_they_are(saved):
+    with h5py.File(saved) as file:
+        assert file.attrs["schema"] == "deep-contact snapshot"
+        for group, table in TABLES.items():
+            assert set(file[group]) == set(table)
+            for field in table.values():
+                attributes = file[group][field.name].attrs
+                assert attributes["unit"] == field.unit
+                assert attributes["meaning"] == field.meaning
+                assert attributes["axis"] == field.per
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.99])
+def test_truncated_file(copy, share):
+    os.truncate(copy, int(os.path.getsize(copy) * share))
+    with pytest.raises(ValueError, match=r"copy\.h5 is not an HDF5 file, or is truncated"):
+        dc.Simulation.load(copy)
+
+
+def test_foreign_files(tmp_path):
+    text, other = tmp_path / "text.h5", tmp_path / "other.h5"
+    text.write_text("position velocity\n" * 1000)
+    with pytest.raises(ValueError, match=r"text\.h5 is not an HDF5 file"):
+        dc.Simulation.load(text)
+    with h5py.File(other, "w") as file:
+        file["data"] = np.zeros(3)
+    with pytest.raises(ValueError, match=r"other\.h5 is not a deep-contact snapshot"):
+        dc.Simulation.load(other)
+    with pytest.raises(FileNotFoundError):
+        dc.Simulation.load(tmp_path / "none.h5")
+
+
+def replace(file, name, values):
+    del file[name]
+    file[name] = values
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda f: f.attrs.__setitem__("schema_version", 99), "schema version 99; this version reads 1"),
+        (lambda f: f.attrs.__delitem__("schema_version"), "schema version None"),
+        (lambda f: f.attrs.__delitem__("schedule"), "attribute is missing.*schedule"),
+        (lambda f: f.attrs.__setitem__("dtype", "float16"), "attribute has a wrong value.*float16"),
+        (lambda f: f.__delitem__("sizes"), "group sizes is missing"),
+        (lambda f: f["sizes"].attrs.__delitem__("body"), "attribute is missing.*body"),
+        (lambda f: f["sizes"].attrs.__setitem__("body", 10**12), "model/body_start must ascend from 0 to 10+"),
+        (lambda f: f["sizes"].attrs.__setitem__("world", 10**12), r"model/body_start has shape \(3,\).* must be"),
+        (lambda f: f["config"].attrs.__setitem__("tolerance", -1.0), "config: SolverConfig.tolerance is -1.0"),
+        (lambda f: f["config"].attrs.__setitem__("colour", 1), "config: .*colour"),
+        (lambda f: f.__delitem__("contacts"), "dataset contacts/contact_start is missing"),
+        (lambda f: f.__delitem__("state/angle"), "dataset state/angle is missing"),
+        (lambda f: replace(f, "state/angle", f["state/angle"][1:]), r"state/angle has shape \(\d+,\).* must be"),
+        (lambda f: replace(f, "state/angle", f["state/angle"][()].astype("f8")), "state/angle .* dtype float64"),
+        (lambda f: (f.__delitem__("state/angle"), f.create_group("state/angle")), "state/angle has shape None"),
+        (lambda f: f["contacts/body_a"].__setitem__(0, -1), r"contacts/body_a points outside \[0, \d+\)"),
+        (lambda f: f["model/shape_body"].__setitem__(0, 999), r"model/shape_body points outside \[0, \d+\)"),
+        (lambda f: f["model/vertex_start"].__setitem__(1, 10**6), "model/vertex_start must ascend from 0 to"),
+        (lambda f: f["model/body_start"].__setitem__(0, 1), "model/body_start must ascend from 0 to"),
+        (lambda f: f["contacts/contact_count"].__setitem__(0, 0), "contacts/contact_count must sum to"),
+    ],
+)
+def test_what_is_wrong_is_named(copy, damage, message):
+    with h5py.File(copy, "r+") as file:
+        damage(file)
+    with pytest.raises(ValueError, match=rf"copy\.h5.*{message}"):
+        dc.Simulation.load(copy)
+
+
+@pytest.mark.parametrize("name", ["model/vertices", "state/position", "contacts/impulse"])
+def test_one_wrong_bit_is_found(copy, name):
+    with h5py.File(copy) as file:
+        offset = file[name].id.get_chunk_info(0).byte_offset
+    with open(copy, "r+b") as raw:
+        raw.seek(offset + 5)
+        byte = raw.read(1)[0]
+        raw.seek(offset + 5)
+        raw.write(bytes([byte ^ 0x10]))
+    with pytest.raises(ValueError, match=rf"copy\.h5: dataset {name} is damaged"):
+        dc.Simulation.load(copy)
+
+
+class Stop(BaseException):
+    """Not an Exception, as KeyboardInterrupt is not."""
+
+
+def stopped(*_):
+    raise Stop
+
+
+def full(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("failure", [stopped, full])
+@pytest.mark.parametrize("place", ["write", "sync", "replace"])
+def test_a_failure_leaves_the_old_file(copy, tmp_path, monkeypatch, failure, place):
+    before = copy.read_bytes()
+    sim = simulation()
+    if place == "write":  # after the first datasets
+        monkeypatch.setattr(snapshot, "contact_slots", failure)
+    else:
+        monkeypatch.setattr(os, {"sync": "fsync", "replace": "replace"}[place], failure)
+    with pytest.raises((Stop, OSError)):
+        sim.save(copy)
+    monkeypatch.undo()
+    assert copy.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == [copy.name]  # no half-written file either
+    sim.save(copy)
+    assert contents(dc.Simulation.load(copy)) == contents(sim)
+
+
+def test_no_such_folder(tmp_path):
+    with pytest.raises(OSError, match="none"):
+        simulation().save(tmp_path / "none" / "snapshot.h5")
+
+
+# A process of its own that saves to argv[1]; what a snapshot needs of a simulation is made by hand.
+SAVE = """
+import sys, types
+import numpy as np
+import dc_kernels as dc
+from dc_kernels import snapshot
+builder = dc.ModelBuilder()
+builder.add_world()
+builder.add_discs(np.zeros((2000, 2)), 1.0)
+model, state, joints = builder.finalize(backend="numpy")
+contacts = dc.Contacts({"world": 1, "world+1": 2, "contact": 0}, "float32", backend="numpy")
+sim = types.SimpleNamespace(model=model, state=state, joints=joints, contacts=contacts)
+sim.config, sim.schedule, sim.on_overflow = dc.SolverConfig(), "world", "grow"
+sim.specialize, sim._phase = True, "advance"
+"""
+needs_posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
+
+
+def save_elsewhere(path, code):
+    command = [sys.executable, "-c", SAVE + code + "\nsnapshot.save(sim, sys.argv[1])", str(path)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@needs_posix
+def test_a_kill_leaves_the_old_file(copy):
+    before = copy.read_bytes()
+    kill = "import os, signal; os.fsync = lambda *_: os.kill(os.getpid(), signal.SIGKILL)"
+    assert save_elsewhere(copy, kill).returncode == -signal.SIGKILL
+    assert copy.read_bytes() == before
+
+
+@needs_posix
+def test_a_disk_that_fills_up_leaves_the_old_file(copy, tmp_path):
+    before = copy.read_bytes()
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))"  # the system refuses more
+    result = save_elsewhere(copy, limit)
+    assert result.returncode == 1
+    assert "OSError" in result.stderr
+    assert "File too large" in result.stderr
+    assert copy.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == [copy.name]
+    assert save_elsewhere(copy, "").returncode == 0
+    assert copy.read_bytes() != before
