@@ -10,25 +10,26 @@ from typing import Any, Protocol
 
 from bench import timing
 
-# name: folder of its module
-FOLDERS = {
-    "sweep": "speed",
-    "worlds": "speed",
-    "scaling": "speed",
-    "protocol": "learning",
-    "transfer": "speed",
-    "roundtrip": "learning",
-    "neighbors": "speed",
-    "generate": "speed",
-    "learning": "learning",
-    "train": "speed",
-    "startup": "speed",
-    "accuracy": "accuracy",
-    "error_time": "error_time",
-    "fc2d": "error_time",
-    "stability": "stability",
+# name: its module in bench
+MODULES = {
+    "sweep": "speed.sweep",
+    "worlds": "speed.worlds",
+    "scaling": "speed.scaling",
+    "protocol": "learning.protocol",
+    "transfer": "speed.transfer",
+    "roundtrip": "learning.roundtrip",
+    "neighbors": "speed.neighbors",
+    "generate": "speed.generate",
+    "learning": "learning.learning",
+    "train": "speed.train",
+    "startup": "speed.startup",
+    "accuracy": "accuracy.accuracy",
+    "error_time": "error_time.error_time",
+    "fc2d": "error_time.fc2d",
+    "stability": "stability.stability",
+    "house": "house",
 }
-NAMES = tuple(FOLDERS)
+NAMES = tuple(MODULES)
 
 
 class Bench(Protocol):
@@ -47,7 +48,7 @@ class Bench(Protocol):
 
 def load(name: str) -> Bench:
     """The module of a bench; nothing heavy is imported before it measures."""
-    return importlib.import_module(f"bench.{FOLDERS[name]}.{name}")  # type: ignore[return-value]
+    return importlib.import_module(f"bench.{MODULES[name]}")  # type: ignore[return-value]
 
 
 def listing() -> str:

@@ -1,0 +1,29 @@
+"""The tree keeps its shape: ``python -m bench house`` stays at or below a bound in each figure."""
+
+from __future__ import annotations
+
+import pytest
+
+from bench import house
+
+# Where a bar is not reached yet, today's figure is the bound: it may fall, and then it is lowered here, but not rise.
+BOUNDS = house.BARS | {
+    "max_kernel_parameters": 51,
+    "max_function_parameters": 52,
+    "import_circles": 4,
+    "private_imports": 1,
+    "longest_module": 546,
+    "readme_bytes": 31_147,
+    "cpp_lines_in_strings": 1_298,
+}
+
+
+@pytest.fixture(scope="module")
+def figures():
+    return house.count()
+
+
+@pytest.mark.parametrize("key", house.KEYS)
+def test_figure_stays_within_its_bound(figures, key):
+    value, where = figures[key]
+    assert value <= BOUNDS[key], f"{key} is {value}, at most {BOUNDS[key]}: {where}"
