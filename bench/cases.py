@@ -8,7 +8,7 @@ import numpy as np
 
 import dc_kernels as dc
 from bench.peers.peers import DiscWorld
-from pipeline.scenes import scenes
+from pipeline import scenes
 
 DT = 0.01  # time step [s] and steps of the thesis protocol
 STEPS = 250

@@ -32,7 +32,7 @@ from pipeline.plots import plots
 from pipeline.plots import runs as run_plots
 from pipeline.process import torch_threads
 from pipeline.run.simulate import Output, simulate
-from pipeline.scenes.scenes import AnyScene, Thesis
+from pipeline.scenes import AnyScene, Thesis
 from pipeline.starts import warmstart
 from pipeline.training.train import NetworkName, TrainOptions, describe_training, train
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 import dc_kernels as dc
-from pipeline.scenes.scenes import Scene
+from pipeline.scenes import Scene
 
 DEFAULT = dc.SolverConfig()
 

@@ -148,7 +148,7 @@ def our_problems(quick: bool) -> Iterator[tuple[str, Any]]:
     """States of discs, polygons, stacks and mass ratios, from impact to rest: some 60, a third with ``quick``."""
     import dc_kernels as dc
     from dc_kernels.delassus.problem import DelassusProblem
-    from pipeline.scenes import scenes
+    from pipeline import scenes
 
     runs = {
         "thesis": (scenes.Thesis(), (60, 90, 120, 160, 250)),

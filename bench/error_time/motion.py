@@ -18,7 +18,7 @@ import dc_kernels as dc
 from bench import timing
 from bench.error_time.peers import ENGINES
 from dc_kernels.runtime.optional import require
-from pipeline.scenes import scenes
+from pipeline import scenes
 
 GRAVITY = 9.8  # [m/s^2]
 STEPS = tuple(0.02 / 2**k for k in range(7))  # [s]

@@ -11,7 +11,7 @@ import numpy as np
 import dc_kernels as dc
 from bench.cases import DT
 from dc_kernels.measure import contact_slots
-from pipeline.scenes import scenes
+from pipeline import scenes
 
 DECADES = 4.0  # of densities in a pile of mixed masses
 LADDER = (1, 3, 10, 30, 100, 300, 1_000, 3_000, 10_000)

@@ -157,7 +157,7 @@ def world(rounds: int) -> dict[str, Any]:
     from bench.learning.theses import SeedTransfer, ThesesTransfer
     from dc_kernels.grid.grid import Grid
     from dc_kernels.grid.images import Images
-    from pipeline.scenes import scenes
+    from pipeline import scenes
 
     sim = cases.simulation(scenes.Thesis())
     sim.run(cases.STEPS, cases.DT)

@@ -49,7 +49,7 @@ def measure(quick: bool) -> dict[str, Any]:
     """Rates from median times, overlaps of the last round, sweeps of an extra run that is not timed."""
     import dc_kernels as dc
     from bench import cases
-    from pipeline.scenes import scenes
+    from pipeline import scenes
 
     scene = scenes.Thesis()
     config = dc.SolverConfig(tolerance=TOLERANCE, start="cache")

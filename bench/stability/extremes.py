@@ -16,7 +16,7 @@ from bench.accuracy.common import G, at_least, box, disc, floor, pose, world
 from bench.stability.common import DT, depth, energy, finite, named, simulate, speed, velocities, watch
 from bench.verdicts import Cases, Check
 from dc_kernels import measure
-from pipeline.scenes import scenes
+from pipeline import scenes
 
 cases = Cases()
 

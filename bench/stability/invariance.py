@@ -21,7 +21,7 @@ from bench.stability.input import DTYPES, STATE, pile, state_bits
 from bench.stability.invariants import contact_table
 from bench.verdicts import Cases, Check
 from dc_kernels.model.shapes import edge_normals
-from pipeline.scenes import scenes
+from pipeline import scenes
 
 cases = Cases()
 EXACT = dc.SolverConfig(tolerance=1e-12, max_sweeps=20_000)

@@ -13,7 +13,7 @@ from bench.cases import DT
 from bench.stability.invariants import contact_table
 from bench.verdicts import Cases, Check
 from dc_kernels import measure
-from pipeline.scenes import scenes
+from pipeline import scenes
 
 cases = Cases()
 DTYPES = ("float32", "float64")

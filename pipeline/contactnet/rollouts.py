@@ -13,9 +13,9 @@ import numpy as np
 import dc_kernels as dc
 from dc_kernels.torch_ops.sweeps import ContactProblem
 from pipeline.contactnet.loss import BODY_FIELDS, CONTACT_FIELDS
-from pipeline.evaluate.evaluate import HELD_OUT_SEED
 from pipeline.options import RunOptions
-from pipeline.scenes.scenes import Thesis
+from pipeline.scenes import Thesis
+from pipeline.seeds import check_training_seeds
 from pipeline.starts.learned import CallOptions, LearnedSolve
 
 THESES_SETTINGS = {"slop": 5e-3, "speculative": 0.0, "speculative_max": 0.0}
@@ -69,8 +69,7 @@ def record(model: Any, setting: Setting, seed: int, generator: np.random.Generat
     Raises:
         ValueError: for held-out seeds.
     """
-    if seed < 0 or seed + setting.worlds > HELD_OUT_SEED:
-        raise ValueError(f"seeds {seed} to {seed + setting.worlds - 1}: those from {HELD_OUT_SEED} on are for tests")
+    check_training_seeds(seed, setting.worlds)
     margins = THESES_SETTINGS if generator.random() < 2 / 3 else {}
     settings = {"acceleration": setting.acceleration, "max_sweeps": setting.max_sweeps, "min_sweeps": 1, **margins}
     config = dc.SolverConfig(**settings)  # type: ignore[arg-type]

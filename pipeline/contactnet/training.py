@@ -22,7 +22,6 @@ from pipeline.contactnet.network import EvenShare
 from pipeline.contactnet.options import ContactTrainOptions
 from pipeline.contactnet.rollouts import SETTINGS, Setting, record, seeds_of
 from pipeline.contactnet.tuning import choose_gains
-from pipeline.evaluate.evaluate import HELD_OUT_SEED
 from pipeline.files import atomic_path, plain, write_json
 from pipeline.networks import models
 from pipeline.networks.checkpoint import all_versions, commit, load_training, save_checkpoint, save_training
@@ -30,7 +29,8 @@ from pipeline.options import RunOptions
 from pipeline.plots import plots
 from pipeline.plots.contactnet import contact_curves_figure, contact_predictions_figure
 from pipeline.process import interruptible
-from pipeline.scenes.scenes import Thesis
+from pipeline.scenes import Thesis
+from pipeline.seeds import HELD_OUT_SEED, TUNING_SEED, VALIDATION_SEED
 from pipeline.starts.learned import grid_of
 from pipeline.training.tools import (
     Log,
@@ -46,8 +46,6 @@ from pipeline.training.tools import (
 torch = require("torch", "pipeline")
 
 NETWORK, STATE = "contactnet.safetensors", "training.safetensors"
-VALIDATION_SEED = 90_000  # of the worlds of validation; training takes seeds below
-TUNING_SEED = 80_000  # of the worlds that gains are chosen on
 VALIDATION_CALLS = 100  # of each kind of world
 Recorded = tuple[tuple[int, str], dict[str, Any]]  # discs and acceleration of the world, and a call in it
 WEIGHTS = {"velocity": 0.3, "impulse": 0.2, "step": 0.5}  # of the errors in the loss

@@ -15,9 +15,9 @@ import numpy as np
 
 import dc_kernels as dc
 from pipeline.contactnet.rollouts import THESES_SETTINGS
-from pipeline.evaluate.evaluate import HELD_OUT_SEED
 from pipeline.options import RunOptions
-from pipeline.scenes.scenes import Thesis
+from pipeline.scenes import Thesis
+from pipeline.seeds import check_training_seeds
 from pipeline.starts.learned import CallOptions, LearnedSolve
 
 GAINS = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.4)
@@ -55,8 +55,7 @@ class Snapshot:
         Raises:
             ValueError: for held-out seeds.
         """
-        if seed < 0 or seed + crowd.worlds > HELD_OUT_SEED:
-            raise ValueError(f"seeds {seed} to {seed + crowd.worlds - 1}: those from {HELD_OUT_SEED} on are for tests")
+        check_training_seeds(seed, crowd.worlds)
         config = dc.SolverConfig(
             acceleration=crowd.acceleration,  # type: ignore[arg-type]
             max_sweeps=crowd.max_sweeps,

@@ -23,7 +23,7 @@ from dc_kernels.model.enums import BodyType
 from dc_kernels.runtime.optional import require
 from pipeline.data import shards
 from pipeline.data.splatter import Splatter
-from pipeline.evaluate.evaluate import HELD_OUT_SEED
+from pipeline.seeds import HELD_OUT_SEED
 
 torch = require("torch", "pipeline")
 Dataset: Any = torch.utils.data.Dataset

@@ -14,8 +14,8 @@ import numpy as np
 import dc_kernels as dc
 from dc_kernels.grid.transfer import TILED_BYTES
 from dc_kernels.runtime.optional import require
-from pipeline.scenes.scenes import Scene, Thesis
-from pipeline.scenes.scenes import scene as named_scene
+from pipeline.scenes import Scene, Thesis
+from pipeline.scenes import scene as named_scene
 
 IMAGE_CHANNELS = 6  # of stored images, those that ``dc.Images`` has by default
 SOLVER = dc.SolverConfig(min_sweeps=1)  # the sweeps of a state are those to its tolerance

@@ -27,7 +27,8 @@ from pipeline.evaluate.runs import COLUMNS, EVALUATION, PARTS, Column, Run, agai
 from pipeline.options import RunOptions, SolverOptions
 from pipeline.process import torch_threads
 from pipeline.run.trajectory import pressing
-from pipeline.scenes.scenes import THESIS_BODIES, Thesis
+from pipeline.scenes import THESIS_BODIES, Thesis
+from pipeline.seeds import HELD_OUT_SEED
 from pipeline.starts import warmstart
 
 __all__ = [
@@ -45,8 +46,6 @@ __all__ = [
     "run_strategy",
     "table",
 ]
-
-HELD_OUT_SEED = 100_000  # of the first test world: no training uses seeds from here on
 
 Acceleration = Literal["none", "sor", "aitken", "nncg", "adaptive"]
 Loop = Literal["closed", "open"]

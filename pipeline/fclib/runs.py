@@ -14,7 +14,7 @@ from pipeline.fclib.files import FclibProblem, problem_files, read_fclib, write_
 from pipeline.files import versions
 from pipeline.options import RunOptions, SolverOptions
 from pipeline.process import interruptible
-from pipeline.scenes.scenes import Scene
+from pipeline.scenes import Scene
 
 FIELDS = ("scene", "step", "world")
 SUFFIXES = (".hdf5", ".h5")

@@ -18,7 +18,7 @@ from pipeline.files import atomic_path, plain, versions, write_json
 from pipeline.options import RunOptions, SolverOptions
 from pipeline.process import interruptible, torch_threads
 from pipeline.run.trajectory import TrajectoryWriter, measure
-from pipeline.scenes.scenes import Scene
+from pipeline.scenes import Scene
 from pipeline.starts import warmstart
 
 

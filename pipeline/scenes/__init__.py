@@ -1,3 +1,34 @@
-"""Scenes by name."""
+"""Named scenes: what stands in each world, seeded.
 
-from pipeline.scenes.scenes import scene as scene
+A scene is a frozen dataclass; ``build(worlds, seed)`` returns a ``ModelBuilder`` with one world for each of the seeds
+``seed, seed + 1, ...``. A world depends on its own seed alone, not on how many are built with it.
+"""
+
+from pipeline.scenes.base import Scene
+from pipeline.scenes.boxes import Pyramid, Stack
+from pipeline.scenes.chain import Chain
+from pipeline.scenes.discs import THESIS_BODIES, Settled, Thesis, ThesisClustered, box_side
+from pipeline.scenes.incline import Incline
+from pipeline.scenes.mixed import Mixed
+from pipeline.scenes.placement import CLEARANCE, Sampler, place_discs
+from pipeline.scenes.registry import SCENES, AnyScene, scene
+
+__all__ = [
+    "CLEARANCE",
+    "SCENES",
+    "THESIS_BODIES",
+    "AnyScene",
+    "Chain",
+    "Incline",
+    "Mixed",
+    "Pyramid",
+    "Sampler",
+    "Scene",
+    "Settled",
+    "Stack",
+    "Thesis",
+    "ThesisClustered",
+    "box_side",
+    "place_discs",
+    "scene",
+]

@@ -12,7 +12,7 @@ from bench import __main__ as command
 from bench import cases, run, timing
 from bench.peers import peers
 from bench.speed import worlds as bench_worlds
-from pipeline.scenes import scenes
+from pipeline import scenes
 
 DISC_ON_FLOOR = peers.DiscWorld(
     positions=np.array([[1.0, 0.5], [3.0, 0.5]]), radii=np.array([0.5, 0.5]), walls=np.array([[[0.0, 0.0], [5.0, 0.0]]])

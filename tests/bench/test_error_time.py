@@ -20,7 +20,7 @@ from bench.error_time import scenes as error_time_scenes
 from bench.error_time import solve as error_time_solve
 from dc_kernels.delassus.problem import DelassusProblem
 from dc_kernels.model.config import ACCELERATIONS
-from pipeline.scenes import scenes
+from pipeline import scenes
 
 DT = 0.01
 TINY = error_time_scenes.Case("tiny", scenes.Thesis(bodies=20), (60, 200), cap=200, repeats=1, seconds=1.1)

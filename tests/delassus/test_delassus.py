@@ -14,7 +14,7 @@ from dc_kernels.delassus.search import Search, delassus_kernels
 from dc_kernels.delassus.world import refine
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.runtime.backends import argument_names
-from pipeline.scenes import scenes
+from pipeline import scenes
 
 FIRST_ORDER = [*METHODS]
 

@@ -9,7 +9,7 @@ import dc_kernels as dc
 from dc_kernels.grid.area import ARC_STEP, area_points, center_points, hull_distance, shape_points, wall_nodes
 from dc_kernels.grid.grid import Grid
 from dc_kernels.model.shapes import box_vertices, edge_normals, mass_properties
-from pipeline.scenes import scenes
+from pipeline import scenes
 
 TRIANGLE = np.array([(0.0, 0.0), (1.3, 0.2), (0.4, 0.9)])
 OCTAGON = np.stack([np.cos(np.arange(8) * math.pi / 4), np.sin(np.arange(8) * math.pi / 4)], axis=1)

@@ -15,7 +15,7 @@ from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.images import Images
 from dc_kernels.measure import contact_slots
 from dc_kernels.runtime.backends import argument_names
-from pipeline.scenes import scenes
+from pipeline import scenes
 
 STATIC = dc.BodyType.STATIC
 GRID = Grid(rows=30, columns=41, spacing=0.25, origin=(-1.0, -1.0))

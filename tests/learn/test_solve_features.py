@@ -18,7 +18,7 @@ from dc_kernels.runtime.program import Fed
 from dc_kernels.solve.iteration import NORMS
 from dc_kernels.solve.rows import COLUMNS, LANES
 from pipeline.options import RunOptions
-from pipeline.scenes.scenes import Mixed, Scene, Settled, Thesis
+from pipeline.scenes import Mixed, Scene, Settled, Thesis
 
 torch = pytest.importorskip("torch")
 torch.set_num_threads(1)

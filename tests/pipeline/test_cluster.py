@@ -17,7 +17,7 @@ from pipeline.data import generate as generation  # noqa: E402
 from pipeline.data import shards  # noqa: E402
 from pipeline.data.generate import generate, make_shard  # noqa: E402
 from pipeline.data.recipe import GenerateOptions, Recipe  # noqa: E402
-from pipeline.scenes.scenes import Thesis  # noqa: E402
+from pipeline.scenes import Thesis  # noqa: E402
 
 SHARDS = 8
 RECIPE = Recipe(

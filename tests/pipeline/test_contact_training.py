@@ -24,7 +24,8 @@ from pipeline.contactnet.tuning import GAINS, Crowd, best_gain, choose_gains
 from pipeline.networks import models
 from pipeline.networks.checkpoint import load_checkpoint
 from pipeline.options import RunOptions
-from pipeline.scenes.scenes import Thesis
+from pipeline.scenes import Thesis
+from pipeline.seeds import TUNING_SEED, VALIDATION_SEED
 from pipeline.starts.learned import CallOptions, LearnedSolve
 from pipeline.training.tools import Processes
 
@@ -159,7 +160,7 @@ def test_a_training_goes_on_bit_for_bit(tmp_path, monkeypatch):
     train_contactnet(replace(half, resume=True), progress=False)
     files = [Path(folder) / contact_training.NETWORK for folder in (options.out, half.out)]
     (a, manifest), (b, _) = (load_checkpoint(file) for file in files)
-    assert manifest["rounds"] == 2 and max(manifest["seeds"]) <= contact_training.VALIDATION_SEED
+    assert manifest["rounds"] == 2 and max(manifest["seeds"]) <= VALIDATION_SEED
     for name, tensor in a.state_dict().items():
         assert torch.equal(tensor, b.state_dict()[name]), name
     with pytest.raises(ValueError, match="rate"):
@@ -184,7 +185,7 @@ def test_the_network_in_bfloat16_answers_nearly_the_same():
 
     model, manifest = load_checkpoint(PRETRAINED)
     assert model.network_name == "contactnet" and PRETRAINED.stat().st_size < 2e6
-    assert max(manifest["seeds"]) <= contact_training.TUNING_SEED and manifest["commit"] and manifest["metrics"]
+    assert max(manifest["seeds"]) <= TUNING_SEED and manifest["commit"] and manifest["metrics"]
     sweeps = []
     for bfloat16 in (False, True):
         sim = RunOptions(worlds=3, seed=3).simulation(Thesis(bodies=40), dc.SolverConfig(acceleration="aitken"))

@@ -17,8 +17,8 @@ from pipeline.data import shards  # noqa: E402
 from pipeline.data.dataset import Batch, BatchOrder, Splatter, States, describe, loader  # noqa: E402
 from pipeline.data.generate import generate  # noqa: E402
 from pipeline.data.recipe import SOLVER, GenerateOptions, Recipe  # noqa: E402
-from pipeline.evaluate.evaluate import HELD_OUT_SEED  # noqa: E402
-from pipeline.scenes.scenes import Mixed, Thesis  # noqa: E402
+from pipeline.scenes import Mixed, Thesis  # noqa: E402
+from pipeline.seeds import HELD_OUT_SEED  # noqa: E402
 
 torch.set_num_threads(1)
 SCENE = Mixed(bodies=9)

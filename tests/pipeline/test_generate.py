@@ -27,7 +27,7 @@ from pipeline.data import generate as generation
 from pipeline.data import shards
 from pipeline.data.generate import generate, make_shard
 from pipeline.data.recipe import GenerateOptions, Recipe, load_recipe, parse_recipe
-from pipeline.scenes.scenes import Chain, Mixed, Stack, Thesis
+from pipeline.scenes import Chain, Mixed, Stack, Thesis
 
 SMALL = Recipe(scene=Thesis(bodies=6), options=GenerateOptions(worlds=5, seed=7, steps=70, dt=0.02, shard_worlds=2))
 SHARDS = ["shard-00000.h5", "shard-00001.h5", "shard-00002.h5"]

@@ -15,7 +15,7 @@ import pytest
 import dc_kernels as dc
 from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
 from pipeline.options import RunOptions
-from pipeline.scenes.scenes import Mixed, Scene, Settled, Thesis
+from pipeline.scenes import Mixed, Scene, Settled, Thesis
 
 torch = pytest.importorskip("torch")
 torch.set_num_threads(1)

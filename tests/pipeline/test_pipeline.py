@@ -22,7 +22,8 @@ from pipeline.options import RunOptions, SolverOptions
 from pipeline.plots import plots
 from pipeline.run.simulate import Output, simulate
 from pipeline.run.trajectory import STEP_FIELDS, pressing
-from pipeline.scenes.scenes import SCENES, Mixed, Settled, Stack, Thesis, scene
+from pipeline.scenes import SCENES, Mixed, Settled, Stack, Thesis, scene
+from pipeline.seeds import HELD_OUT_SEED
 from pipeline.starts import warmstart
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -253,7 +254,7 @@ def test_protocol_is_its_worlds_own_closed_loop(runs):
     """Builtin equals plain stepping, and the error of None is the mean square of its own impulses."""
     settings = {"acceleration": "none", "min_sweeps": 1, "slop": 5e-3, "speculative": 0.0, "speculative_max": 0.0}
     config = dc.SolverConfig(**settings)
-    sim = dc.Simulation(*Thesis(bodies=8).build(2, evaluate.HELD_OUT_SEED).finalize(), config=config)
+    sim = dc.Simulation(*Thesis(bodies=8).build(2, HELD_OUT_SEED).finalize(), config=config)
     sweeps, contacts = [], []
     for _ in range(SMALL.steps):
         sim.step(0.01)
@@ -261,7 +262,7 @@ def test_protocol_is_its_worlds_own_closed_loop(runs):
         contacts.append(pressing(sim))
     np.testing.assert_array_equal(runs[1].sweeps, sweeps)
     np.testing.assert_array_equal(runs[1].contacts, contacts)
-    sim = dc.Simulation(*Thesis(bodies=8).build(2, evaluate.HELD_OUT_SEED).finalize(), config=config)
+    sim = dc.Simulation(*Thesis(bodies=8).build(2, HELD_OUT_SEED).finalize(), config=config)
     squares = []
     for _ in range(SMALL.steps):
         sim.step(0.01, start=warmstart.none)

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 import dc_kernels as dc
 from dc_kernels.model.enums import BodyType, ShapeType
-from pipeline.scenes.scenes import SCENES, Mixed, Thesis, ThesisClustered, place_discs, scene
+from pipeline.scenes import SCENES, Mixed, Thesis, ThesisClustered, place_discs, scene
 
 IN_A_BOX = ("thesis", "thesis-clustered", "settled", "mixed")
 SMALL = {name: scene(name, **({"rows": 3} if name == "pyramid" else {})) for name in SCENES}

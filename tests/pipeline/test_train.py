@@ -27,10 +27,10 @@ from pipeline.cli import main  # noqa: E402
 from pipeline.data import dataset  # noqa: E402
 from pipeline.data.generate import generate  # noqa: E402
 from pipeline.data.recipe import GenerateOptions, Recipe  # noqa: E402
-from pipeline.evaluate.evaluate import HELD_OUT_SEED  # noqa: E402
 from pipeline.networks import models  # noqa: E402
 from pipeline.networks.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
-from pipeline.scenes.scenes import Mixed, Thesis  # noqa: E402
+from pipeline.scenes import Mixed, Thesis  # noqa: E402
+from pipeline.seeds import HELD_OUT_SEED  # noqa: E402
 from pipeline.starts.grid_start import GridStart, grid_starter  # noqa: E402
 from pipeline.training import grid as grid_training  # noqa: E402
 from pipeline.training import losses  # noqa: E402

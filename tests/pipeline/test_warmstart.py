@@ -9,7 +9,7 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels.measure import contact_slots
-from pipeline.scenes.scenes import Chain, Settled, Thesis
+from pipeline.scenes import Chain, Settled, Thesis
 from pipeline.starts import warmstart
 
 PGS = dc.SolverConfig(acceleration="none", max_sweeps=5000, min_sweeps=1)

@@ -10,7 +10,7 @@ import pytest
 import dc_kernels as dc
 from dc_kernels import measure
 from dc_kernels.solve.iteration import ADAPT_ANDERSON, ADAPT_MOMENTUM, COUNTERS
-from pipeline.scenes.scenes import Mixed, Stack, Thesis
+from pipeline.scenes import Mixed, Stack, Thesis
 
 DT = 0.01
 TIGHT = dc.SolverConfig(acceleration="adaptive", tolerance=1e-10, max_sweeps=20_000, stretch=20)

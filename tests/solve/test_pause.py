@@ -10,7 +10,7 @@ import pytest
 import dc_kernels as dc
 from dc_kernels.solve.iteration import NORMS
 from pipeline.options import RunOptions
-from pipeline.scenes.scenes import Mixed, Thesis
+from pipeline.scenes import Mixed, Thesis
 
 SETTINGS = [("pgs", a) for a in ("none", "sor", "aitken", "nncg")] + [("jacobi", "none"), ("jacobi", "aitken")]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import dc_kernels as dc
-from pipeline.scenes.scenes import Thesis
+from pipeline.scenes import Thesis
 
 DT = 0.01
 

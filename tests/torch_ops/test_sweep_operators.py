@@ -12,7 +12,7 @@ import pytest
 import dc_kernels as dc
 from dc_kernels.model.enums import Flag
 from dc_kernels.runtime.backends import argument_names, bind
-from pipeline.scenes.scenes import Mixed, Thesis
+from pipeline.scenes import Mixed, Thesis
 
 torch = pytest.importorskip("torch")
 from dc_kernels.torch_ops.sweeps import ContactProblem, problem_kernels, sweeps_torch  # noqa: E402
@@ -244,7 +244,7 @@ def test_from_simulation_refuses():
     for worlds, index in (([0, 2], 1), ([-1], 0), ([1, 1], 1)):
         with pytest.raises(ValueError, match=rf"worlds\[{index}\] is {worlds[index]}; it must lie in \[0, 1\]"):
             ContactProblem.from_simulation(sim, worlds)
-    from pipeline.scenes.scenes import Chain
+    from pipeline.scenes import Chain
 
     sim = dc.Simulation(*Chain(bodies=3).build().finalize())
     sim.collide(0.01)

@@ -1,0 +1,86 @@
+"""What every scene has: a material, gravity, and one world for each seed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import numpy as np
+
+import dc_kernels as dc
+
+
+def check_above(scene: Any, low: float, names: Sequence[str], strict: bool = True) -> None:
+    """Raise a ``ValueError`` unless the named parameters are finite and above ``low``, or at it if not ``strict``."""
+    for name in names:
+        value = getattr(scene, name)
+        if not (math.isfinite(value) and (value > low or (value == low and not strict))):
+            raise ValueError(f"{scene.name}.{name} is {value!r}; it must be finite and {'>' if strict else '>='} {low}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """Options that every scene has, and the worlds that it builds."""
+
+    name: ClassVar[str]
+
+    friction: float = 0.5
+    """Coulomb coefficient of all shapes [1]."""
+    restitution: float = 0.0
+    """Coefficient of restitution of all shapes, 0 to 1 [1]."""
+    density: float = 1.0
+    """Mass per area of all shapes [kg/m^2]."""
+    gravity: float = 9.8
+    """Downward acceleration [m/s^2]."""
+
+    def check(self) -> None:
+        """Raise a ``ValueError`` that names the parameter which is out of its range."""
+        check_above(self, 0.0, [f.name for f in fields(self) if f.name in ("bodies", "rows", "radius", "half_width")])
+        check_above(self, 0.0, ("density",))
+        check_above(self, 0.0, ("friction", "restitution"), strict=False)
+        if self.restitution > 1.0:
+            raise ValueError(f"{self.name}.restitution is {self.restitution!r}; it must be <= 1")
+
+    @property
+    def material(self) -> dict[str, Any]:
+        """Keywords of ``ModelBuilder.add_*`` for the shapes' material."""
+        return {"friction": self.friction, "restitution": self.restitution, "density": self.density}
+
+    def build(self, worlds: int = 1, seed: int = 0) -> dc.ModelBuilder:
+        """Build one world for each of the seeds ``seed .. seed + worlds - 1``.
+
+        Raises:
+            ValueError: for ``worlds`` < 1, ``seed`` < 0, or a parameter out of its range.
+        """
+        self.check()
+        if worlds < 1:
+            raise ValueError(f"worlds is {worlds}; it must be >= 1")
+        if seed < 0:
+            raise ValueError(f"seed is {seed}; it must be >= 0")
+        builder = dc.ModelBuilder()
+        self.add_worlds(builder, [np.random.Generator(np.random.PCG64(seed + i)) for i in range(worlds)])
+        return builder
+
+    def add_worlds(self, builder: dc.ModelBuilder, streams: Sequence[np.random.Generator]) -> None:
+        """Add one world for each random stream."""
+        for stream in streams:
+            builder.add_world(gravity=(0.0, -self.gravity))
+            self.add_bodies(builder, stream)
+
+    def add_bodies(self, builder: dc.ModelBuilder, stream: np.random.Generator) -> None:
+        """Fill the world just begun."""
+        raise NotImplementedError
+
+    def add_static_chain(self, builder: dc.ModelBuilder, vertices: Sequence[tuple[float, float]]) -> int:
+        """Add a static body with a chain of segments; returns the body."""
+        body = builder.add_body(type=dc.BodyType.STATIC)
+        material = self.material
+        del material["density"]
+        builder.add_chain(body, vertices, **material)
+        return body
+
+    def add_open_box(self, builder: dc.ModelBuilder, width: float, height: float) -> int:
+        """Add left wall, floor and right wall as a static body, which is returned; the floor begins at (0, 0)."""
+        return self.add_static_chain(builder, [(0.0, height), (0.0, 0.0), (width, 0.0), (width, height)])

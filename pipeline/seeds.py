@@ -1,0 +1,16 @@
+"""Which seeds of worlds are for what, so that no network is tested on a world that it was trained on."""
+
+from __future__ import annotations
+
+TUNING_SEED = 80_000
+"""First seed of the worlds on which gains of ContactNet are chosen; its training takes seeds below [1]."""
+VALIDATION_SEED = 90_000
+"""First seed of the worlds that validate ContactNet [1]."""
+HELD_OUT_SEED = 100_000
+"""First seed of the worlds for tests: no training uses seeds from here on [1]."""
+
+
+def check_training_seeds(first: int, count: int) -> None:
+    """Raise a ``ValueError`` unless ``count`` seeds from ``first`` on are free for training."""
+    if first < 0 or first + count > HELD_OUT_SEED:
+        raise ValueError(f"seeds {first} to {first + count - 1}: those from {HELD_OUT_SEED} on are for tests")
