@@ -11,6 +11,7 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.common import kernel_module, scalar_types
+from dc_kernels._warp.native import native_code
 
 # methods as the kernel knows them, see delassus.METHODS
 PGS, AITKEN, NNCG, ANDERSON, HYBRID = (wp.constant(i) for i in range(5))
@@ -19,51 +20,13 @@ SWEEPS_SPENT, CONVERGED, STALLED = (wp.constant(i) for i in range(3))
 BALLISTIC = wp.constant(60)  # steps with momentum between two looks at whether they help
 
 
-# A store and the next row's load of it are what a sweep waits for: plain pointers, no strides, two sums a direction.
-_SWEEP = """
-const int* const start = block_start.data;
-const int* const col = block_col.data;
-const S_TYPE* const w = (const S_TYPE*)block.data;
-const S_TYPE* const given = (const S_TYPE*)q.data;
-const S_TYPE* const inv = (const S_TYPE*)inverse.data;
-S_TYPE* const x = (S_TYPE*)impulse.data;
-S_TYPE* const moved = (S_TYPE*)step.data;
-const S_TYPE none = 0;
-S_TYPE total = 0;
-int k = start[0];
-for (int c = 0; c < n; ++c) {
-    S_TYPE un = given[2 * c], ut = given[2 * c + 1], vn = 0, vt = 0;
-    for (const int end = start[c + 1]; k < end; ++k) {
-        const S_TYPE* const b = w + 4 * (size_t)k;
-        const S_TYPE xn = x[2 * col[k]], xt = x[2 * col[k] + 1];
-        un += b[0] * xn; vn += b[1] * xt;
-        ut += b[2] * xn; vt += b[3] * xt;
-    }
-    un += vn; ut += vt;
-    const S_TYPE rn = x[2 * c], rt = x[2 * c + 1];
-    const S_TYPE n1 = __builtin_elementwise_max(rn - omega * inv[2 * c] * un, low.data[c]);
-    const S_TYPE limit = __builtin_elementwise_max(mu.data[c] * n1, none);
-    const S_TYPE dn = n1 - rn;
-    ut += couple.data[c] * dn;
-    const S_TYPE t1 = __builtin_elementwise_min(
-        __builtin_elementwise_max(rt - omega * inv[2 * c + 1] * ut, -limit), limit);
-    const S_TYPE dt = t1 - rt;
-    x[2 * c] = n1; x[2 * c + 1] = t1;
-    moved[2 * c] = dn; moved[2 * c + 1] = dt;
-    total += dn * dn + dt * dt;
-}
-return total;
-"""
-
-
 @cache
 def sweep_function(dtype: str) -> Any:
     """Projected Gauss-Seidel, the normal of each contact before its friction; the squared norm of its step."""
     t = scalar_types(dtype)
     real, vec2, vec4 = t.real, t.vec2, t.vec4
-    name = {"float32": "float", "float64": "double"}[dtype]
 
-    @wp.func_native(_SWEEP.replace("S_TYPE", name))
+    @wp.func_native(native_code("delassus/sweep.h", dtype=dtype))
     def sweep(
         n: wp.int32,
         omega: real,
