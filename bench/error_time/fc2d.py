@@ -39,7 +39,7 @@ def measure(quick: bool, folder: str | None = None) -> dict[str, Any]:
     Raises:
         SystemExit: with 2 and a message, where there is no folder or nothing in it.
     """
-    from dc_kernels.delassus import problem as delassus
+    from dc_kernels import delassus
     from pipeline.fclib.files import problem_files, read_fclib
 
     path = FOLDER if folder is None else Path(folder)
@@ -98,7 +98,7 @@ def measure(quick: bool, folder: str | None = None) -> dict[str, Any]:
 
 def measure_problem(problem: Any, cap: int, rounds: int) -> list[dict[str, Any]]:
     """What each solver takes to each tolerance; no sweeps and seconds where it is not reached."""
-    from dc_kernels.delassus.problem import METHODS, solve
+    from dc_kernels.delassus import METHODS, solve
 
     rows = []
     for solver in SOLVERS:
@@ -127,7 +127,7 @@ def measure_problem(problem: Any, cap: int, rounds: int) -> list[dict[str, Any]]
 
 def sweep_cost(problems: Mapping[str, Any]) -> dict[str, Any]:
     """Nanoseconds of a plain sweep for each contact and block of W of the largest problem, in both dtypes."""
-    from dc_kernels.delassus.problem import solve
+    from dc_kernels.delassus import solve
 
     name, problem = max(problems.items(), key=lambda item: item[1].count)
     values: dict[str, Any] = {"file": name, "contacts": problem.count, "blocks": len(problem.column)}
@@ -147,7 +147,7 @@ def sweep_cost(problems: Mapping[str, Any]) -> dict[str, Any]:
 def our_problems(quick: bool) -> Iterator[tuple[str, Any]]:
     """States of discs, polygons, stacks and mass ratios, from impact to rest: some 60, a third with ``quick``."""
     import dc_kernels as dc
-    from dc_kernels.delassus.problem import DelassusProblem
+    from dc_kernels.delassus import from_world
     from pipeline import scenes
 
     runs = {
@@ -166,7 +166,7 @@ def our_problems(quick: bool) -> Iterator[tuple[str, Any]]:
             for step in range(1, steps[-1] + 1):
                 sim.collide(0.01)
                 if step in steps:
-                    yield f"{name}-{seed}-{step}", DelassusProblem.from_simulation(sim)
+                    yield f"{name}-{seed}-{step}", from_world(sim)
                 sim.solve()
                 sim.advance()
     for ratio in (1e2, 1e4) if quick else (1e1, 1e2, 1e3, 1e4, 1e5):
@@ -176,7 +176,7 @@ def our_problems(quick: bool) -> Iterator[tuple[str, Any]]:
 def heavy_on_light(ratio: float) -> Any:
     """Nine boxes at rest, and on them one so many times heavier."""
     import dc_kernels as dc
-    from dc_kernels.delassus.problem import DelassusProblem
+    from dc_kernels.delassus import from_world
 
     builder = dc.ModelBuilder()
     builder.add_world()
@@ -186,7 +186,7 @@ def heavy_on_light(ratio: float) -> Any:
         builder.add_box(body, 0.5, 0.5, density=ratio if i == 9 else 1.0)
     sim = dc.Simulation(*builder.finalize("float64"))
     sim.collide(0.01)
-    return DelassusProblem.from_simulation(sim)
+    return from_world(sim)
 
 
 def profile(times: Mapping[str, list[float | None]]) -> dict[str, np.ndarray]:

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import dc_kernels as dc
-from dc_kernels.delassus import problem as delassus
-from dc_kernels.delassus.world import read_impulses
+from dc_kernels import delassus
 from dc_kernels.measure import contact_slots
 
 ACCURACY = 1e-12  # largest change of a sweep over the largest impulse, and relative natural map
@@ -70,8 +69,8 @@ def solve(sim: dc.Simulation, most: int = MOST) -> Reference:
     sim.solve(rough)
     found = _report(sim, slots)
     if not found.reached:
-        given = delassus.DelassusProblem.from_simulation(sim)
-        start = read_impulses(sim, given)
+        given = delassus.from_world(sim)
+        start = delassus.read_impulses(sim, given)
         # the natural map of the field alone: it is the one the simulation reports
         solution = delassus.solve(given, "newton", tolerance=TARGET, max_sweeps=most, start=start, scaled=False)
         impulse[given.slot] = solution.impulses

@@ -12,8 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from dc_kernels.delassus.lemke import WHOLE, lemke, solve_patch
-from dc_kernels.delassus.problem import METHODS
-from dc_kernels.delassus.search import HUGE, Search, delassus_kernels
+from dc_kernels.delassus.search import HUGE, METHODS, Search, delassus_kernels
 from dc_kernels.model.arrays import kernel_vectors, to_numpy
 from dc_kernels.runtime.backends import bind
 from dc_kernels.runtime.optional import require

@@ -1,4 +1,4 @@
-"""Frictional contact problems in Delassus form, u = W r + q, as other simulators exchange them (FCLIB), and solvers.
+"""Frictional contact problems in Delassus form, u = W r + q, as other simulators exchange them (FCLIB).
 
 Contact c owns rows 2c (normal) and 2c + 1 (tangent) of u, q and r: u_n >= 0 where r_n = 0, u_n = 0 where r_n > 0, and
 Coulomb's law |r_t| <= mu r_n, against u_t. W is kept in rows of 2x2 blocks. It may be singular, and unsymmetric by
@@ -7,30 +7,21 @@ round-off: no solver here needs more than its diagonal to be positive.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from dc_kernels.model.arrays import FLOATS, check_values, kernel_array, kernel_vectors
-from dc_kernels.runtime.backends import check_backend
-from dc_kernels.runtime.optional import require
+from dc_kernels.model.arrays import check_values, kernel_array, kernel_vectors
 
-if TYPE_CHECKING:
-    from dc_kernels.simulation import Simulation
-
-Method = Literal["auto", "pgs", "sor", "aitken", "nncg", "anderson", "hybrid", "newton"]
-METHODS = {"pgs": 0, "sor": 0, "aitken": 1, "nncg": 2, "anderson": 3, "hybrid": 4}
-"""Methods of one kernel; "auto" and "newton" are made of them and of ``newton``."""
 FREE = -3e38  # least normal impulse of a row without bound; finite in float32
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DelassusProblem:
-    """A problem of n contacts: checked once, float64, never changed."""
+    """A problem of n contacts; it is checked once, holds float64 and never changes."""
 
     row_start: np.ndarray
     """First block of each contact's row, and the number of blocks, (n + 1,) integers."""
@@ -107,7 +98,7 @@ class DelassusProblem:
         layout: Literal["columns", "rows", "triplets"] = "columns",
         bilateral: Any = None,
     ) -> DelassusProblem:
-        """From the scalar entries of W, as sparse libraries keep them; entries given twice are added.
+        """Make a problem from the scalar entries of W, as sparse libraries keep them; entries given twice are added.
 
         Args:
             data: values, (k,).
@@ -115,11 +106,11 @@ class DelassusProblem:
             pointers: first value of each column or row and k, (2n + 1,); column of each value with "triplets", (k,).
             q: (2n,) or (n, 2) [m/s].
             mu: (n,).
-            layout: which of these they are.
-            bilateral: see the class.
+            layout: whether ``data`` lies column by column, row by row, or in any order.
+            bilateral: rows without bound and friction, (n,) bool; None: none are.
 
         Raises:
-            ValueError: naming what is wrong, see the class.
+            ValueError: naming array and index, as the class does, or for an unknown layout.
         """
         mu = np.asarray(mu)
         n = len(mu) if mu.ndim == 1 else 0
@@ -147,13 +138,6 @@ class DelassusProblem:
             given = given.reshape(n, 2)
         return cls(row_start=start, column=blocks, block=values, q=given, mu=mu, bilateral=bilateral)
 
-    @classmethod
-    def from_simulation(cls, sim: Simulation, world: int = 0) -> DelassusProblem:
-        """The contacts and joints of a world between ``collide`` and ``advance`` (see ``delassus_world.problem``)."""
-        from dc_kernels.delassus.world import problem
-
-        return problem(sim, world)
-
     @property
     def count(self) -> int:
         """Contacts, bilateral rows included."""
@@ -161,44 +145,44 @@ class DelassusProblem:
 
     @functools.cached_property
     def row(self) -> np.ndarray:
-        """Row of each block, (blocks,)."""
+        """Contact whose velocity each block is part of, (blocks,)."""
         return np.repeat(np.arange(self.count), np.diff(self.row_start))
 
     @functools.cached_property
     def diagonal(self) -> np.ndarray:
-        """Blocks of the diagonal, (n, 2, 2) [1/kg]; 0 where none is given."""
+        """Blocks of the diagonal of W, (n, 2, 2) [1/kg]; 0 where none is given."""
         diagonal = np.zeros((self.count, 2, 2))
         own = self.row == self.column
         diagonal[self.row[own]] = self.block[own]
         return diagonal
 
     def product(self, impulses: Any) -> np.ndarray:
-        """W r, (n, 2) [m/s]."""
+        """Multiply W by impulses: W r, (n, 2) [m/s]."""
         x = self.check_impulses("impulses", impulses)
         terms = np.einsum("kij,kj->ki", self.block, x[self.column])
         return np.stack([np.bincount(self.row, terms[:, i], self.count) for i in (0, 1)], axis=1)
 
     def velocity(self, impulses: Any) -> np.ndarray:
-        """Velocities u = W r + q, (n, 2) [m/s]."""
+        """Compute the velocities u = W r + q, (n, 2) [m/s]."""
         return self.product(impulses) + self.q
 
     def natural_map(self, impulses: Any) -> float:
-        """Relative natural map, float64: |r - P(r_n - u_n - mu |u_t|, r_t - u_t)| / |q|, P the projection on the cones.
+        """Measure the error |r - P(r_n - u_n - mu |u_t|, r_t - u_t)| / |q|, where P projects on the friction cones.
 
-        Nothing here has units to be told apart: impulses [N s] and velocities [m/s] are subtracted as numbers, as the
-        field does it. With q = 0 it is not relative: r = 0 is the solution, with map 0.
+        This is the error that FCLIB's solvers report (Acary and Bremond 2014). It depends on the units: impulses [N s]
+        and velocities [m/s] are subtracted as numbers. With q = 0 it is not divided; r = 0 is the solution then.
         """
         return self.natural_maps(impulses)[0]
 
     def scaled_map(self, impulses: Any) -> float:
-        """The same with each impulse times its normal diagonal of W, which makes it the velocity it changes.
+        """Measure the natural map with each impulse multiplied by its normal diagonal of W, the velocity it makes.
 
-        It does not depend on units or on how heavy the bodies are: with W times 1e6 and r by 1e6 it stays.
+        It does not depend on units or on the mass of the bodies: W times 1e6 and r over 1e6 give the same value.
         """
         return self.natural_maps(impulses)[1]
 
     def natural_maps(self, impulses: Any) -> tuple[float, float]:
-        """Both."""
+        """Measure both errors: ``natural_map`` and ``scaled_map``."""
         x = self.check_impulses("impulses", impulses)
         u = self.velocity(x)
         scale = float(np.linalg.norm(self.q)) or 1.0
@@ -209,7 +193,7 @@ class DelassusProblem:
         return given, scaled
 
     def check_impulses(self, name: str, impulses: Any) -> np.ndarray:
-        """Impulses as (n, 2) float64, from (n, 2) or (2n,).
+        """Return impulses given as (n, 2) or (2n,) as (n, 2) float64.
 
         Raises:
             ValueError: for another shape, NaN or inf.
@@ -220,7 +204,7 @@ class DelassusProblem:
         return check_values(name, x, (self.count, 2), np.dtype(np.float64))
 
     def inside(self, impulses: np.ndarray) -> np.ndarray:
-        """Impulses with the normal ones not negative and friction within its bounds, (n, 2)."""
+        """Clamp impulses (n, 2): normal ones not negative, then friction within +-mu times them."""
         normal = np.where(self.bilateral, impulses[:, 0], np.maximum(impulses[:, 0], 0.0))
         limit = self.mu * np.where(self.bilateral, 0.0, normal)
         return np.stack([normal, np.clip(impulses[:, 1], -limit, limit)], axis=1)
@@ -233,7 +217,7 @@ class DelassusProblem:
         return speed / inverse_mass, speed
 
     def packed(self, dtype: str, backend: str) -> Mapping[str, Any]:
-        """Arrays of the kernels by name, in ``units``; made once."""
+        """Return the arrays that kernels take by name, in ``units``; they are made once."""
         cache: dict[tuple[str, str], Mapping[str, Any]] = self.__dict__.setdefault("_packed", {})
         if (dtype, backend) not in cache:
             cache[dtype, backend] = self._pack(np.dtype(dtype), backend)
@@ -270,7 +254,11 @@ def _refuse(name: str, values: np.ndarray, bad: np.ndarray, limit: str) -> None:
 def assemble_blocks(
     n: int, row: np.ndarray, column: np.ndarray, i: Any, j: Any, values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Entries (i, j) of blocks (row, column), added up: row_start (n + 1,), column (blocks,), block (blocks, 2, 2)."""
+    """Add up entries (i, j) of blocks (row, column) of W.
+
+    Returns:
+        row_start (n + 1,), column (blocks,) and block (blocks, 2, 2) of a ``DelassusProblem``.
+    """
     key = row.astype(np.int64) * max(n, 1) + column
     found, inverse = np.unique(key, return_inverse=True)
     flat = np.bincount(inverse * 4 + i * 2 + j, values, 4 * len(found))
@@ -279,7 +267,7 @@ def assemble_blocks(
 
 
 def natural_map(x: np.ndarray, u: np.ndarray, mu: np.ndarray, bilateral: np.ndarray) -> np.ndarray:
-    """Impulses minus the projection of (r_n - u_n - mu |u_t|, r_t - u_t) on the friction cones, (n, 2)."""
+    """Return impulses minus the projection of (r_n - u_n - mu |u_t|, r_t - u_t) on the friction cones, (n, 2)."""
     zn, zt = x[:, 0] - u[:, 0] - mu * np.abs(u[:, 1]), x[:, 1] - u[:, 1]
     size = np.abs(zt)
     inside, behind = (zn >= 0.0) & (size <= mu * zn), mu * size <= -zn
@@ -287,93 +275,3 @@ def natural_map(x: np.ndarray, u: np.ndarray, mu: np.ndarray, bilateral: np.ndar
     pn = np.where(bilateral | inside, zn, np.where(behind, 0.0, edge))
     pt = np.where(inside, zt, np.where(behind, 0.0, np.sign(zt) * mu * edge))
     return np.stack([x[:, 0] - pn, x[:, 1] - np.where(bilateral, 0.0, pt)], axis=1)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DelassusSolution:
-    """What a solve found: of all it looked at, the impulses whose natural maps are least."""
-
-    impulses: np.ndarray
-    """(n, 2) [N s]."""
-    residual: float
-    """Relative natural map (``DelassusProblem.natural_map``)."""
-    scaled_residual: float
-    """The same, scaled (``DelassusProblem.scaled_map``)."""
-    converged: bool
-    """Whether the residuals that were asked for are within the tolerance."""
-    sweeps: int
-    """Sweeps, those before and beside Newton's method included."""
-    pivotings: int
-    """Problems, whole or patches of at most 80 contacts, solved by Lemke's pivots."""
-    factorizations: int
-    """LU factorisations of Newton's method."""
-    history: np.ndarray
-    """At each look: sweeps so far, relative natural map, scaled one, (looks, 3)."""
-
-
-def solve(
-    problem: DelassusProblem,
-    method: Method = "auto",
-    *,
-    tolerance: float = 1e-8,
-    max_sweeps: int = 100_000,
-    start: Any = None,
-    scaled: bool = True,
-    every: int = 5,
-    omega: float = 1.4,
-    dtype: Literal["float32", "float64"] = "float64",
-    backend: str = "warp",
-) -> DelassusSolution:
-    """Solve until both natural maps are within the tolerance; one launch for each first-order solve.
-
-    Args:
-        problem: what to solve.
-        method: "pgs" projected Gauss-Seidel in the order of the contacts, normal before friction; "sor" the same,
-            over-relaxed; "aitken" extrapolation with back-off; "nncg" (Silcowitz et al. 2010); "anderson" with
-            back-off; "hybrid" momentum, and Aitken where it does not help; "newton" from 60 sweeps on; "auto" sweeps,
-            Lemke's pivots where they stall, and Newton where that fails too (not without SciPy).
-        tolerance: of the relative natural maps [1].
-        max_sweeps: sweeps at most, all phases together.
-        start: impulses (n, 2) [N s]; None: zero.
-        scaled: False: the natural map as the field has it decides alone, whatever the units.
-        every: sweeps between two looks at the natural maps, each of which costs half a sweep.
-        omega: relaxation of "sor", in (0, 2).
-        dtype: of the sweeps; Newton's method and what is reported are float64.
-        backend: "warp", or "numpy": the oracle.
-
-    Raises:
-        ValueError: for an argument out of its range, naming it.
-        ImportError: "newton" without SciPy.
-    """
-    if method not in METHODS and method not in ("auto", "newton"):
-        raise ValueError(f"method is {method!r}; it must be one of {('auto', *METHODS, 'newton')}")
-    if not 0.0 < tolerance < float("inf"):
-        raise ValueError(f"tolerance is {tolerance!r}; it must be finite and > 0")
-    for name, value, low in (("max_sweeps", max_sweeps, 0), ("every", every, 1)):
-        if not low <= value < 2**31:
-            raise ValueError(f"{name} is {value!r}; it must lie in [{low}, 2^31)")
-    if not 0.0 < omega < 2.0:
-        raise ValueError(f"omega is {omega!r}; it must lie in (0, 2)")
-    if dtype not in FLOATS:
-        raise ValueError(f"dtype is {dtype!r}; it must be one of {tuple(FLOATS)}")
-    check_backend(backend)
-    first = np.zeros((problem.count, 2)) if start is None else problem.check_impulses("start", start)
-    from dc_kernels.delassus.search import Search
-
-    search = Search(problem, first, tolerance, scaled, max_sweeps, every, omega, dtype, backend)
-    if method in METHODS:
-        search.sweep(method, max_sweeps)
-    else:
-        from dc_kernels.delassus.newton import search_automatically
-
-        search_automatically(search, newton_only=method == "newton")
-    return search.solution()
-
-
-def warmup(dtype: Literal["float32", "float64"] = "float64") -> None:
-    """Load all that a solve needs, which the first one would do otherwise (seconds, if nothing is compiled yet)."""
-    block = np.eye(2)[None]
-    one = DelassusProblem(row_start=[0, 1], column=[0], block=block, q=[[-1.0, 0.5]], mu=[0.3])  # type: ignore[arg-type]
-    solve(one, "aitken", dtype=dtype)
-    with contextlib.suppress(ImportError):  # "auto" does without
-        require("scipy.sparse.linalg", "pipeline")

@@ -2,21 +2,46 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from dc_kernels.delassus.problem import METHODS, DelassusProblem, DelassusSolution
+from dc_kernels.delassus.problem import DelassusProblem
 from dc_kernels.model.arrays import kernel_array, kernel_vectors, to_numpy
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.runtime.backends import bind, check_backend
 
+METHODS = {"pgs": 0, "sor": 0, "aitken": 1, "nncg": 2, "anderson": 3, "hybrid": 4}
+"""Methods of one kernel; "auto" and "newton" are made of them and of ``newton``."""
 REASONS = ("sweeps", "converged", "stalled")
 HUGE, LEAST = 3e38, 1e-30  # tolerances that float32 can hold
 LOOKS = 200_000  # rows of history kept of a phase
 WINDOW = 5  # earlier sweeps that Anderson's combination takes
 DEFAULT = SolverConfig()  # of the Aitken extrapolation
 GROWTH = 1.0  # of a step's squared norm at which its last combination is taken back
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DelassusSolution:
+    """What a solve found: of all impulses that it looked at, those with the least natural maps."""
+
+    impulses: np.ndarray
+    """(n, 2) [N s]."""
+    residual: float
+    """Relative natural map (``DelassusProblem.natural_map``)."""
+    scaled_residual: float
+    """Relative natural map without units (``DelassusProblem.scaled_map``)."""
+    converged: bool
+    """Whether the residuals that were asked for are within the tolerance."""
+    sweeps: int
+    """Sweeps, those before and beside Newton's method included."""
+    pivotings: int
+    """Problems, whole or patches of at most 80 contacts, solved by Lemke's pivots."""
+    factorizations: int
+    """LU factorisations of Newton's method."""
+    history: np.ndarray
+    """At each look: sweeps so far, relative natural map, scaled one, (looks, 3)."""
 
 
 def delassus_kernels(backend: str, dtype: str) -> dict[str, Any]:

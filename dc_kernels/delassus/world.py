@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dc_kernels.delassus.problem import DelassusProblem, DelassusSolution, assemble_blocks, solve
+from dc_kernels.delassus.problem import DelassusProblem, assemble_blocks
+from dc_kernels.delassus.search import DelassusSolution
+from dc_kernels.delassus.solver import solve
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.solve.iteration import COUNTERS
 from dc_kernels.solve.rows import COLUMNS, LANES
@@ -17,8 +19,8 @@ if TYPE_CHECKING:
 OPEN = 1e5  # times its gap over dt: a bias above that is a row that never acts (see _warp/rows.py)
 
 
-def problem(sim: Simulation, world: int = 0) -> DelassusProblem:
-    """The contacts and joints of a world between ``collide`` and ``advance``, as the solver has them.
+def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
+    """Make the problem of a world's contacts and joints, between ``collide`` and ``advance``, as the solver has it.
 
     W = J M^-1 J^T, and q = J v + b of the predicted velocities and the bias b of gaps, restitution and position
     correction. Joints follow the contacts as bilateral rows. Open gaps of bouncing pairs, which the solver's rows
@@ -87,14 +89,14 @@ def problem(sim: Simulation, world: int = 0) -> DelassusProblem:
 
 
 def _column(sim: Simulation, name: str, slot: np.ndarray) -> np.ndarray:
-    """A column of the solver's rows at the given slots of the impulses, float64."""
+    """Read a column of the solver's rows at the given slots of the impulses, float64."""
     columns = COLUMNS[sim.variant]
     block, lane = np.divmod(slot, 2 * LANES)
     return sim.rows.numpy("rows")[(block * len(columns) + columns.index(name)) * LANES + lane].astype(np.float64)
 
 
 def _delassus(jacobian: np.ndarray, body: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """J M^-1 J^T in rows of blocks: for each body that moves, the products of all pairs of its contacts."""
+    """Add up J M^-1 J^T in rows of blocks: for each body that moves, the products of all pairs of its contacts."""
     n = len(body)
     moving = np.flatnonzero((inverse != 0.0).any(axis=-1).ravel())
     place = moving[np.argsort(body.ravel()[moving], kind="stable")]  # 2 contact + side, body by body
@@ -115,7 +117,7 @@ def _delassus(jacobian: np.ndarray, body: np.ndarray, inverse: np.ndarray) -> tu
 
 
 def refine(sim: Simulation, tolerance: float, *, max_sweeps: int = 100_000) -> dict[int, DelassusSolution]:
-    """Between ``solve`` and ``advance``: take worlds that are not solved further in Delassus form.
+    """Solve worlds that are not yet within a tolerance further, in Delassus form, between ``solve`` and ``advance``.
 
     Impulses are written back to ``contacts``, ``joints``, velocities and ``stats`` where the simulation's own residual
     falls by them, and left as they were elsewhere. ``stats.sweeps`` counts on.
@@ -142,7 +144,7 @@ def refine(sim: Simulation, tolerance: float, *, max_sweeps: int = 100_000) -> d
     flags = sim.state.numpy("flags")
     for world in np.flatnonzero((residual > tolerance) & (flags == 0)):
         w = int(world)
-        given = problem(sim, w)
+        given = from_world(sim, w)
         start = read_impulses(sim, given)
         solution = solve(given, tolerance=tolerance, max_sweeps=max_sweeps, start=start)
         write_impulses(sim, w, given, solution)
@@ -151,7 +153,7 @@ def refine(sim: Simulation, tolerance: float, *, max_sweeps: int = 100_000) -> d
 
 
 def read_impulses(sim: Simulation, given: DelassusProblem) -> np.ndarray:
-    """Present impulses of a problem's contacts and joints, (n, 2) [N s]."""
+    """Read the present impulses of a problem's contacts and joints, (n, 2) [N s]."""
     assert given.slot is not None
     x = np.zeros((given.count, 2))
     x[~given.bilateral] = sim.contacts.numpy("impulse")[given.slot[~given.bilateral]]
@@ -160,7 +162,7 @@ def read_impulses(sim: Simulation, given: DelassusProblem) -> np.ndarray:
 
 
 def write_impulses(sim: Simulation, world: int, given: DelassusProblem, solution: DelassusSolution) -> None:
-    """Impulses to the simulation, with all that follows from them; undone where its residual does not fall."""
+    """Write impulses to the simulation with all that follows from them; undo it where its residual does not fall."""
     assert given.slot is not None
     first = int(sim.contacts.numpy("contact_start")[world])
     slots = slice(first, first + int(sim.contacts.numpy("contact_count")[world]))

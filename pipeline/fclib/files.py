@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.delassus.problem import DelassusProblem, assemble_blocks
+from dc_kernels.delassus import DelassusProblem, assemble_blocks
 from dc_kernels.runtime.optional import require
 from pipeline.files import atomic_path
 

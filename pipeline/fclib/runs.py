@@ -7,8 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from dc_kernels.delassus.problem import DelassusProblem, Method, solve, warmup
-from dc_kernels.delassus.world import read_impulses
+from dc_kernels.delassus import Method, from_world, read_impulses, solve, warmup
 from dc_kernels.runtime.optional import require
 from pipeline.fclib.files import FclibProblem, problem_files, read_fclib, write_fclib
 from pipeline.files import versions
@@ -102,7 +101,7 @@ def export(
             sim.collide(run.dt)
             made = []
             for world, path in by_step.get(step, ()):
-                problem = DelassusProblem.from_simulation(sim, world)
+                problem = from_world(sim, world)
                 if problem.count - int(problem.bilateral.sum()):
                     made.append((world, path, problem, read_impulses(sim, problem)))
                 else:

@@ -18,7 +18,7 @@ from bench.error_time import references as error_time_references
 from bench.error_time import runs as error_time_runs
 from bench.error_time import scenes as error_time_scenes
 from bench.error_time import solve as error_time_solve
-from dc_kernels.delassus.problem import DelassusProblem
+from dc_kernels.delassus import from_world
 from dc_kernels.model.config import ACCELERATIONS
 from pipeline import scenes
 
@@ -105,7 +105,7 @@ def test_reference_solves_the_problem(states, which):
     reference = error_time_references.solve(sim)
     assert reference.reached
     assert max(reference.residual, reference.change) <= 1e-12
-    given = DelassusProblem.from_simulation(sim)
+    given = from_world(sim)
     u = given.velocity(reference.impulse)
     normal, tangent = reference.impulse.T
     assert normal.min() >= 0.0 and u[:, 0].min() > -1e-11

@@ -8,15 +8,22 @@ import numpy as np
 import pytest
 
 import dc_kernels as dc
+from dc_kernels import delassus
+from dc_kernels.delassus import METHODS, DelassusProblem, from_world, refine, solve
 from dc_kernels.delassus.lemke import PATCH, lemke, solve_patch
-from dc_kernels.delassus.problem import METHODS, DelassusProblem, solve
 from dc_kernels.delassus.search import Search, delassus_kernels
-from dc_kernels.delassus.world import refine
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.runtime.backends import argument_names
 from pipeline import scenes
 
 FIRST_ORDER = [*METHODS]
+
+
+def test_every_public_name_resolves():
+    assert all(getattr(delassus, name) is not None for name in delassus.__all__)
+    assert set(delassus.__all__) <= set(dir(delassus))
+    with pytest.raises(AttributeError, match="no attribute 'slove'"):
+        delassus.slove  # noqa: B018
 
 
 def from_dense(w: Any, q: Any, mu: Any, **more: Any) -> DelassusProblem:
@@ -38,13 +45,13 @@ def simulated(scene: scenes.Scene, steps: int, dtype: str = "float64", **config:
 @pytest.fixture(scope="module")
 def pile() -> DelassusProblem:
     """Some 50 discs falling on each other: impacts, sliding, sticking."""
-    return DelassusProblem.from_simulation(simulated(scenes.Thesis(bodies=50), 90))
+    return from_world(simulated(scenes.Thesis(bodies=50), 90))
 
 
 @pytest.fixture(scope="module")
 def stack() -> DelassusProblem:
     """Ten boxes: W has rank 30 of 40."""
-    return DelassusProblem.from_simulation(simulated(scenes.Stack(bodies=10), 20))
+    return from_world(simulated(scenes.Stack(bodies=10), 20))
 
 
 # ---------------------------------------------------------------------- the natural map
@@ -214,7 +221,7 @@ def test_heavy_on_light():
         builder.add_box(body, 0.5, 0.5, density=1e4 if i == 9 else 1.0)
     sim = dc.Simulation(*builder.finalize("float64"))
     sim.collide(0.01)
-    problem = DelassusProblem.from_simulation(sim)
+    problem = from_world(sim)
     assert not solve(problem, "aitken", tolerance=1e-4, max_sweeps=3000).converged
     assert solve(problem, tolerance=1e-8).converged
 
@@ -334,7 +341,7 @@ def test_simulation_solves_the_same_problem(name):
     """The simulation's own solution solves the Delassus problem, and its velocities are W r + q less the bias."""
     scene, steps, config = SCENES[name]
     sim = simulated(scene, steps, tolerance=1e-12, max_sweeps=100_000, **config)
-    problem = DelassusProblem.from_simulation(sim)
+    problem = from_world(sim)
     sim.solve()
     assert problem.count > 5 and problem.bilateral.any() == (name == "joints")
     r = np.zeros((problem.count, 2))
@@ -357,7 +364,7 @@ def test_simulation_solves_the_same_problem(name):
 
 def test_open_gaps_of_bouncing_pairs_are_left_out():
     sim = simulated(scenes.Mixed(bodies=40, restitution=0.5), 100)
-    problem = DelassusProblem.from_simulation(sim)
+    problem = from_world(sim)
     assert problem.count < int(sim.contacts.numpy("contact_count")[0])
     assert np.abs(problem.q).max() < 1e3
 
@@ -365,12 +372,12 @@ def test_open_gaps_of_bouncing_pairs_are_left_out():
 def test_out_of_turn():
     sim = dc.Simulation(*scenes.Stack(bodies=2).build().finalize())
     with pytest.raises(ValueError, match="collide"):
-        DelassusProblem.from_simulation(sim)
+        from_world(sim)
     with pytest.raises(ValueError, match="refine"):
         refine(sim, 1e-6)
     sim.collide(0.01)
     with pytest.raises(ValueError, match=r"world is 1; it must lie in \[0, 1\)"):
-        DelassusProblem.from_simulation(sim, 1)
+        from_world(sim, 1)
     sim.solve()
     with pytest.raises(ValueError, match="tolerance is -1"):
         refine(sim, -1)

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from dc_kernels.delassus.problem import DelassusProblem, solve
+from dc_kernels.delassus import DelassusProblem, solve
 from pipeline.cli import main
 from pipeline.fclib.files import FclibProblem, problem_files, read_fclib, write_fclib
 

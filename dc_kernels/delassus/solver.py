@@ -1,0 +1,82 @@
+"""Solve a Delassus problem by the method of one's choice."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any, Literal
+
+import numpy as np
+
+from dc_kernels.delassus.newton import search_automatically
+from dc_kernels.delassus.problem import DelassusProblem
+from dc_kernels.delassus.search import METHODS, DelassusSolution, Search
+from dc_kernels.model.arrays import FLOATS
+from dc_kernels.runtime.backends import check_backend
+from dc_kernels.runtime.optional import require
+
+Method = Literal["auto", "pgs", "sor", "aitken", "nncg", "anderson", "hybrid", "newton"]
+
+
+def solve(
+    problem: DelassusProblem,
+    method: Method = "auto",
+    *,
+    tolerance: float = 1e-8,
+    max_sweeps: int = 100_000,
+    start: Any = None,
+    scaled: bool = True,
+    every: int = 5,
+    omega: float = 1.4,
+    dtype: Literal["float32", "float64"] = "float64",
+    backend: str = "warp",
+) -> DelassusSolution:
+    """Solve until the relative natural maps are within the tolerance; a first-order solve is one launch.
+
+    Args:
+        problem: what to solve.
+        method: "pgs" projected Gauss-Seidel in the order of the contacts, normal before friction; "sor" over-relaxed
+            Gauss-Seidel; "aitken" extrapolation with back-off; "nncg" nonlinear conjugate gradients (Silcowitz et al.
+            2010); "anderson" Anderson's acceleration with back-off; "hybrid" momentum, and Aitken where it does not
+            help; "newton" 60 sweeps, then Newton's method; "auto" sweeps, Lemke's pivots where they stall, and Newton
+            where that fails too, unless SciPy is missing.
+        tolerance: of the relative natural maps [1].
+        max_sweeps: sweeps at most, all phases together.
+        start: impulses (n, 2) [N s]; None: zero.
+        scaled: whether ``scaled_map`` must be within the tolerance too; False: ``natural_map`` alone decides.
+        every: sweeps between two looks at the natural maps, each of which costs half a sweep.
+        omega: relaxation of "sor", in (0, 2).
+        dtype: of the sweeps; Newton's method and what is reported are float64.
+        backend: "warp", or "numpy": the oracle.
+
+    Raises:
+        ValueError: for an argument out of its range, naming it.
+        ImportError: for "newton" without SciPy.
+    """
+    if method not in METHODS and method not in ("auto", "newton"):
+        raise ValueError(f"method is {method!r}; it must be one of {('auto', *METHODS, 'newton')}")
+    if not 0.0 < tolerance < float("inf"):
+        raise ValueError(f"tolerance is {tolerance!r}; it must be finite and > 0")
+    for name, value, low in (("max_sweeps", max_sweeps, 0), ("every", every, 1)):
+        if not low <= value < 2**31:
+            raise ValueError(f"{name} is {value!r}; it must lie in [{low}, 2^31)")
+    if not 0.0 < omega < 2.0:
+        raise ValueError(f"omega is {omega!r}; it must lie in (0, 2)")
+    if dtype not in FLOATS:
+        raise ValueError(f"dtype is {dtype!r}; it must be one of {tuple(FLOATS)}")
+    check_backend(backend)
+    first = np.zeros((problem.count, 2)) if start is None else problem.check_impulses("start", start)
+    search = Search(problem, first, tolerance, scaled, max_sweeps, every, omega, dtype, backend)
+    if method in METHODS:
+        search.sweep(method, max_sweeps)
+    else:
+        search_automatically(search, newton_only=method == "newton")
+    return search.solution()
+
+
+def warmup(dtype: Literal["float32", "float64"] = "float64") -> None:
+    """Load all that a solve needs, which the first one would do otherwise (seconds, if nothing is compiled yet)."""
+    block = np.eye(2)[None]
+    one = DelassusProblem(row_start=[0, 1], column=[0], block=block, q=[[-1.0, 0.5]], mu=[0.3])  # type: ignore[arg-type]
+    solve(one, "aitken", dtype=dtype)
+    with contextlib.suppress(ImportError):  # "auto" does without
+        require("scipy.sparse.linalg", "pipeline")
