@@ -10,7 +10,7 @@ import numpy as np
 from dc_kernels.delassus.problem import DelassusProblem
 from dc_kernels.model.arrays import kernel_array, kernel_vectors, to_numpy
 from dc_kernels.model.config import SolverConfig
-from dc_kernels.runtime.backends import bind, check_backend
+from dc_kernels.runtime.backends import bind, kernel_file
 
 METHODS = {"pgs": 0, "sor": 0, "aitken": 1, "nncg": 2, "anderson": 3, "hybrid": 4}
 """Methods of one kernel; "auto" and "newton" are made of them and of ``newton``."""
@@ -45,12 +45,8 @@ class DelassusSolution:
 
 
 def delassus_kernels(backend: str, dtype: str) -> dict[str, Any]:
-    """Kernels by name: map_delassus, solve_delassus."""
-    if check_backend(backend) == "warp":
-        from dc_kernels._warp.delassus import sweeps as delassus
-    else:
-        from dc_kernels._numpy.delassus import sweeps as delassus  # type: ignore[no-redef]
-    return delassus.kernels(dtype)
+    """Look up the kernels: map_delassus, solve_delassus."""
+    return kernel_file(backend, "delassus.search").kernels(dtype)
 
 
 class Search:

@@ -1,312 +1,41 @@
-"""Contact problems as torch tensors: projected Gauss-Seidel sweeps, differentiable by the impulses they begin with.
+"""Projected Gauss-Seidel sweeps over contact problems as torch operators, with their adjoints.
 
-Importing this module registers ``deep_contact::sweep_problem`` and ``deep_contact::push_impulses`` with torch, so that
-autograd and ``torch.compile`` see one opaque operator each; they need the extra ``pipeline``. A sweep is the solver's
-own with omega = 1. Its derivative is that on the active sets it met, which is one side's where a row just stops; they
-are kept in a tape of one byte a row and sweep, and the adjoint runs the rows backwards. With the active sets a sweep is
-linear, so a first derivative is all there is: a second one raises.
+Importing this module registers ``deep_contact::push_impulses``, ``pull_velocities``, ``sweep_problem`` and
+``pull_problem`` with torch, so that autograd and ``torch.compile`` see one opaque operator each; they need the extra
+``pipeline``. ``dc_kernels.learn.differentiable`` calls them on problems that it has checked and packed.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from dc_kernels.measure import contact_slots
-from dc_kernels.runtime.backends import check_backend
-from dc_kernels.runtime.inputs import check_array, check_count, check_start
-from dc_kernels.runtime.interop import tensor_array, tensor_integers
+from dc_kernels.runtime.backends import kernel_file
 from dc_kernels.runtime.launches import Calls
 from dc_kernels.runtime.optional import require
-from dc_kernels.solve.rows import COLUMNS, LANES
-
-if TYPE_CHECKING:
-    from dc_kernels.simulation import Simulation
 
 torch = require("torch", "pipeline")
 
 ROW = 16  # columns of a packed row
-UNIT = 1e-3  # by which the length of a normal may differ from 1
 
 
-def problem_kernels(backend: str, dtype: str) -> dict[str, Any]:
-    """Kernels by name: pack_problem, push_impulses, pull_velocities, step_problem, sweep_problem, pull_problem."""
-    if check_backend(backend) == "warp":
-        from dc_kernels._warp.learn import sweeps as problem
-    else:
-        from dc_kernels._numpy.learn import sweeps as problem  # type: ignore[no-redef]
-    return problem.kernels(dtype)
+def sweep_kernels(backend: str, dtype: str) -> dict[str, Any]:
+    """Look up the kernels: pack_problem, push_impulses, pull_velocities, step_problem, sweep_problem, pull_problem."""
+    return kernel_file(backend, "learn.differentiable").kernels(dtype)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ContactProblem:
-    """The contacts of W worlds as a solver sees them: tensors on the CPU, contiguous, of one float type.
-
-    Worlds lie one after the other, as do their bodies; contacts are swept in index order. Tensors are read where they
-    lie, but what a sweep reads of a contact is packed once, when the problem is made: later changes are not seen.
-    Conventions of ``types``: a normal points from A to B, impulses act on B.
-    """
-
-    contact_start: Any
-    """First contact of each world and the number of contacts, (W + 1,) integers."""
-    body_start: Any
-    """First body of each world and the number of bodies, (W + 1,) integers."""
-    body_a: Any
-    """Body A, counted over all worlds, (M,) integers."""
-    body_b: Any
-    """Body B, (M,) integers."""
-    normal: Any
-    """Unit vector from A to B, (M, 2)."""
-    arm_a: Any
-    """From the centre of mass of A to the contact point [m], (M, 2)."""
-    arm_b: Any
-    """From the centre of mass of B to the contact point [m], (M, 2)."""
-    friction: Any
-    """Coulomb coefficient, (M,)."""
-    bias: Any
-    """Added to the normal speed [m/s], (M,): gap / dt where a gap may close, minus what a bounce is to keep."""
-    inv_mass: Any
-    """0 where infinite [1/kg], (N,)."""
-    inv_inertia: Any
-    """0 where infinite [1/(kg m^2)], (N,)."""
-    velocity: Any
-    """Predicted: vx, vy [m/s] and spin [rad/s], with forces and without impulses, (N, 3)."""
-    effective_mass: Any = None
-    """Of the normal and the tangent [kg], (M, 2); None: 1 / (J M^-1 J^T)."""
-    slot: Any = None
-    """The contacts' slots in the arrays of the simulation they are from, (M,) int64."""
-
-    def __post_init__(self) -> None:
-        """Check all tensors and pack the rows.
-
-        Raises:
-            ValueError: naming tensor and index: another dtype, shape, device or memory layout, NaN or inf, a normal
-                that is no unit vector, something negative, a body of another world.
-        """
-        dtype = tensor_array("velocity", self.velocity).dtype
-        bodies, contacts = len(self.velocity), len(self.body_a)
-        body_start = check_start("body_start", tensor_integers("body_start", self.body_start), bodies)
-        contact_start = check_start("contact_start", tensor_integers("contact_start", self.contact_start), contacts)
-        worlds = len(body_start) - 1
-        if len(contact_start) != worlds + 1:
-            raise ValueError(f"contact_start has {len(contact_start)} entries; body_start has {worlds + 1}")
-        for name, shape, low in (
-            ("velocity", (bodies, 3), None),
-            ("inv_mass", (bodies,), 0.0),
-            ("inv_inertia", (bodies,), 0.0),
-            ("normal", (contacts, 2), None),
-            ("arm_a", (contacts, 2), None),
-            ("arm_b", (contacts, 2), None),
-            ("friction", (contacts,), 0.0),
-            ("bias", (contacts,), None),
-            ("effective_mass", (contacts, 2), 0.0),
-        ):
-            tensor = getattr(self, name)
-            if tensor is not None or name != "effective_mass":
-                check_array(name, tensor, shape, dtype, low=low)
-        normal = self.normal.numpy()
-        off = np.flatnonzero(np.abs(np.square(normal).sum(axis=1) - 1.0) > 2.0 * UNIT)
-        if len(off):
-            raise ValueError(f"normal[{off[0]}] is {normal[off[0]]}; it must be a unit vector")
-        first, end = (np.repeat(edge, np.diff(contact_start)) for edge in (body_start[:-1], body_start[1:]))
-        pair = np.empty((contacts, 2), np.int32)
-        for side, name in enumerate(("body_a", "body_b")):
-            body = tensor_integers(name, getattr(self, name))
-            if body is None or body.shape != (contacts,) or body.dtype.kind not in "iu":
-                found = "None" if body is None else f"shape {body.shape}, dtype {body.dtype}"
-                raise ValueError(f"{name} has {found}; it must be ({contacts},) integers")
-            bad = np.flatnonzero((body < first) | (body >= end))
-            if len(bad):
-                c = bad[0]
-                raise ValueError(f"{name}[{c}] is {body[c]}; it must lie in [{first[c]}, {end[c] - 1}], its world")
-            pair[:, side] = body
-        keep = object.__setattr__
-        keep(self, "_row_body", torch.from_numpy(pair))
-        keep(self, "_contact_start", torch.from_numpy(contact_start.astype(np.int32)))
-        keep(self, "_world_of", torch.from_numpy(np.repeat(np.arange(worlds), np.diff(body_start))))
-        inverse = torch.stack([self.inv_mass, self.inv_mass, self.inv_inertia], dim=1)
-        keep(self, "_inverse", inverse)
-        keep(self, "_mass", torch.where(inverse > 0, inverse.reciprocal(), 0.0))
-        keep(self, "_row", self.velocity.new_empty((contacts, ROW)))
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        values.update(
-            contact_start=self._contact_start,
-            body_a=self._row_body[:, 0].contiguous(),
-            body_b=self._row_body[:, 1].contiguous(),
-            given_mass=int(self.effective_mass is not None),
-            effective_mass=self.normal if self.effective_mass is None else self.effective_mass,
-            row=self._row,
-        )
-        _run("pack_problem", 1, values)
-
-    if TYPE_CHECKING:
-        _row_body: Any
-        _contact_start: Any
-        _world_of: Any
-        _inverse: Any
-        _mass: Any
-        _row: Any
-
-    @classmethod
-    def from_simulation(cls, sim: Simulation, worlds: Sequence[int] | None = None) -> ContactProblem:
-        """The problem that ``sim.solve()`` solves, copied: between ``collide`` and ``advance``.
-
-        Contacts come in the order in which the solver sweeps them: ``sim.contacts.numpy("impulse")[problem.slot]``
-        are their impulses. The solver begins with these clamped to the friction cone. A flagged world has no contacts,
-        and its velocities count as 0.
-
-        Args:
-            sim: on the CPU, without joints.
-            worlds: which; None for all.
-
-        Raises:
-            ValueError: after ``advance``, on a GPU, with joints, or for a world that is not there or twice.
-        """
-        if sim.device != "cpu":
-            raise ValueError(f"sim.device is {sim.device!r}; contact problems are solved on the CPU")
-        if sim.model.joint_count:
-            raise ValueError(f"sim has {sim.model.joint_count} joints; a contact problem holds contacts only")
-        if sim._phase == "advance":
-            raise ValueError("from_simulation needs collide(dt) first: the contacts are those of a finished step")
-        first, live = sim.model.numpy("body_start").astype(np.int64), sim.state.numpy("flags") == 0
-        chosen = np.arange(len(live)) if worlds is None else np.array(worlds, np.int64).reshape(-1)
-        place = np.full(len(live), -1)
-        for i, w in enumerate(chosen):
-            if not 0 <= w < len(live) or place[w] >= 0:
-                raise ValueError(f"worlds[{i}] is {w}; it must lie in [0, {len(live) - 1}] and be there once")
-            place[w] = i
-        count = np.diff(first)[chosen]
-        body_start = np.concatenate(([0], np.cumsum(count)))
-        shift = body_start[:-1] - first[chosen]  # from a body of the simulation to one of the problem
-        body = np.arange(body_start[-1]) - np.repeat(shift, count)
-
-        slots, world = contact_slots(sim.contacts)
-        row_slot = sim.rows.numpy("slot").astype(np.int64)
-        shown = live[world] & (place[world] >= 0)
-        slots, world = slots[shown], place[world[shown]]
-        order = np.lexsort((row_slot[slots], world))
-        slots, world = slots[order], world[order]
-        columns = COLUMNS[sim.variant]
-        block, lane = np.divmod(row_slot[slots], 2 * LANES)
-        rows = sim.rows.numpy("rows")
-
-        def column(name: str) -> np.ndarray:
-            return rows[(block * len(columns) + columns.index(name)) * LANES + lane]
-
-        velocity = sim.motion.numpy("predicted")[body, :3].copy()
-        velocity[~np.repeat(live[chosen], count)] = 0
-        contacts, model = sim.contacts, sim.model
-        arrays = {
-            "contact_start": np.searchsorted(world, np.arange(len(chosen) + 1)),
-            "body_start": body_start,
-            **{name: contacts.numpy(name)[slots] + shift[world] for name in ("body_a", "body_b")},
-            **{name: contacts.numpy(name)[slots] for name in ("normal", "arm_a", "arm_b")},
-            "friction": column("mu"),
-            "bias": column("bias"),
-            "effective_mass": np.stack([column("en"), column("et")], axis=1),
-            **{name: model.numpy(name)[body] for name in ("inv_mass", "inv_inertia")},
-            "velocity": velocity,
-            "slot": slots,
-        }
-        return cls(**{name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in arrays.items()})
-
-    def velocities(self, impulse: Any, *, threads: int = 1) -> Any:
-        """Predicted velocities + M^-1 J^T impulse, differentiable by the impulse.
-
-        Args:
-            impulse: normal and tangential of each contact, (M, 2), contiguous, of the problem's dtype, finite [N s].
-            threads: worlds are shared by so many threads.
-
-        Returns:
-            vx, vy [m/s] and spin [rad/s], (N, 3).
-
-        Raises:
-            ValueError: naming the argument.
-        """
-        return torch.ops.deep_contact.push_impulses(impulse, self.velocity, *self._packed(impulse, threads))
-
-    def energy(self, impulse_error: Any, *, threads: int = 1) -> Any:
-        """Kinetic energy of the velocities that an error of the impulses makes, 1/2 e^T J M^-1 J^T e.
-
-        Args:
-            impulse_error: (M, 2) [N s]; see ``velocities``.
-            threads: see ``velocities``.
-
-        Returns:
-            Of each world, (W,) [J]; differentiable.
-
-        Raises:
-            ValueError: naming the argument.
-        """
-        still = torch.zeros_like(self.velocity)
-        error = torch.ops.deep_contact.push_impulses(impulse_error, still, *self._packed(impulse_error, threads))
-        energy = 0.5 * (self._mass * error.square()).sum(dim=1)
-        return energy.new_zeros(len(self._contact_start) - 1).index_add(0, self._world_of, energy)
-
-    def natural_map(self, impulse: Any, *, threads: int = 1) -> Any:
-        """What a sweep over each row alone would change: the projected step at the given impulses, all at once.
-
-        The normal steps and stops at 0; the tangent steps and stops at +-mu times the new normal impulse. Zero at a
-        solution, and only there.
-
-        Args:
-            impulse: (M, 2) [N s]; see ``velocities``.
-            threads: see ``velocities``.
-
-        Returns:
-            (M, 2) [N s], without a gradient.
-
-        Raises:
-            ValueError: naming the argument.
-        """
-        impulse = impulse.detach()
-        step = torch.empty_like(impulse)
-        velocity = self.velocities(impulse, threads=threads)
-        _run("step_problem", threads, {**self._rows(), "impulse": impulse, "velocity": velocity, "step": step})
-        return step
-
-    def _rows(self) -> dict[str, Any]:
-        return {"contact_start": self._contact_start, "row": self._row, "row_body": self._row_body}
-
-    def _packed(self, impulse: Any, threads: int) -> tuple[Any, ...]:
-        """The trailing arguments of the operators; the impulses are checked here."""
-        array = tensor_array("impulse", impulse)
-        check_array("impulse", array, (len(self._row), 2), tensor_array("velocity", self.velocity).dtype)
-        return self._inverse, self._row, self._row_body, self._contact_start, check_count("threads", threads)
+# ------------------------------------------------------------------ calls
 
 
-def sweeps_torch(
-    impulse: Any, problem: ContactProblem, sweeps: int, *, leak: float = 0.0, threads: int = 1
-) -> tuple[Any, Any, Any]:
-    """Plain projected Gauss-Seidel sweeps, normal before tangent, contacts in index order.
+@functools.cache
+def _calls(name: str, dtype: str) -> Calls:
+    return Calls(sweep_kernels("warp", dtype)[name])
 
-    Args:
-        impulse: to begin with, (M, 2), contiguous, of the problem's dtype, finite [N s]; unlike the solver's it is
-            taken as it is, inside the friction cone or not.
-        problem: whose contacts are swept.
-        sweeps: how many, >= 0.
-        leak: a row that is stopped passes this share of the gradient that it would pass if it were not, in [0, 1]:
-            with 0 nothing is learned of what the cone cuts off. What is computed does not depend on it.
-        threads: worlds are shared by so many threads; the bits do not depend on it.
 
-    Returns:
-        Impulses (M, 2) [N s], velocities (N, 3) [m/s, rad/s], and what the last sweep changed the impulses by (M, 2)
-        [N s], 0 without a sweep. All are differentiable by ``impulse``, once.
-
-    Raises:
-        ValueError: naming the argument.
-    """
-    if not isinstance(sweeps, int | np.integer) or isinstance(sweeps, bool) or sweeps < 0:
-        raise ValueError(f"sweeps is {sweeps!r}; it must be an integer of at least 0")
-    if not 0.0 <= leak <= 1.0:
-        raise ValueError(f"leak is {leak!r}; it must lie in [0, 1]")
-    packed = problem._packed(impulse, threads)
-    found = torch.ops.deep_contact.sweep_problem(impulse, problem.velocity, *packed, int(sweeps), float(leak))
-    return tuple(found[:3])
+def launch(name: str, threads: int, values: dict[str, Any]) -> None:
+    """Launch a kernel on tensors by name, each thread on its share of the worlds."""
+    dtype = str(values["row"].dtype).removeprefix("torch.")
+    _calls(name, dtype)(values, len(values["contact_start"]) - 1, threads)
 
 
 # ------------------------------------------------------------------ operators
@@ -320,7 +49,7 @@ _PROBLEM = "Tensor inverse, Tensor row, Tensor row_body, Tensor contact_start, i
 def _push(impulse: Any, velocity: Any, inverse: Any, row: Any, row_body: Any, contact_start: Any, threads: int) -> Any:
     pushed = velocity.clone()
     arrays = {"contact_start": contact_start, "row": row, "row_body": row_body}
-    _run("push_impulses", threads, {**arrays, "impulse": impulse, "velocity": pushed})
+    launch("push_impulses", threads, {**arrays, "impulse": impulse, "velocity": pushed})
     return pushed
 
 
@@ -331,7 +60,7 @@ def _pull(velocity: Any, inverse: Any, row: Any, row_body: Any, contact_start: A
     """J M^-1 velocity, (M, 2): the adjoint of ``push_impulses``."""
     speed = row.new_empty((len(row), 2))
     arrays = {"contact_start": contact_start, "row": row, "row_body": row_body}
-    _run("pull_velocities", threads, {**arrays, "velocity": inverse * velocity, "speed": speed})
+    launch("pull_velocities", threads, {**arrays, "velocity": inverse * velocity, "speed": speed})
     return speed
 
 
@@ -355,7 +84,7 @@ def _sweep(
     active = torch.empty((sweeps, len(row)), dtype=torch.int8)
     arrays = {"contact_start": contact_start, "row": row, "row_body": row_body, "sweeps": sweeps}
     results = {"impulse": impulse, "velocity": velocity, "change": change, "active": active}
-    _run("sweep_problem", threads, {**arrays, **results})
+    launch("sweep_problem", threads, {**arrays, **results})
     return impulse, velocity, change, active
 
 
@@ -363,7 +92,7 @@ def _sweep(
     "deep_contact::pull_problem",
     mutates_args=(),
     schema="(Tensor by_impulse, Tensor by_velocity, Tensor by_change, Tensor active, "
-    f"{_PROBLEM}, int sweeps, float leak) -> Tensor",
+    f"{_PROBLEM}, *, int sweeps, float leak) -> Tensor",
 )
 def _pull_problem(
     by_impulse: Any,
@@ -375,6 +104,7 @@ def _pull_problem(
     row_body: Any,
     contact_start: Any,
     threads: int,
+    *,
     sweeps: int,
     leak: float,
 ) -> Any:
@@ -382,7 +112,7 @@ def _pull_problem(
     result = by_impulse.clone(memory_format=torch.contiguous_format)
     arrays = {"contact_start": contact_start, "row": row, "row_body": row_body, "sweeps": sweeps, "leak": leak}
     given = {"active": active, "by_change": by_change, "by_velocity": inverse * by_velocity}
-    _run("pull_problem", threads, {**arrays, **given, "by_impulse": result})
+    launch("pull_problem", threads, {**arrays, **given, "by_impulse": result})
     return result
 
 
@@ -403,7 +133,7 @@ def _(impulse: Any, velocity: Any, inverse: Any, row: Any, *rest: Any) -> tuple[
 
 
 @_pull_problem.register_fake
-def _(by_impulse: Any, *rest: Any) -> Any:
+def _(by_impulse: Any, *rest: Any, **settings: Any) -> Any:
     return torch.empty_like(by_impulse, memory_format=torch.contiguous_format)
 
 
@@ -422,28 +152,15 @@ def _push_backward(ctx: Any, by_velocity: Any) -> tuple[Any, ...]:
 
 def _sweep_setup(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
     ctx.save_for_backward(output[3], *inputs[2:6])
-    ctx.settings = inputs[6:]
+    ctx.threads, ctx.sweeps, ctx.leak = inputs[6:]
 
 
 def _sweep_backward(ctx: Any, by_impulse: Any, by_velocity: Any, by_change: Any, _: Any) -> tuple[Any, ...]:
     cotangents = (by.contiguous() for by in (by_impulse, by_velocity, by_change))
-    result = torch.ops.deep_contact.pull_problem(*cotangents, *ctx.saved_tensors, *ctx.settings)
+    pull = torch.ops.deep_contact.pull_problem
+    result = pull(*cotangents, *ctx.saved_tensors, ctx.threads, sweeps=ctx.sweeps, leak=ctx.leak)
     return result, *(None,) * 8
 
 
 _push.register_autograd(_push_backward, setup_context=_push_setup)
 _sweep.register_autograd(_sweep_backward, setup_context=_sweep_setup)
-
-
-# ------------------------------------------------------------------ calls
-
-
-@functools.cache
-def _calls(name: str, dtype: str) -> Calls:
-    return Calls(problem_kernels("warp", dtype)[name])
-
-
-def _run(name: str, threads: int, values: dict[str, Any]) -> None:
-    """Launch a kernel on tensors, each thread on its share of the worlds."""
-    dtype = str(values["row"].dtype).removeprefix("torch.")
-    _calls(name, dtype)(values, len(values["contact_start"]) - 1, threads)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.grid.grid import Grid
+from dc_kernels.learn.differentiable import ContactProblem, sweeps_torch
 from dc_kernels.runtime.optional import require
-from dc_kernels.torch_ops.sweeps import ContactProblem, sweeps_torch
 from dc_kernels.torch_ops.transfer import gather_torch, splat_torch
 from pipeline.contactnet.network import EvenShare
 

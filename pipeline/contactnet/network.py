@@ -1,4 +1,4 @@
-"""ContactNet: corrects the impulses of a solve in flight, contact by contact (``dc_kernels.learn.features``).
+"""ContactNet: corrects the impulses of a solve in flight, contact by contact (``dc_kernels.learn.in_flight``).
 
 A convolutional trunk of several scales reads images of what the contacts carry and of how the last sweep changed it; a
 small head at each contact reads the trunk at the contact and at both its bodies, and the contact's own features, which

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import dc_kernels as dc
-from dc_kernels.torch_ops.sweeps import ContactProblem
+from dc_kernels.learn.differentiable import ContactProblem
 from pipeline.contactnet.loss import BODY_FIELDS, CONTACT_FIELDS
 from pipeline.options import RunOptions
 from pipeline.scenes import Thesis

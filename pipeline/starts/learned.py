@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 import dc_kernels as dc
-from dc_kernels.learn.features import SolveReader
+from dc_kernels.learn.in_flight import SolveReader
 from dc_kernels.runtime.optional import require
 from dc_kernels.solve.iteration import NORMS
 

@@ -18,10 +18,10 @@ from typing import Any, get_args
 
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.transfer import Stencil
+from dc_kernels.learn.differentiable import ContactProblem, sweeps_torch
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.runtime.optional import require
 from dc_kernels.solve.rows import COLORS
-from dc_kernels.torch_ops.sweeps import ContactProblem, sweeps_torch
 from dc_kernels.torch_ops.transfer import gather_torch
 from pipeline.training.train import LossName
 

@@ -20,7 +20,7 @@ from pipeline.scenes import Mixed, Scene, Settled, Thesis
 torch = pytest.importorskip("torch")
 torch.set_num_threads(1)
 
-from dc_kernels.torch_ops.sweeps import ContactProblem  # noqa: E402
+from dc_kernels.learn.differentiable import ContactProblem  # noqa: E402
 from pipeline.contactnet.network import ContactNet  # noqa: E402
 from pipeline.starts.learned import CallOptions, LearnedSolve  # noqa: E402
 

@@ -21,8 +21,8 @@ import safetensors.torch  # noqa: E402
 
 import dc_kernels as dc  # noqa: E402
 from dc_kernels.grid.grid import Grid  # noqa: E402
+from dc_kernels.learn.differentiable import ContactProblem  # noqa: E402
 from dc_kernels.measure import contact_slots  # noqa: E402
-from dc_kernels.torch_ops.sweeps import ContactProblem  # noqa: E402
 from pipeline.cli import main  # noqa: E402
 from pipeline.data import dataset  # noqa: E402
 from pipeline.data.generate import generate  # noqa: E402

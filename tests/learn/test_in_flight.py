@@ -11,7 +11,7 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
-from dc_kernels.learn.features import SolveReader, solve_kernels
+from dc_kernels.learn.in_flight import SolveReader, in_flight_kernels
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.runtime.backends import argument_names, bind
 from dc_kernels.runtime.program import Fed
@@ -99,7 +99,7 @@ def running(sim: dc.Simulation) -> np.ndarray:
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize("variant", list(COLUMNS))
 def test_backends_have_the_same_kernels(dtype, variant):
-    warp, oracle = (solve_kernels(backend, dtype, variant) for backend in ("warp", "numpy"))
+    warp, oracle = (in_flight_kernels(backend, dtype, variant) for backend in ("warp", "numpy"))
     assert list(warp) == list(oracle)
     for name in warp:
         assert argument_names(warp[name]) == argument_names(oracle[name]), name
@@ -108,7 +108,7 @@ def test_backends_have_the_same_kernels(dtype, variant):
 def run_oracle(reader: SolveReader, kernel: str, **more: Any) -> dict[str, np.ndarray]:
     """All arguments of a kernel after the oracle has run on copies of them."""
     sim = reader.sim
-    oracle = solve_kernels("numpy", sim.dtype.name, sim.variant)[kernel]
+    oracle = in_flight_kernels("numpy", sim.dtype.name, sim.variant)[kernel]
     values = {**reader._values, "world_offset": 0, **more}
     given = {name: values[name] for name in argument_names(oracle)}
     copies = {name: v if np.isscalar(v) else to_numpy(v).copy() for name, v in given.items()}

@@ -24,7 +24,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     t = scalar_types(dtype)
     real, vec2, vec3 = t.real, t.vec2, wp.types.vector(3, t.real)
     row_type = wp.types.vector(16, real)
-    module = kernel_module("problem", dtype)
+    module = kernel_module("differentiable", dtype)
 
     @wp.func(module=module)
     def inverse(x: real):

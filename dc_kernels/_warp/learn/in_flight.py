@@ -20,7 +20,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     """``solve_features`` and ``correct_impulses``; a thread each world that is asked for."""
     t = scalar_types(dtype)
     real, vec2, vec4 = t.real, t.vec2, t.vec4
-    module = kernel_module("solve_features", dtype, variant)
+    module = kernel_module("in_flight", dtype, variant)
     columns = COLUMNS[variant]
     width = wp.constant(len(columns) * LANES)
     EN, ET, BIAS = (wp.constant(columns.index(name) * LANES) for name in ("en", "et", "bias"))

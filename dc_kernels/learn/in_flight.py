@@ -19,6 +19,7 @@ from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.transfer import Splat, allocate_image, chunks_of, stencil_scalars, transfer_kernels
 from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
 from dc_kernels.model.arrays import aligned_zeros, kernel_array, kernel_vectors, to_torch
+from dc_kernels.runtime.backends import kernel_file
 from dc_kernels.runtime.inputs import check_count
 from dc_kernels.runtime.interop import address
 from dc_kernels.runtime.program import Fed, Kernel, Program
@@ -30,13 +31,9 @@ RATE_NODES = 3  # spacings between the nodes that rates are taken at: 6 diameter
 PLACES = ("place", "place_a", "place_b")
 
 
-def solve_kernels(backend: str, dtype: str, variant: str) -> dict[str, Any]:
-    """Kernels by name: solve_features, correct_impulses."""
-    if backend == "warp":
-        from dc_kernels._warp.learn import features as solve_features
-    else:
-        from dc_kernels._numpy.learn import features as solve_features  # type: ignore[attr-defined, no-redef]
-    return solve_features.kernels(dtype, variant)
+def in_flight_kernels(backend: str, dtype: str, variant: str) -> dict[str, Any]:
+    """Look up the kernels: solve_features, correct_impulses."""
+    return kernel_file(backend, "learn.in_flight").kernels(dtype, variant)
 
 
 class SolveReader:
@@ -83,7 +80,7 @@ class SolveReader:
         self.threads = max(1, min(sim.threads if threads is None else check_count("threads", threads), worlds))
         self._table = {
             **transfer_kernels(sim.backend, sim.dtype.name),
-            **solve_kernels(sim.backend, sim.dtype.name, sim.variant),
+            **in_flight_kernels(sim.backend, sim.dtype.name, sim.variant),
         }
         self.image = allocate_image(worlds, len(IMAGE), grid, sim.dtype)
         coarse = [max(2, -(-(n - 1) // RATE_NODES) + 1) for n in grid.shape]

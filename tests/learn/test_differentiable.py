@@ -15,7 +15,8 @@ from dc_kernels.runtime.backends import argument_names, bind
 from pipeline.scenes import Mixed, Thesis
 
 torch = pytest.importorskip("torch")
-from dc_kernels.torch_ops.sweeps import ContactProblem, problem_kernels, sweeps_torch  # noqa: E402
+from dc_kernels.learn.differentiable import ContactProblem, sweeps_torch  # noqa: E402
+from dc_kernels.torch_ops.sweeps import sweep_kernels  # noqa: E402
 
 torch.set_num_threads(1)
 CONTACTS, BODIES = (4, 0, 7, 1, 0), (3, 2, 5, 2, 0)  # of the worlds of ``arrays``
@@ -260,7 +261,7 @@ def test_kernels_agree_with_the_oracle(dtype):
     """Each on the same arrays, the adjoint on the tape of the sweeps before it."""
     import warp as wp
 
-    tables = {backend: problem_kernels(backend, dtype) for backend in ("warp", "numpy")}
+    tables = {backend: sweep_kernels(backend, dtype) for backend in ("warp", "numpy")}
     assert tables["warp"].keys() == tables["numpy"].keys()
     given = arrays(1, np.dtype(dtype))
     draw, count, bodies = np.random.default_rng(2), sum(CONTACTS), sum(BODIES)
@@ -353,7 +354,7 @@ def test_operators_keep_torchs_rules():
     fixed = x.detach()
     torch.library.opcheck(ops.pull_velocities, (p.velocity, *packed))
     active = torch.ones(2, len(x), dtype=torch.int8)
-    torch.library.opcheck(ops.pull_problem, (fixed, p.velocity, fixed, active, *packed, 2, 0.1))
+    torch.library.opcheck(ops.pull_problem, (fixed, p.velocity, fixed, active, *packed), {"sweeps": 2, "leak": 0.1})
 
 
 # ---------------------------------------------------------------------- refusals
