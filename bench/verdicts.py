@@ -116,14 +116,15 @@ def picture(check: Check, path: Path) -> None:
     """The scene of a failed check, where it has one."""
     if check.sim is None:
         return
-    from pipeline.plots import plots
+    from pipeline.plots import style
+    from pipeline.plots.world import draw_world
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    with plots.figure(7.0, 6.0) as figure:
+    with style.figure(7.0, 6.0) as figure:
         axes = figure.subplots()
-        plots.draw_world(axes, check.sim)
+        draw_world(axes, check.sim)
         axes.set_title(str(check), fontsize=8)
-        plots.save(figure, path)
+        style.save_figure(figure, path)
 
 
 def table(rows: list[dict[str, Any]]) -> str:

@@ -1,4 +1,4 @@
-"""Files that are whole or not there, and what stands in each."""
+"""Files that are whole or not there, and what is written into them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import numpy as np
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary name in the same folder: renamed to ``path`` when the block ends, removed when it raises."""
+    """Give a temporary name in the folder of ``path``, renamed to it when the block ends, removed when it raises."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
     try:
@@ -26,6 +26,22 @@ def atomic_path(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
+def write_bytes(path: Path, content: bytes | memoryview) -> None:
+    """Write a whole file in one go, and wait until it is on the disk.
+
+    Raises:
+        OSError: naming the file, when the disk is full or does not take it.
+    """
+    try:
+        with atomic_path(path) as partial, open(partial, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        text = f"{path} was not written: {error.strerror or error}; what was there before is whole"
+        raise OSError(error.errno, text) from error
+
+
 def write_json(path: Path, content: Any) -> None:
     """Write JSON in one go (``atomic_path``)."""
     with atomic_path(path) as partial:
@@ -33,7 +49,7 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python, of this project and of what computes."""
+    """Return the versions of Python, of this project and of the libraries that compute, by name."""
     found = {"python": platform.python_version()}
     for name in ("deep-contact", "warp-lang", "numpy", "h5py"):
         try:
@@ -44,7 +60,7 @@ def versions() -> dict[str, str]:
 
 
 def plain(value: Any) -> Any:
-    """Nested dicts and lists with Python's own numbers, for JSON."""
+    """Return nested dicts and lists with Python's own numbers, for JSON."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

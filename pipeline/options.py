@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Literal
 
-import numpy as np
-
 import dc_kernels as dc
+from pipeline.checks import check_finite, check_least
 from pipeline.scenes import Scene
 
 DEFAULT = dc.SolverConfig()
@@ -15,7 +14,7 @@ DEFAULT = dc.SolverConfig()
 
 @dataclass(frozen=True, kw_only=True)
 class SolverOptions:
-    """How contacts are solved."""
+    """Options of the contact solver."""
 
     method: Literal["pgs", "jacobi"] = DEFAULT.method
     """Gauss-Seidel in colour order, or Jacobi with mass splitting."""
@@ -24,24 +23,24 @@ class SolverOptions:
     tolerance: float = DEFAULT.tolerance
     """Impulse change of a sweep, or residual, at which a solve ends [N s or 1]."""
     relative_tolerance: float = DEFAULT.relative_tolerance
-    """Impulse change over what a typical weight gives in a step; the smaller bound counts [1]."""
+    """Impulse change at which a solve ends, in units of what a typical weight gives in a step, where smaller [1]."""
     stop: Literal["change", "residual"] = DEFAULT.stop
     """What the tolerance is compared with."""
     max_sweeps: int = DEFAULT.max_sweeps
     """Sweeps after which a solve ends unconverged [1]."""
     min_sweeps: int = DEFAULT.min_sweeps
-    """Sweeps of a solve at least [1]."""
+    """Least number of sweeps of a solve [1]."""
     position_correction: Literal["ngs", "baumgarte", "none"] = DEFAULT.position_correction
     """A phase of its own after the velocities, a velocity bias, or nothing."""
 
     def config(self, history: bool = False) -> dc.SolverConfig:
-        """The kernels' settings."""
+        """Make the settings of the kernels; with ``history`` they keep the impulse change of every sweep."""
         return dc.SolverConfig(**asdict(self), history=history)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """What is run, and on what."""
+    """Options of a run: its worlds, its time step, and what it computes on."""
 
     worlds: int = 1
     """Worlds, of the seeds seed, seed + 1, ... [1]."""
@@ -59,14 +58,12 @@ class RunOptions:
     """Device of the Warp kernels: cpu, or cuda:0, ..."""
 
     def simulation(self, scene: Scene, config: dc.SolverConfig) -> dc.Simulation:
-        """The scene's worlds, ready to step.
+        """Make the scene's worlds, ready to step.
 
         Raises:
             ValueError: for an option out of its range.
         """
-        if not (np.isfinite(self.dt) and self.dt > 0.0):
-            raise ValueError(f"dt is {self.dt!r}; it must be finite and > 0")
-        if self.threads < 1:
-            raise ValueError(f"threads is {self.threads}; it must be >= 1")
+        check_finite(self, "dt")
+        check_least(self, threads=1)
         arrays = scene.build(self.worlds, self.seed).finalize(self.dtype, device=self.device, backend=self.backend)
         return dc.Simulation(*arrays, config=config, threads=self.threads)

@@ -199,22 +199,19 @@ def profile(times: Mapping[str, list[float | None]]) -> dict[str, np.ndarray]:
 
 def draw(times: Mapping[str, Mapping[str, list[float | None]]], files: int, states: int, path: Path) -> None:
     """The profiles as a figure."""
-    from pipeline.files import atomic_path
-    from pipeline.plots import plots
+    from pipeline.plots import style
 
-    with plots.figure(9.6, 3.9) as figure:
+    with style.figure(9.6, 3.9) as figure:
         axes = figure.subplots(1, 2, sharey=True)
         for axis, (tag, tolerance) in zip(axes, TOLERANCES.items(), strict=True):
             for i, (solver, share) in enumerate(profile(times[tag]).items()):
-                line = plots.LINES[i // 4 % len(plots.LINES)] if solver != "auto" else "-"
-                axis.plot(RATIOS, share, line, color=plots.CYCLE[i], label=solver, lw=2.6 if solver == "auto" else 1.6)
+                line = style.LINES[i // 4 % len(style.LINES)] if solver != "auto" else "-"
+                axis.plot(RATIOS, share, line, color=style.CYCLE[i], label=solver, lw=2.6 if solver == "auto" else 1.6)
             axis.set(xscale="log", xlim=(1, RATIOS[-1]), ylim=(0, 1.02), xlabel="time over the fastest solver's")
             axis.set_title(f"relative natural map {tolerance:g}")
         axes[0].set_ylabel(f"share solved of {files} files and {states} states of our scenes")
         axes[1].legend(loc="lower right", ncols=2)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_path(path) as partial:
-            plots.save(figure, partial)
+        style.save_figure(figure, path)
 
 
 def report(values: dict[str, Any]) -> str:

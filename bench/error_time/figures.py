@@ -12,7 +12,7 @@ from bench.error_time import runs as error_time_runs
 from bench.error_time import solve as error_time_solve
 from bench.error_time.motion import MOTIONS, SERIES, order
 from dc_kernels.runtime.optional import require
-from pipeline.plots import plots
+from pipeline.plots import style as plots
 
 PALE = "#b8c4d0"
 LINE = {"linewidth": 1.6, "zorder": 3}
@@ -56,7 +56,7 @@ def scene_figure(title: str, points: Sequence[Mapping[str, Any]], path: Path) ->
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, fontsize=9, loc="outside lower center", ncols=9, handlelength=1.6)
         path.parent.mkdir(parents=True, exist_ok=True)
-        plots.save(figure, path)
+        plots.save_figure(figure, path)
 
 
 def _colors(points: Sequence[Mapping[str, Any]]) -> dict[str, str]:
@@ -209,7 +209,7 @@ def motion_figure(points: Sequence[Mapping[str, Any]], path: Path) -> None:
             )
         handles, labels = axes.get_legend_handles_labels()
         figure.legend(handles, labels, fontsize=9, loc="outside lower center", ncols=5)
-        plots.save(figure, path)
+        plots.save_figure(figure, path)
 
 
 def series_points(points: Sequence[Mapping[str, Any]], series: str) -> list[Mapping[str, Any]]:

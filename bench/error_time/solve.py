@@ -128,10 +128,10 @@ class Solver:
         if setting.start == "cnn":
             import torch
 
-            from pipeline.starts import warmstart
+            from pipeline.starts.registry import maker
 
             torch.set_num_threads(1)
-            self.learned = warmstart.maker("cnn")(self.sim)
+            self.learned = maker("cnn")(self.sim)
         self.sim.collide(DT)
         self.slots, _ = contact_slots(self.sim.contacts)
         self.impulse = self.sim.contacts.numpy("impulse")

@@ -39,12 +39,13 @@ def measure(quick: bool) -> dict[str, Any]:
     import torch
 
     from bench.learning import thesis_networks
-    from pipeline.evaluate.evaluate import EvaluationOptions, run_strategy
+    from pipeline.evaluate.options import EvaluationOptions
     from pipeline.evaluate.runs import against
+    from pipeline.evaluate.strategy import run_strategy
 
     torch.set_num_threads(THREADS)
     options = EvaluationOptions(worlds=3 if quick else 10, history=False)
-    make = drivers()
+    make = starts()
     values: dict[str, Any] = {"worlds": options.worlds, "rows": []}
     with tempfile.TemporaryDirectory() as folder:
         timing.progress("training the networks of 2018")
@@ -80,11 +81,11 @@ def measure(quick: bool) -> dict[str, Any]:
     return values
 
 
-def drivers() -> dict[str, Any]:
-    """What makes each driver for a simulation, by name."""
+def starts() -> dict[str, Any]:
+    """Return what makes each start for a simulation, by name."""
     from pipeline.contactnet.network import EvenShare
     from pipeline.starts.learned import CallOptions, LearnedSolve
-    from pipeline.starts.warmstart import maker
+    from pipeline.starts.registry import maker
 
     return {
         "even share": lambda sim: LearnedSolve(sim, EvenShare(), CallOptions()),
@@ -95,7 +96,7 @@ def drivers() -> dict[str, Any]:
 
 def thesis_simulation(worlds: int, acceleration: str, bodies: int = 100, cap: int = 1000) -> Any:
     """Held-out thesis worlds with the protocol's settings."""
-    from pipeline.evaluate.evaluate import EvaluationOptions
+    from pipeline.evaluate.options import EvaluationOptions
 
     options = EvaluationOptions(worlds=worlds, bodies=bodies, max_sweeps=cap, history=False)
     return options.simulation(acceleration)  # type: ignore[arg-type]
@@ -103,17 +104,19 @@ def thesis_simulation(worlds: int, acceleration: str, bodies: int = 100, cap: in
 
 def wall_times(batch: int, rounds: int) -> dict[str, Any]:
     """A batch of worlds on plain PGS, and one world alone, from the first to the last of 250 steps."""
-    make = drivers()["contactnet"]
+    from pipeline.starts.start import step
+
+    make = starts()["contactnet"]
     parts: dict[str, float] = {}
 
     def learned(worlds: int, acceleration: str) -> Any:
         def run() -> None:
             sim = thesis_simulation(worlds, acceleration)
-            driver = make(sim)
+            start = make(sim)
             for _ in range(250):
-                driver.step(0.01)
+                step(start, 0.01)
             parts.clear()
-            parts.update(driver.stats.seconds)
+            parts.update(start.report().seconds)
 
         return run
 
@@ -146,7 +149,7 @@ def large_worlds(worlds: int, every: int) -> dict[str, Any]:
     """States of 1 000 discs from impact to rest, each solved with and without the network (Aitken, cap 5 000)."""
     first, last = LARGE["first"], LARGE["last"]
     sim = thesis_simulation(worlds, "aitken", LARGE["bodies"], LARGE["cap"])
-    made = {name: make(sim) for name, make in drivers().items() if name != "contactnet start"}
+    made = {name: make(sim) for name, make in starts().items() if name != "contactnet start"}
     sweeps: dict[str, list[np.ndarray]] = {name: [] for name in ("builtin", *made)}
     wall = dict.fromkeys(sweeps, 0.0)
     sim.run(first, 0.01)
@@ -168,8 +171,8 @@ def large_worlds(worlds: int, every: int) -> dict[str, Any]:
         "wall_ratio_1000": wall["contactnet"] / wall["builtin"],
         "sweeps_1000": mean,
         "wall_1000_s": wall,
-        "parts_1000_s": dict(made["contactnet"].stats.seconds),
-        "calls_1000": float(made["contactnet"].stats.calls.sum() / done.size),
+        "parts_1000_s": dict(made["contactnet"].report().seconds),
+        "calls_1000": made["contactnet"].report().counts["calls"] / done.size,
         "states_1000": int(done.sum()),
         "unconverged_1000": int((~done).sum()),
         "unconverged_learned_1000": int((done & (arrays["contactnet"] >= LARGE["cap"])).sum()),

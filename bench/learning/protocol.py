@@ -31,7 +31,8 @@ def prefix(start: str, acceleration: str) -> str:
 
 def measure(quick: bool) -> dict[str, Any]:
     """Mean, median and share done in 10 sweeps of each pair, over all states with contacts; never more than seconds."""
-    from pipeline.evaluate.evaluate import ProtocolOptions, protocol
+    from pipeline.evaluate.comparison import protocol
+    from pipeline.evaluate.options import ProtocolOptions
 
     options = ProtocolOptions(history=False)
     values: dict[str, Any] = {"worlds": options.worlds}

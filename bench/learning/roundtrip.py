@@ -26,7 +26,7 @@ from bench import timing
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.transfer import gather, splat
 from dc_kernels.measure import contact_slots
-from pipeline.evaluate.evaluate import ProtocolOptions
+from pipeline.evaluate.options import ProtocolOptions
 from pipeline.scenes import Sampler, Thesis
 
 SUMMARY = "round trip particle, grid, particle: the loss at nine spacings and supports beside table 1 of Engedal (2018)"

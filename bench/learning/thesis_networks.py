@@ -36,7 +36,8 @@ def train_all(folder: Path, quick: bool) -> dict[str, Network]:
     from pipeline.contactnet.rollouts import THESES_SETTINGS
     from pipeline.data.generate import generate
     from pipeline.data.recipe import GenerateOptions, Recipe
-    from pipeline.training.train import TrainOptions, train
+    from pipeline.training.grid import train_grid_network
+    from pipeline.training.options import TrainOptions
 
     data = folder / "data"
     worlds = WORLDS_QUICK if quick else WORLDS
@@ -52,7 +53,7 @@ def train_all(folder: Path, quick: bool) -> dict[str, Network]:
             stride=STRIDE,
             width=WIDTH.get(name, 1.0),
         )
-        summary = train(name, training, progress=False)  # type: ignore[arg-type]
+        summary = train_grid_network(name, training, progress=False)  # type: ignore[arg-type]
         kept = ("parameters", "steps", "training_s", "best_loss")
         networks[name] = Network(folder / name / "best.safetensors", {key: summary[key] for key in kept})
     return networks

@@ -22,7 +22,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
     from pipeline.contactnet.options import ContactTrainOptions
     from pipeline.contactnet.training import ContactTraining, train_contactnet
-    from pipeline.training.tools import Processes
+    from pipeline.training.processes import Processes
 
     torch.set_num_threads(THREADS)
     with tempfile.TemporaryDirectory() as folder:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
+
+from pipeline.checks import check_finite, check_least
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,9 +45,5 @@ class ContactTrainOptions:
 
     def check(self) -> None:
         """Raise a ``ValueError`` that names the option which is out of its range."""
-        for name, low in (("rounds", 1), ("steps", 1), ("contacts", 1), ("threads", 1), ("seed", 0)):
-            if getattr(self, name) < low:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be >= {low}")
-        for name in ("rate", "clip", "worlds"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be finite and > 0")
+        check_least(self, rounds=1, steps=1, contacts=1, threads=1, seed=0)
+        check_finite(self, "rate", "clip", "worlds")

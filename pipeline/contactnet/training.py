@@ -22,26 +22,19 @@ from pipeline.contactnet.network import EvenShare
 from pipeline.contactnet.options import ContactTrainOptions
 from pipeline.contactnet.rollouts import SETTINGS, Setting, record, seeds_of
 from pipeline.contactnet.tuning import choose_gains
-from pipeline.files import atomic_path, plain, write_json
+from pipeline.files import plain, write_json
 from pipeline.networks import models
 from pipeline.networks.checkpoint import all_versions, commit, load_training, save_checkpoint, save_training
 from pipeline.options import RunOptions
-from pipeline.plots import plots
 from pipeline.plots.contactnet import contact_curves_figure, contact_predictions_figure
-from pipeline.process import interruptible
+from pipeline.plots.style import save_figure
+from pipeline.process import interruptible, progress_bar
 from pipeline.scenes import Thesis
 from pipeline.seeds import HELD_OUT_SEED, TUNING_SEED, VALIDATION_SEED
 from pipeline.starts.learned import grid_of
-from pipeline.training.tools import (
-    Log,
-    Processes,
-    check_loss,
-    clip_gradients,
-    make_optimizer,
-    make_schedule,
-    processes,
-    seed_everything,
-)
+from pipeline.training.log import Log
+from pipeline.training.optimizer import check_loss, clip_gradients, make_optimizer, make_schedule
+from pipeline.training.processes import Processes, processes, seed_everything
 
 torch = require("torch", "pipeline")
 
@@ -118,10 +111,9 @@ class ContactTraining:
     def run(self, stop: Any, progress: bool) -> dict[str, Any]:
         """All rounds that are left."""
         options = self.options
-        tqdm = require("tqdm", "pipeline").tqdm
         self.validation = self.record(-1)
         total = options.rounds * options.steps
-        bar = tqdm(total=total, initial=self.round * options.steps, desc="train contactnet", disable=not progress)
+        bar = progress_bar(total=total, initial=self.round * options.steps, desc="train contactnet", show=progress)
         while self.round < options.rounds and not self.group.any(stop.is_set()):
             began = time.perf_counter()
             bar.set_postfix_str("recording")
@@ -282,11 +274,10 @@ class ContactTraining:
             "out": str(options.out),
             "files": [NETWORK, STATE, "metrics.jsonl", "train.json", "curves.png", "predictions.png"],
         }
-        with atomic_path(options.out / "curves.png") as partial:
-            title = f"contactnet, {summary['parameters']:,} weights, {summary['minutes']:.0f} minutes"
-            plots.save(contact_curves_figure(self.log.rows, title), partial)
-        with atomic_path(options.out / "predictions.png") as partial:
-            plots.save(contact_predictions_figure(*self.predictions(), f"{title}: one call"), partial)
+        title = f"contactnet, {summary['parameters']:,} weights, {summary['minutes']:.0f} minutes"
+        save_figure(contact_curves_figure(self.log.rows, title), options.out / "curves.png")
+        predictions = contact_predictions_figure(*self.predictions(), f"{title}: one call")
+        save_figure(predictions, options.out / "predictions.png")
         write_json(options.out / "train.json", summary)
         return summary
 

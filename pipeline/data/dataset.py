@@ -22,15 +22,12 @@ import numpy as np
 from dc_kernels.model.enums import BodyType
 from dc_kernels.runtime.optional import require
 from pipeline.data import shards
-from pipeline.data.splatter import Splatter
 from pipeline.seeds import HELD_OUT_SEED
 
 torch = require("torch", "pipeline")
 Dataset: Any = torch.utils.data.Dataset
 DataLoader: Any = torch.utils.data.DataLoader
 Sampler: Any = torch.utils.data.Sampler
-
-__all__ = ["Batch", "BatchOrder", "Loader", "Splatter", "States", "describe", "loader"]
 
 Split = Literal["train", "validation"]
 CACHE_BYTES = 2**28  # of the worlds that a process keeps, about

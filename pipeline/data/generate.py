@@ -11,7 +11,6 @@ from __future__ import annotations
 import functools
 import itertools
 import json
-import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -27,7 +26,8 @@ from dc_kernels.runtime.optional import require
 from pipeline.data import shards
 from pipeline.data.recipe import Recipe
 from pipeline.data.shards import Column
-from pipeline.process import interruptible
+from pipeline.files import write_bytes
+from pipeline.process import cores, interruptible, progress_bar
 
 TICK = 0.2  # between two looks at what is finished [s]
 # Warp records launches, and compiles them, for one thread of a process at a time
@@ -251,11 +251,6 @@ def _offsets(sizes: np.ndarray) -> np.ndarray:
 # ---------------------------------------------------------------------- all shards
 
 
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def finished_shards(recipe: Recipe, folder: Path) -> list[int]:
     """Numbers of the shards that are there, each of them checked.
 
@@ -381,7 +376,6 @@ def generate(
     recipe.check()
     if threads < 0:
         raise ValueError(f"threads is {threads}; it must be >= 0")
-    tqdm = require("tqdm", "pipeline").tqdm
     options, began = recipe.options, time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
     shards.remove_partial(out)
@@ -390,7 +384,7 @@ def generate(
     made = 0
     with (
         interruptible() as stop,
-        tqdm(total=options.worlds, desc=f"generate {recipe.scene.name}", unit="world", disable=not progress) as bar,
+        progress_bar(total=options.worlds, desc=f"generate {recipe.scene.name}", unit="world", show=progress) as bar,
     ):
         state = Progress(recipe, bar, sum(len(options.seeds(number)) for number in kept))
         source = (
@@ -399,7 +393,7 @@ def generate(
             else on_threads(threads or cores(), recipe, missing, stop, state)
         )
         for number, image in source:
-            shards.write(shards.shard_path(out, number), image)
+            write_bytes(shards.shard_path(out, number), image)
             made += len(options.seeds(number))
     paths = [shards.shard_path(out, number) for number in range(options.shard_count)]
     complete = all(path.exists() for path in paths)
@@ -430,8 +424,8 @@ def generate(
     return summary
 
 
-def report(summary: dict[str, Any]) -> str:
-    """What ``generate`` did, in a few lines."""
+def describe(summary: dict[str, Any]) -> str:
+    """Say what ``generate`` did, in a few lines."""
     lines = [
         f"{summary['scene']}: {summary['worlds_made']} of {summary['worlds']} worlds made in "
         f"{summary['seconds']:.1f} s, {summary['worlds_per_s']:.1f} a second; "

@@ -14,6 +14,7 @@ import numpy as np
 import dc_kernels as dc
 from dc_kernels.grid.transfer import TILED_BYTES
 from dc_kernels.runtime.optional import require
+from pipeline.checks import check_finite, check_least
 from pipeline.scenes import Scene, Thesis
 from pipeline.scenes import scene as named_scene
 
@@ -51,14 +52,8 @@ class GenerateOptions:
 
     def check(self) -> None:
         """Raise a ``ValueError`` that names the option which is out of its range."""
-        lows = {"worlds": 1, "seed": 0, "steps": 1, "label_sweeps": 1, "shard_worlds": 1}
-        for name, low in lows.items():
-            if getattr(self, name) < low:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be >= {low}")
-        for name in ("dt", "label_tolerance"):
-            value = getattr(self, name)
-            if not 0.0 < value < float("inf"):
-                raise ValueError(f"{name} is {value!r}; it must be finite and > 0")
+        check_least(self, worlds=1, seed=0, steps=1, label_sweeps=1, shard_worlds=1)
+        check_finite(self, "dt", "label_tolerance")
 
     @property
     def shard_count(self) -> int:

@@ -38,7 +38,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -50,7 +49,7 @@ import numpy as np
 from dc_kernels.model.arrays import numpy_spec
 from dc_kernels.model.fields import CONTACTS, MODEL, STATE, Field
 from dc_kernels.runtime.optional import require
-from pipeline.files import atomic_path, versions
+from pipeline.files import versions, write_bytes
 
 SCHEMA = "deep-contact.dataset"
 VERSION = 1
@@ -242,22 +241,6 @@ def _described() -> dict[str, Column]:
     return {f"{axis}/{name}": column for axis, columns in LAYOUT.items() for name, column in columns.items()}
 
 
-def write(path: Path, image: bytes | memoryview) -> None:
-    """Write a whole file in one go: it is complete or not there.
-
-    Raises:
-        OSError: naming the file, when the disk is full or does not take it.
-    """
-    try:
-        with atomic_path(path) as partial, open(partial, "wb") as file:
-            file.write(image)
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        text = f"{path} was not written: {error.strerror or error}; what was there before is whole"
-        raise OSError(error.errno, text) from error
-
-
 def remove_partial(folder: Path) -> int:
     """Remove what killed runs left under temporary names; returns how many."""
     left = [path for stem in ("shard-*", "index") for path in folder.glob(f".{stem}.*.partial.h5")]
@@ -434,4 +417,4 @@ def write_index(folder: Path, shards: Sequence[Path]) -> None:
                     layout[(slice(None),) * along + (rows,)] = h5py.VirtualSource(source, name, part, dtype)
                 row += part[along]
             file.create_virtual_dataset(name, layout).attrs.update(attrs)
-    write(folder / INDEX, buffer.getbuffer())
+    write_bytes(folder / INDEX, buffer.getbuffer())

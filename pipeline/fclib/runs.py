@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from dc_kernels.delassus import Method, from_world, read_impulses, solve, warmup
-from dc_kernels.runtime.optional import require
 from pipeline.fclib.files import FclibProblem, problem_files, read_fclib, write_fclib
 from pipeline.files import versions
 from pipeline.options import RunOptions, SolverOptions
-from pipeline.process import interruptible
+from pipeline.process import interruptible, progress_bar
 from pipeline.scenes import Scene
 
 FIELDS = ("scene", "step", "world")
@@ -67,7 +66,7 @@ def export(
     """Simulate a scene and write the contact problems of some steps, with the cached impulses as a guess.
 
     Args:
-        scene: of ``scenes.SCENES``.
+        scene: what is run.
         run: worlds, time step, dtype.
         solver: settings of the solver; what it finds goes into the files as their solution.
         options: which steps and worlds, and the files.
@@ -87,7 +86,6 @@ def export(
     paths = [options.path(scene.name, step, world) for step, world in wanted]
     if len(set(paths)) < len(paths):
         raise ValueError(f"out is {options.out!r}, one name for several problems; use {{step}} and {{world}}")
-    tqdm = require("tqdm", "pipeline").tqdm
     sim = run.simulation(scene, solver.config())
     text = f"deep-contact {versions()['deep-contact']}: {asdict(scene)}, dt {run.dt:g} s, seed {run.seed}, {run.dtype}"
     files, empty = [], []
@@ -95,7 +93,7 @@ def export(
     for (step, world), path in zip(wanted, paths, strict=True):
         by_step.setdefault(step, []).append((world, path))
     with interruptible() as stop:
-        for step in tqdm(range(1, steps[-1] + 1), desc=f"export {scene.name}", unit="step", disable=not progress):
+        for step in progress_bar(range(1, steps[-1] + 1), desc=f"export {scene.name}", unit="step", show=progress):
             if stop.is_set():
                 break
             sim.collide(run.dt)
@@ -152,10 +150,10 @@ def solve_files(path: Path, options: SolveOptions, progress: bool = True) -> dic
         raise ValueError(f"start is {options.start!r}; it must be zero, guess or solution")
     paths = problem_files(path)
     contents = [read_fclib(file) for file in paths]
-    tqdm = require("tqdm", "pipeline").tqdm
     results: dict[str, dict[str, Any]] = {}
     warmup()
-    for file, content in zip(tqdm(paths, desc="solve", unit="file", disable=not progress), contents, strict=True):
+    bar = progress_bar(paths, desc="solve", unit="file", show=progress)
+    for file, content in zip(bar, contents, strict=True):
         start = {"zero": None, "guess": next(iter(content.guesses), None), "solution": content.solution}[options.start]
         if start is None and options.start != "zero":
             raise ValueError(f"{file}: there is no {options.start} in it to start from")

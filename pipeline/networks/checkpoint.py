@@ -23,8 +23,7 @@ from typing import Any
 
 from dc_kernels.grid.grid import Grid
 from dc_kernels.runtime.optional import require
-from pipeline.data.shards import write
-from pipeline.files import plain, versions
+from pipeline.files import plain, versions, write_bytes
 from pipeline.networks import models
 
 torch = require("torch", "pipeline")
@@ -35,7 +34,7 @@ TRAINING_SCHEMA, TRAINING_VERSION = "deep-contact.training", 1
 
 
 def all_versions() -> dict[str, str]:
-    """``simulate.versions``, and those of what trains."""
+    """Return ``files.versions`` and those of the libraries that train."""
     return {**versions(), **{name: metadata.version(name) for name in ("torch", "safetensors")}}
 
 
@@ -214,7 +213,7 @@ def _as_given(saved: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any
 
 def _write(path: Path, tensors: Mapping[str, Any], described: dict[str, str]) -> None:
     save = require("safetensors.torch", "pipeline").save  # as bytes: a file of its own making nobody else may read
-    write(path, save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, described))
+    write_bytes(path, save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, described))
 
 
 def _read(path: Path, schema: str, version: int) -> tuple[dict[str, str], dict[str, Any]]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.runtime.optional import require
-from pipeline.plots.plots import CYCLE, MUTED, figure
+from pipeline.plots.style import CYCLE, MUTED, figure
 
 SHOWN = 0.995  # quantile of the true corrections that the axes reach to
 
@@ -30,8 +30,7 @@ def contact_curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> An
         rows: of ``training.Log``.
         title: of the figure.
     """
-    with figure(11.0, 4.4) as fig:
-        fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    with figure(11.0, 4.4, title) as fig:
         left, right = fig.subplots(1, 2, width_ratios=(2.0, 1.0))
         names = dict.fromkeys(name for row in rows for name in row if name.startswith("validation/"))
         points = [(row["step"], row["train/gain"]) for row in rows if "train/gain" in row]
@@ -60,8 +59,7 @@ def contact_predictions_figure(before: np.ndarray, after: np.ndarray, label: np.
         title: of the figure.
     """
     colors = require("matplotlib.colors", "pipeline")
-    with figure(11.0, 5.2) as fig:
-        fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    with figure(11.0, 5.2, title) as fig:
         for i, (axes, name) in enumerate(zip(fig.subplots(1, 2), ("normal", "tangential"))):
             true, found = label[:, i] - before[:, i], after[:, i] - before[:, i]
             most = max(float(np.quantile(np.abs(true), SHOWN)), 1e-12)

@@ -11,7 +11,8 @@ from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.images import Images
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.runtime.optional import require
-from pipeline.plots.plots import INK, Forces, WorldDrawing, WorldShapes, arrays, figure
+from pipeline.plots.style import INK, figure
+from pipeline.plots.world import Forces, WorldDrawing, WorldShapes, arrays
 
 POSITIVE_MAP, SIGNED_MAP = "Oranges", "RdBu_r"
 LINEAR = 0.1  # share of the largest value up to which the colours are about linear, logarithmic beyond
@@ -98,15 +99,11 @@ def grids_figure(sim: Any, grid: Grid, world: int = 0) -> Any:
     left, right = grid.origin[0] - grid.spacing, grid.upper[0] + grid.spacing
     low, top = grid.origin[1] - grid.spacing, _top(images, grid) + 2.0 * grid.spacing
     shape = min(max((top - low) / (right - left), 0.25), 1.0)
-    with figure(2.0 * PANEL, 4.0 * (0.84 * PANEL * shape + 0.45)) as fig:
-        fig.suptitle(
-            "What a network reads of bodies (outlines) and contacts (dots), and what it is to answer\n"
-            f"{grid.columns} x {grid.rows} nodes, {grid.spacing:g} m apart; poly6, h = {2.0 * grid.spacing:g} m",
-            x=0.01,
-            ha="left",
-            fontsize=12,
-            fontweight="bold",
-        )
+    title = (
+        "What a network reads of bodies (outlines) and contacts (dots), and what it is to answer\n"
+        f"{grid.columns} x {grid.rows} nodes, {grid.spacing:g} m apart; poly6, h = {2.0 * grid.spacing:g} m"
+    )
+    with figure(2.0 * PANEL, 4.0 * (0.84 * PANEL * shape + 0.45), title) as fig:
         for axes, (name, image) in zip(
             fig.subplots(4, 2, sharex=True, sharey=True).flat, channels.items(), strict=True
         ):

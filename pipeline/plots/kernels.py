@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.sph.smoothing import KERNELS, smoothing, smoothing_gradient, smoothing_laplacian
-from pipeline.files import atomic_path
-from pipeline.plots.plots import CYCLE, figure, save
+from pipeline.plots.style import CYCLE, figure, save_figure
 
 LABELS = {
     "poly6": "poly6",
@@ -38,8 +37,7 @@ def kernel_curves(kernel: str, dim: int, r: np.ndarray) -> tuple[np.ndarray, np.
 def kernels_figure() -> Any:
     """All smoothing kernels with h = 1 m along a line through the centre: W, its slope, its Laplacian, 2D and 3D."""
     r = np.linspace(-1.0, 1.0, SAMPLES)
-    with figure(14.0, 8.4) as fig:
-        fig.suptitle("Smoothing kernels, support radius h = 1 m", x=0.01, ha="left", fontsize=12, fontweight="bold")
+    with figure(14.0, 8.4, "Smoothing kernels, support radius h = 1 m") as fig:
         axes = fig.subplots(2, 3, sharex=True)
         for dim, row in zip((2, 3), axes):
             lowest, highest = 0.0, 0.0
@@ -82,6 +80,5 @@ def draw(name: str, out: Path) -> Path:
     if name not in FIGURES:
         raise ValueError(f"figure is {name!r}; it must be one of {tuple(FIGURES)}")
     path = out / f"{name}.png"
-    with atomic_path(path) as partial:
-        save(FIGURES[name](), partial)
+    save_figure(FIGURES[name](), path)
     return path

@@ -12,10 +12,10 @@ from dc_kernels.grid.channels import IMPULSES
 from dc_kernels.grid.grid import Grid
 from dc_kernels.runtime.optional import require
 from pipeline.plots.grids import LINEAR, POSITIVE_MAP, SIGNED_MAP, ticks
-from pipeline.plots.plots import CYCLE, INK, MUTED, figure
+from pipeline.plots.style import CYCLE, INK, MUTED, figure
 
 if TYPE_CHECKING:
-    from pipeline.training.tools import RateSearch
+    from pipeline.training.rate import RateSearch
 
 NAMES = {"impulse_n": "normal", "impulse_t": "tangential"}
 BINS = 90  # of the histograms, along each axis
@@ -66,8 +66,7 @@ def curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> Any:
         if points:
             axes.plot(*zip(*points), **style)
 
-    with figure(13.0, 4.6) as fig:
-        fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    with figure(13.0, 4.6, title) as fig:
         loss, error, rate = fig.subplots(1, 3, width_ratios=(1.0, 1.0, 0.7))
         draw(loss, "train/loss", color=CYCLE[1], linewidth=1.0, alpha=0.55, label="training")
         draw(loss, "validation/loss", color=CYCLE[0], **MARKED, label="validation")
@@ -102,8 +101,7 @@ def rates_figure(search: RateSearch) -> Any:
 def predictions_figure(shown: Prediction, title: str) -> Any:
     """Predicted over true impulses at the contacts, and the grids of one world, true and predicted."""
     top = float(shown.points[:, 1].max(initial=shown.grid.origin[1])) + 4.0 * shown.grid.spacing
-    with figure(14.0, 8.2) as fig:
-        fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    with figure(14.0, 8.2, title) as fig:
         axes = fig.subplots(2, 3, width_ratios=(1.1, 1.0, 1.0))
         for i, name in enumerate(IMPULSES):
             draw_density(axes[i, 0], shown, i)

@@ -10,16 +10,21 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 import dc_kernels as dc
 from dc_kernels.runtime.optional import require
-from pipeline.files import atomic_path, plain, versions, write_json
+from pipeline.checks import check_least
+from pipeline.files import atomic_path, write_json
 from pipeline.options import RunOptions, SolverOptions
-from pipeline.process import interruptible, torch_threads
-from pipeline.run.trajectory import TrajectoryWriter, measure
+from pipeline.plots.style import save_figure
+from pipeline.plots.trajectory import animate, summary_figure
+from pipeline.process import interruptible, progress_bar, torch_threads
+from pipeline.run.summary import summarize
+from pipeline.run.trajectory import Recording, TrajectoryWriter, measure
 from pipeline.scenes import Scene
-from pipeline.starts import warmstart
+from pipeline.starts.registry import is_network, maker
+from pipeline.starts.start import Start, step
+
+TRAJECTORY, SUMMARY, PICTURE = "trajectory.h5", "summary.json", "summary.png"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,9 +47,7 @@ class Output:
 
     def check(self) -> None:
         """Raise a ``ValueError`` that names the option which is out of its range."""
-        for name, low in (("steps", 0), ("record_every", 1)):
-            if getattr(self, name) < low:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be >= {low}")
+        check_least(self, steps=0, record_every=1)
 
 
 def simulate(
@@ -57,10 +60,10 @@ def simulate(
     """Run a scene and write its files; Ctrl-C ends it early, with whole files of what was done.
 
     Args:
-        scene: of ``scenes.SCENES``.
+        scene: what is run.
         run: worlds, time step, threads, dtype.
         solver: settings of the solver.
-        output: steps, start strategy, files.
+        output: steps, start, files.
         progress: show bars on stderr.
 
     Returns:
@@ -73,80 +76,71 @@ def simulate(
     """
     run, solver, output = run or RunOptions(), solver or SolverOptions(), output or Output()
     output.check()
-    h5py, tqdm = require("h5py", "pipeline"), require("tqdm", "pipeline").tqdm
-    from pipeline.plots import plots
-
     options = {**asdict(run), **asdict(solver), **asdict(output), "out": str(output.out)}
     config = {"scene": {"name": scene.name, **asdict(scene)}, "options": options}
-    make = warmstart.maker(output.start, run.seed)
+    make = maker(output.start, run.seed)
     sim = run.simulation(scene, solver.config(output.history))
     sim.warmup()
-    made: Any = make(sim)
+    start = make(sim)
     began = time.perf_counter()
-    spent = 0.0  # in the simulation itself [s]
-    done = 0
-    files = ["trajectory.h5", "summary.json", "summary.png"]
+    recording = record(start, run, output, config, progress)
+    summary = summarize(start, recording, config)
+    draw(sim, recording, config, output, progress)
+    video = [] if output.video == "none" else [f"video.{output.video}"]
+    summary.update(files=[TRAJECTORY, SUMMARY, PICTURE, *video], wall_s=time.perf_counter() - began)
+    write_json(output.out / SUMMARY, summary)
+    return summary, sim
+
+
+def record(start: Start, run: RunOptions, output: Output, config: dict[str, Any], progress: bool) -> Recording:
+    """Step a simulation and write its trajectory, until all steps are done or Ctrl-C ends it.
+
+    Args:
+        start: of the simulation that is stepped.
+        run: time step and threads.
+        output: steps, and what is recorded.
+        config: scene and options, for the file.
+        progress: show a bar on stderr.
+    """
+    sim, done, spent = start.sim, 0, 0.0
+    h5py = require("h5py", "pipeline")
     with (
-        atomic_path(output.out / files[0]) as partial,
+        atomic_path(output.out / TRAJECTORY) as partial,
         h5py.File(partial, "w") as file,
         torch_threads(run.threads),
         interruptible() as stop,
+        progress_bar(total=output.steps, desc=f"simulate {config['scene']['name']}", unit="step", show=progress) as bar,
     ):
         writer = TrajectoryWriter(file, sim, config)
         writer.add_record(0, 0.0, sim.state)
-        bar = tqdm(total=output.steps, desc=f"simulate {scene.name}", unit="step", disable=not progress)
         while done < output.steps and not stop.is_set():
             before = time.perf_counter()
-            warmstart.step(sim, run.dt, made)
+            step(start, run.dt)
             spent += time.perf_counter() - before
             done += 1
             measured = measure(sim)
-            history = dc.to_numpy(sim.stats.history) if output.history else None
-            writer.add_step(measured, history)
+            writer.add_step(measured, dc.to_numpy(sim.stats.history) if output.history else None)
             if done % output.record_every == 0 or done == output.steps or stop.is_set():
                 writer.add_record(done, done * run.dt, sim.state)
             bar.set_postfix(contacts=int(measured["contact_count"].sum()), refresh=False)
             bar.update()
-        bar.close()
         complete = done == output.steps
-        series = writer.finish(done, complete)
-    busy = (series["pressing_count"] > 0) | (np.diff(sim.model.numpy("joint_start")) > 0)
-    solved = series["sweeps"][busy]
-    flags = series["flags"][-1] if done else np.zeros(run.worlds, np.int32)
-    summary = {
-        "scene": scene.name,
-        "complete": complete,
-        "steps": done,
-        "worlds": run.worlds,
-        "bodies": sim.model.body_count,
-        "mean_sweeps": float(solved.mean()) if len(solved) else 0.0,
-        "median_sweeps": float(np.median(solved)) if len(solved) else 0.0,
-        "unconverged_share": float((solved >= solver.max_sweeps).mean()) if len(solved) else 0.0,
-        "contacts_mean": float(series["pressing_count"].mean()) if done else 0.0,
-        "contacts_last": float(series["pressing_count"][-1].mean()) if done else 0.0,
-        "penetration_max_mm": 1e3 * float(series["penetration_max"].max(initial=0.0)),
-        "penetration_last_mean_mm": 1e3 * float(series["penetration_mean"][-1].mean()) if done else 0.0,
-        "flagged_worlds": {str(w): str(dc.Flag(int(flags[w]))) for w in np.flatnonzero(flags)},
-        "simulation_s": spent,
-        "worlds_per_s": run.worlds / spent if spent and complete else 0.0,
-        "capacity": plain(sim.capacity()),
-        "memory": plain(sim.memory()),
-        "versions": versions(),
-        "config": config,
-        "out": str(output.out),
-    }
-    if hasattr(made, "stats"):
-        summary["network"] = {**plain(made.stats.totals()), "explain": made.explain()}
-    start = Path(output.start).stem if warmstart.is_network(output.start) else output.start
-    title = f"{scene.name}: {run.worlds} world{'s' if run.worlds > 1 else ''}, {solver.method}, {solver.acceleration}"
-    with atomic_path(output.out / files[2]) as partial:
-        plots.save(plots.summary_figure(sim, series, run.dt, f"{title}, start {start}"), partial)
+        return Recording(steps=done, complete=complete, seconds=spent, series=writer.finish(done, complete))
+
+
+def draw(sim: dc.Simulation, recording: Recording, config: dict[str, Any], output: Output, progress: bool) -> None:
+    """Draw the picture of the summary and, on request, the animation of the trajectory that has been written."""
+    options, worlds = config["options"], config["options"]["worlds"]
+    start = Path(output.start).stem if is_network(output.start) else output.start
+    title = (
+        f"{config['scene']['name']}: {worlds} world{'s' if worlds > 1 else ''}, {options['method']}, "
+        f"{options['acceleration']}, start {start}"
+    )
+    save_figure(summary_figure(sim, recording.series, options["dt"], title), output.out / PICTURE)
     if output.video != "none":
-        files.append(f"video.{output.video}")
-        with atomic_path(output.out / files[-1]) as partial:
-            plots.animate(
-                output.out / files[0], partial, progress=lambda f: tqdm(f, desc="video", disable=not progress)
+        with atomic_path(output.out / f"video.{output.video}") as partial:
+            animate(
+                output.out / TRAJECTORY,
+                partial,
+                progress=lambda frames: progress_bar(frames, desc="video", show=progress),
             )
-    summary.update(files=files, wall_s=time.perf_counter() - began)
-    write_json(output.out / files[1], summary)
-    return summary, sim

@@ -14,6 +14,7 @@ Layout of ``trajectory.h5`` (schema ``deep-contact.trajectory``, version 1; attr
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,11 +26,11 @@ from pipeline.files import versions
 
 SCHEMA = "deep-contact.trajectory"
 VERSION = 1
-CHUNK_BYTES = 2**20  # of a dataset's chunk, about
+CHUNK_BYTES = 2**20
+"""Size of a dataset's chunk, about [B]."""
 
 RECORD_FIELDS = {name: STATE[name] for name in ("position", "angle", "velocity", "angular_velocity")}
 
-# name: dtype, unit, meaning
 STEP_FIELDS = {
     "sweeps": ("int32", "1", "sweeps of the solver"),
     "change": ("float64", "N s", "largest impulse change of the last sweep"),
@@ -46,17 +47,18 @@ STEP_FIELDS = {
     ),
     "flags": ("int32", "1", "dc_kernels.Flag bits: why a world does not advance"),
 }
+"""Dtype, unit and meaning of each quantity of a step, by name."""
 
 
 def pressing(sim: dc.Simulation) -> np.ndarray:
-    """Contacts of each world that press or overlap, (worlds,): those that a solver without a margin would know."""
+    """Count the contacts of each world that press or overlap, without those in the speculative margin, (worlds,)."""
     slots, world = contact_slots(sim.contacts)
     counts = (sim.contacts.numpy("impulse")[slots, 0] > 0.0) | (sim.contacts.numpy("gap")[slots] < 0.0)
     return np.bincount(world[counts], minlength=sim.model.world_count)
 
 
 def measure(sim: dc.Simulation) -> dict[str, np.ndarray]:
-    """The quantities of ``STEP_FIELDS`` after a step, (worlds,) each."""
+    """Measure the quantities of ``STEP_FIELDS`` after a step, (worlds,) each."""
     overlap = dc.overlap(sim)
     return {
         "sweeps": sim.stats.numpy("sweeps"),
@@ -72,11 +74,25 @@ def measure(sim: dc.Simulation) -> dict[str, np.ndarray]:
     }
 
 
-class Column:
-    """A dataset that grows row by row; rows are written a chunk at a time."""
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """What a run has put into its trajectory."""
+
+    steps: int
+    """Steps done [1]."""
+    complete: bool
+    """Whether these are all that were asked for."""
+    seconds: float
+    """Wall time in the simulation itself [s]."""
+    series: dict[str, np.ndarray]
+    """Quantities of ``STEP_FIELDS`` by name, (steps, worlds) each."""
+
+
+class RowWriter:
+    """Lets a dataset grow row by row; rows are written a chunk at a time."""
 
     def __init__(self, group: Any, name: str, row: tuple[int, ...], dtype: Any, unit: str, meaning: str) -> None:
-        """Create the dataset, empty, of rows of that shape."""
+        """Create the dataset, empty, of rows of the shape ``row``."""
         self.dtype = np.dtype(dtype)
         size = max(1, int(np.prod(row, dtype=np.int64)) * self.dtype.itemsize)
         self.height = int(np.clip(CHUNK_BYTES // size, 1, 256))
@@ -91,13 +107,13 @@ class Column:
         self.rows: list[np.ndarray] = []
 
     def append(self, row: Any) -> None:
-        """Add a row (copied)."""
+        """Add a copy of a row."""
         self.rows.append(np.array(row, self.dtype))
         if len(self.rows) >= self.height:
             self.flush()
 
     def flush(self) -> None:
-        """Write what is waiting."""
+        """Write the rows that are waiting."""
         if self.rows:
             first = self.data.shape[0]
             self.data.resize(first + len(self.rows), axis=0)
@@ -120,19 +136,19 @@ class TrajectoryWriter:
                 data.attrs.update(unit=field.unit, meaning=field.meaning)
         record = file.create_group("record")
         self.record = {
-            "step": Column(record, "step", (), np.int64, "1", "steps done"),
-            "time": Column(record, "time", (), np.float64, "s", "steps done times dt"),
+            "step": RowWriter(record, "step", (), np.int64, "1", "steps done"),
+            "time": RowWriter(record, "time", (), np.float64, "s", "steps done times dt"),
         }
         for name, field in RECORD_FIELDS.items():
             array = sim.state.numpy(name)
-            self.record[name] = Column(record, name, array.shape, array.dtype, field.unit, field.meaning)
+            self.record[name] = RowWriter(record, name, array.shape, array.dtype, field.unit, field.meaning)
         group, worlds = file.create_group("step"), (model.world_count,)
-        self.step = {name: Column(group, name, worlds, *spec) for name, spec in STEP_FIELDS.items()}
-        self.history: Column | None = None
+        self.step = {name: RowWriter(group, name, worlds, *spec) for name, spec in STEP_FIELDS.items()}
+        self.history: RowWriter | None = None
         if sim.config.history:
             shape = (model.world_count, sim.config.max_sweeps)
             meaning = "largest impulse change of each sweep, NaN after the last one"
-            self.history = Column(file.create_group("history"), "change", shape, np.float32, "N s", meaning)
+            self.history = RowWriter(file.create_group("history"), "change", shape, np.float32, "N s", meaning)
 
     def add_record(self, step: int, time: float, state: dc.State) -> None:
         """Record the bodies."""

@@ -1,1 +1,1 @@
-"""Where a solve starts from."""
+"""Starts of the contact solver: what it begins a solve with. ``registry`` makes them by name."""

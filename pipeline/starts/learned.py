@@ -1,9 +1,9 @@
 """A contact solve with a network in the loop: a start, then corrections while it has not converged.
 
     model, manifest = load_checkpoint(PRETRAINED)
-    solve = LearnedSolve(sim, model)
+    learned = LearnedSolve(sim, model)
     sim.collide(dt)
-    solve.solve()  # in the place of sim.solve()
+    learned.solve()  # in the place of sim.solve()
     sim.advance()
 
 Whatever the network answers, the solve ends as it would without it, at a bounded cost. A correction with NaN or inf, or
@@ -14,7 +14,6 @@ calls fail is left to the solver: from then on it is the plain one, on the impul
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -25,51 +24,50 @@ import dc_kernels as dc
 from dc_kernels.learn.in_flight import SolveReader
 from dc_kernels.runtime.optional import require
 from dc_kernels.solve.iteration import NORMS
+from pipeline.checks import check_least
+from pipeline.starts.start import Clock, Report, Started
 
-TRUST = 4  # calls that may fail beyond two in three before a world is left to the solver
-RUNAWAY = 1e4  # times the impulses, which no correction may reach: float32 has 7 digits
-EVERY, EVERY_ACCELERATED = 12, 15  # sweeps between two calls: where the solver extrapolates by itself, more
-PARTS = ("solve", "splat", "network", "gather")
+TRUST = 4
+"""Calls that may fail beyond two in three before a world is left to the solver [1]."""
+RUNAWAY = 1e4
+"""Ratio of a correction to the impulses that it may not reach, as float32 has 7 digits [1]."""
+EVERY, EVERY_ACCELERATED = 12, 15
+"""Sweeps between two calls with plain sweeps, and where the solver extrapolates by itself [1]."""
+PARTS = ("solve", "splat", "network", "gather", "start")
 COUNTS = ("solves", "empty", "early", "calls", "refused", "failed", "undone")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CallOptions:
-    """When the network is called."""
+    """When the network is called, and which of its corrections are taken."""
 
     every: int | None = None
     """Sweeps between two calls; None: 12, or 15 where the solver extrapolates by itself [1]."""
     begin: bool = True
-    """Call it before the first sweep."""
+    """Call the network before the first sweep."""
     middle: bool = True
-    """Call it while the solve has not converged."""
+    """Call the network while the solve has not converged."""
     most: int = 60
-    """Calls of a world in a solve, at most [1]."""
+    """Largest number of calls of a world in a solve [1]."""
     harm: float = 3.0
-    """A correction is taken back where the step of a sweep then is so many times that before it, or more [1]."""
+    """Least ratio of the step of the sweep after a correction to the one before for which it is taken back [1]."""
     limit: float = 10.0
-    """RMS of a correction beyond which it is not taken, in units of that which the last sweeps let expect [1]."""
+    """Largest RMS of a correction that is taken, in units of what the last sweeps let expect [1]."""
 
     def __post_init__(self) -> None:
-        for name, low in (("every", 2), ("most", 0)):
-            value = getattr(self, name)
-            if value is not None and value < low:
-                raise ValueError(f"CallOptions.{name} is {value}; it must be >= {low}")
-        for name, least in (("harm", 1.0), ("limit", 0.0)):
-            if not getattr(self, name) >= least:
-                raise ValueError(f"CallOptions.{name} is {getattr(self, name)}; it must be >= {least}")
+        check_least(self, "CallOptions.", every=2, most=0, harm=1.0, limit=0.0)
 
 
 @dataclass
 class CallStats:
-    """What was called and what was not, summed over solves, (W,) each."""
+    """Counts of solves and calls, summed over solves, (W,) each."""
 
     solves: np.ndarray
     """Solves of the world."""
     empty: np.ndarray
-    """Of these without a contact: nothing to solve."""
+    """Solves without a contact, in which there was nothing to do."""
     early: np.ndarray
-    """Of these done in the first sweeps: no call while solving."""
+    """Solves that were done in the first sweeps, so that no call came while solving."""
     calls: np.ndarray
     """Calls of the network."""
     refused: np.ndarray
@@ -77,23 +75,23 @@ class CallStats:
     failed: np.ndarray
     """Corrections after which the step of a sweep had not shrunk."""
     undone: np.ndarray
-    """Of these taken back."""
+    """Failed corrections that were taken back."""
     seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PARTS, 0.0))
-    """Wall time by part [s]; features and corrections count as "splat" and "gather"."""
+    """Wall time by part [s]; reading features counts as "splat", writing corrections as "gather"."""
 
     @classmethod
     def zeros(cls, worlds: int) -> CallStats:
-        """Nothing so far."""
+        """Return counts of 0 for a number of worlds."""
         counts: dict[str, Any] = {name: np.zeros(worlds, np.int64) for name in COUNTS}
         return cls(**counts)
 
     def totals(self) -> dict[str, Any]:
-        """Sums over the worlds, by name."""
+        """Return the sums over the worlds, by name, and "seconds"."""
         return {**{name: int(getattr(self, name).sum()) for name in COUNTS}, "seconds": dict(self.seconds)}
 
 
 def grid_of(sim: dc.Simulation, spacing: float) -> dc.Grid:
-    """The grid over all that stands in any world, with nodes ``spacing`` typical diameters apart (the largest world's).
+    """Make the grid over all that stands in any world, its nodes ``spacing`` of the largest typical diameter apart.
 
     A contact beyond it, of a body that flew away, is moved to its border.
     """
@@ -107,7 +105,7 @@ def grid_of(sim: dc.Simulation, spacing: float) -> dc.Grid:
 
 
 class LearnedSolve:
-    """The solve of a simulation's steps with a network in the loop.
+    """A start that solves a simulation's steps with a network in the loop.
 
     Worlds that are still unconverged go through the network as one batch. Worlds without contacts and solves that
     converge within the first sweeps never reach it.
@@ -149,33 +147,27 @@ class LearnedSolve:
         plain = sim.config.acceleration == "none"
         self.every = self.options.every or (EVERY if plain else EVERY_ACCELERATED)
         self.stats = CallStats.zeros(sim.model.world_count)
+        self.clock = Clock(self.stats.seconds)
         self.watch: Callable[[np.ndarray, bool], None] | None = None
         """Called with the worlds, and whether no sweep is done, when their features are read: for training."""
 
-    def step(self, dt: float) -> None:
-        """A time step: collide, solve, advance; see ``Simulation.step``."""
-        self.sim.collide(dt)
-        self.solve()
-        self.sim.advance()
-
-    def __call__(self, sim: dc.Simulation) -> None:
-        """``solve`` of the simulation that this was made for."""
-        if sim is not self.sim:
-            raise ValueError("the network reads another simulation")
-        self.solve()
-
-    def solve(self) -> None:
-        """Solve from ``contacts.impulse``, between ``collide`` and ``advance``.
+    def solve(self, started: Started | None = None) -> None:
+        """Solve from ``contacts.impulse``, between ``collide`` and ``advance``; see ``Start.solve``.
 
         Raises:
             ValueError: see ``Simulation.solve``.
         """
+        with self.clock.part("start"):
+            self._solve(started or _nothing)
+
+    def _solve(self, started: Started) -> None:
         sim, options, stats = self.sim, self.options, self.stats
         self._timed("solve", sim.solve, pause=0)
         running = sim.running
         stats.solves += 1
         stats.empty += sim.contacts.numpy("contact_count") == 0
         if not running.any():
+            started()
             return
         self.reader.begin()
         worlds = len(running)
@@ -188,6 +180,7 @@ class LearnedSolve:
         calls = np.zeros(worlds, np.int64)
         if options.begin and options.most:
             calls += self._call(asking, begin=True)
+        started()
         first = True
         while running.any():
             more = bool(asking.any()) and (options.middle or bool(self._waiting.any()))
@@ -208,7 +201,7 @@ class LearnedSolve:
                 asking[:] = False
 
     def _call(self, asking: np.ndarray, begin: bool) -> np.ndarray:
-        """Correct the impulses of these worlds; returns them, bool (W,)."""
+        """Correct the impulses of the worlds ``asking``, (W,); returns those that were asked for, bool (W,)."""
         worlds = np.flatnonzero(asking)
         if not len(worlds):
             return asking
@@ -249,18 +242,18 @@ class LearnedSolve:
         return asking
 
     def _read(self, worlds: np.ndarray, begin: bool) -> np.ndarray:
-        """Read the features of some worlds; contacts of each, (asked,)."""
+        """Read the features of some worlds; returns the contacts of each, (asked,)."""
         self._timed("splat", self.reader.read, worlds, begin=begin)
         return np.diff(self.reader.packed_start[: len(worlds) + 1])
 
     def _lost(self, worlds: np.ndarray) -> np.ndarray:
-        """Whether a correction might leave impulses beside which velocities are summed up to no digit, (asked,)."""
+        """Tell whether a correction could be so large that velocities lose all their digits in it, bool (asked,)."""
         scale = self.reader.scale[: len(worlds)].astype(float)
         self._size[worlds] = np.minimum(self._size[worlds], scale[:, :2].max(axis=1))
         return self.options.limit * scale[:, 3] > RUNAWAY * self._size[worlds]
 
     def _step(self) -> np.ndarray:
-        """Squared step of the last sweep, (W,)."""
+        """Return the squared step of the last sweep of each world, (W,) [N^2 s^2]."""
         return self.sim.stats.numpy("norms").reshape(-1, NORMS)[:, 5]
 
     def _judge(self, asking: np.ndarray) -> None:
@@ -286,13 +279,18 @@ class LearnedSolve:
         self.stats.failed += failed
 
     def _timed(self, part: str, function: Any, *arguments: Any, **options: Any) -> Any:
-        began = time.perf_counter()
-        result = function(*arguments, **options)
-        self.stats.seconds[part] += time.perf_counter() - began
-        return result
+        with self.clock.part(part):
+            return function(*arguments, **options)
 
-    def explain(self) -> str:
-        """How often the network was called, and why not."""
+    def report(self) -> Report:
+        """Return what was called, what was not and why, and what it took."""
+        counts = self.stats.totals()
+        seconds = counts.pop("seconds")
+        counts.update(skipped=counts["empty"] + counts["early"], dropped=counts["refused"] + counts["undone"])
+        return Report(seconds=seconds, is_network=True, counts=counts, text=self._explained())
+
+    def _explained(self) -> str:
+        """Say how often the network was called, and why not."""
         total = self.stats.totals()
         solves = max(total["solves"], 1)
         share = {name: f"{100.0 * total[name] / solves:.1f} %" for name in ("empty", "early")}
@@ -307,8 +305,12 @@ class LearnedSolve:
         )
 
 
+def _nothing() -> None:
+    """Stand for a callback that nobody has given."""
+
+
 def _in_bfloat16(torch: Any, trunk: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A trunk whose convolutions run in bfloat16, its answer in float32."""
+    """Let the convolutions of a trunk run in bfloat16; its answer is float32."""
 
     def run(images: Any) -> Any:
         with torch.autocast("cpu", torch.bfloat16):

@@ -1,4 +1,13 @@
-"""Training of the theses' networks on images of a data set's states (``train`` has the options and the files)."""
+"""Training of the theses' networks on images of a data set's states.
+
+What a training writes into its folder:
+
+- ``best.safetensors``, ``last.safetensors``: the network with the least validation loss, and the last one, each with
+  its manifest (``networks.checkpoint``);
+- ``training.safetensors``: what ``--resume`` continues from, bit for bit on one thread;
+- ``metrics.jsonl`` and ``tensorboard/``: loss, rate, gradient and validation by step;
+- ``train.json``, ``curves.png``, ``predictions.png``, with the rate finder ``rates.png``: summary and pictures.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +18,12 @@ from dataclasses import asdict
 from threading import Event
 from typing import Any
 
-import numpy as np
-
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.transfer import SUPPORT
 from dc_kernels.runtime.optional import require
 from pipeline.data import dataset
-from pipeline.files import atomic_path, plain, write_json
+from pipeline.data.splatter import Splatter
+from pipeline.files import plain, write_json
 from pipeline.networks import models
 from pipeline.networks.checkpoint import (
     all_versions,
@@ -25,39 +33,53 @@ from pipeline.networks.checkpoint import (
     save_checkpoint,
     save_training,
 )
-from pipeline.plots import plots
 from pipeline.plots import training as training_plots
-from pipeline.process import interruptible
+from pipeline.plots.style import save_figure
+from pipeline.process import interruptible, progress_bar
+from pipeline.training.log import Log
 from pipeline.training.losses import Decoder, Loss
-from pipeline.training.tools import (
-    Log,
-    Processes,
-    RateSearch,
-    check_loss,
-    clip_gradients,
-    find_rate,
-    make_optimizer,
-    make_schedule,
-    own_randomness,
-    processes,
-    seed_everything,
-)
-from pipeline.training.train import CACHED, SETUPS, NetworkName, TrainOptions
+from pipeline.training.optimizer import check_loss, clip_gradients, make_optimizer, make_schedule
+from pipeline.training.options import CACHED, SETUPS, NetworkName, TrainOptions
+from pipeline.training.processes import Processes, own_randomness, processes, seed_everything
+from pipeline.training.rate import RateSearch, find_rate
+from pipeline.training.scales import find_scales
+from pipeline.training.validation import Validation
 
 torch = require("torch", "pipeline")
 
-SCALE_STATES = 512  # from which the scales of channels and impulses are taken
-RATE_BATCHES = 8  # that the rate finder goes over in turn
-BOUND = 10.0  # of the scaled channels: the walls' mass lies far beyond
-SHOWN_CONTACTS = 50_000  # of the picture of predicted against true impulses
-TINY = 1e-30
+RATE_BATCHES = 8
+"""Number of batches that the rate finder goes over in turn [1]."""
+BOUND = 10.0
+"""Magnitude to which scaled input channels are cut: that of walls would drown all else [1]."""
 BEST, LAST, STATE = "best.safetensors", "last.safetensors", "training.safetensors"
-# options that change no bit of what is trained, or, as data is, are told better elsewhere
 FREE = ("data", "out", "resume", "threads", "workers", "log_every", "save_every")
+"""Options that change no bit of what is trained; data sets are compared by what they hold instead."""
 
 
-def train_grid(network: NetworkName, options: TrainOptions, progress: bool = True) -> dict[str, Any]:
-    """See ``train.train``."""
+def train_grid_network(
+    network: NetworkName, options: TrainOptions | None = None, progress: bool = True
+) -> dict[str, Any]:
+    """Train a network of the theses; Ctrl-C ends it early, with whole files to resume from.
+
+    Under ``torchrun`` each process takes its share of every batch; the first one prints and writes.
+
+    Args:
+        network: convfc, pressure, peak or unet.
+        options: what is trained on, how, and what is written.
+        progress: show a bar on stderr.
+
+    Returns:
+        The content of ``train.json``.
+
+    Raises:
+        ValueError: for an option out of its range, a data set that is none or too small, states of held-out seeds, or
+            a loss that is not finite, naming the step.
+        ImportError: naming the extra, without torch, h5py or matplotlib.
+    """
+    options = options or TrainOptions()
+    options.check()
+    if network not in SETUPS:
+        raise ValueError(f"network is {network!r}; it must be one of {tuple(SETUPS)}")
     torch.set_num_threads(options.threads)
     with processes() as group, interruptible() as stop:
         run = GridTraining(network, options, group)
@@ -74,7 +96,7 @@ class GridTraining:
         """Find the data, make network and optimiser, and continue where an earlier run stopped.
 
         Raises:
-            ValueError: see ``train.train``.
+            ValueError: see ``train_grid_network``.
         """
         self.network, self.options, self.group = network, options, group
         if options.batch_size % group.size:
@@ -96,7 +118,7 @@ class GridTraining:
             "bins": options.bins,
             "walls": options.walls,
         }
-        self.splatter = dataset.Splatter(self.grid, **self.images, threads=options.threads)
+        self.splatter = Splatter(self.grid, **self.images, threads=options.threads)
         self.decode = Decoder(
             grid=self.grid,
             kernel=self.images["kernel"],
@@ -106,7 +128,7 @@ class GridTraining:
             threads=options.threads,
         )
         self.train = self.loader("train", rank=group.rank, world_size=group.size)
-        self.validation = self.loader("validation")
+        validation = self.loader("validation")
         if not len(self.train):
             raise ValueError(f"{options.data} has fewer training states than a batch of {options.batch_size}")
 
@@ -132,6 +154,7 @@ class GridTraining:
             slop=self.data["slop"],
             restitution_threshold=solver["restitution_threshold"],
         )
+        self.validation = Validation(batches=validation, splatter=self.splatter, decode=self.decode, loss=self.loss)
         self.epoch = self.batch = self.step = 0
         self.best: float | None = None
         self.metrics: dict[str, float] = {}
@@ -180,44 +203,27 @@ class GridTraining:
         return itertools.islice(batches, skip, None)
 
     def set_scales(self) -> tuple[Any, Any]:
-        """Scale the network by what training states show; returns the scales of the losses, of images and contacts.
-
-        An image is mostly empty, so a channel's scale is the RMS over the nodes that it reaches, without walls, as they
-        are far heavier than bodies. In units of the losses' scales the answer zero has a mean square of 1.
-        """
+        """Scale the network by what training states show; returns the scales of the losses, of images and contacts."""
         if self.options.scaling == "none":
             return torch.ones(self.model.config.outputs), torch.ones(2)
-        walls, states = self.options.walls, 0
-        channels, reached, contacts = RunningSquare(), RunningSquare(), RunningSquare()
-        nodes = RunningSquare()
         with own_randomness():
-            for batch in self.loader("train"):
-                images, target = self.splatter(batch)
-                if walls:
-                    images = torch.where(images < walls, images, 0.0)
-                channels.add(images, images != 0)
-                reached.add(target, target != 0)
-                nodes.add(target, torch.ones_like(target))
-                contacts.add(batch.label.T[None], torch.ones_like(batch.label.T[None]))
-                states += len(batch.dt)
-                if states >= SCALE_STATES:
-                    break
-        self.model.set_scales(channels.root(), reached.root(), BOUND)
-        return nodes.root(), contacts.root()
+            scales = find_scales(self.loader("train"), self.splatter, self.options.walls)
+        self.model.set_scales(scales.channels, scales.outputs, BOUND)
+        return scales.nodes, scales.contacts
 
     # ------------------------------------------------------------------ steps
 
     def run(self, stop: Event, progress: bool) -> dict[str, Any]:
         """Train to the end or until ``stop``, write all files, and return the summary."""
-        options, tqdm = self.options, require("tqdm", "pipeline").tqdm
+        options = self.options
         began, stopped = time.perf_counter(), False
         steps = len(self.train)
-        bar = tqdm(
+        bar = progress_bar(
             total=options.epochs * steps,
             initial=self.step,
             desc=f"train {self.network}",
             unit="step",
-            disable=not progress,
+            show=progress,
         )
         with bar:
             while self.epoch < options.epochs and not stopped:
@@ -297,7 +303,7 @@ class GridTraining:
 
         Every process does all of it, so that all know the same without a message.
         """
-        self.metrics = self.measure()
+        self.metrics = self.validation.measure(self.model)
         self.log.add(self.step, {f"validation/{name}": value for name, value in self.metrics.items()})
         if self.best is not None and not self.metrics["loss"] < self.best:
             return
@@ -308,59 +314,6 @@ class GridTraining:
     def shown_metrics(self) -> dict[str, str]:
         """What the bar says of the last validation."""
         return {name: f"{self.metrics[name]:.3g}" for name in training_plots.NAMES.values() if name in self.metrics}
-
-    def measure(self) -> dict[str, float]:
-        """Losses on the validation states, and squared errors at their contacts over that of zero.
-
-        "loss", "normal" and "tangential" are the network's; "..._zero" and "..._cache" what impulses of zero and those
-        of the step before have, "..._grid" the truth sent to the grid and back: what a perfect network would have.
-        """
-        kinds = ("", "_zero") if self.loss.on_grid else ("", "_zero", "_cache", "_grid")
-        losses = np.zeros((len(kinds), 2))
-        square, errors = np.zeros(2), np.zeros((3, 2))
-        self.model.eval()
-        with own_randomness(), torch.inference_mode():
-            for batch in self.validation:
-                images, target = self.splatter(batch)
-                output = self.model(images)
-                found = (self.decode(output, batch), batch.start, self.decode(target, batch))
-                errors += [_squares(x - batch.label) for x in found]
-                square += _squares(batch.label)
-                if self.loss.on_grid:
-                    parts = [self.loss(image, target, batch) for image in (output, torch.zeros_like(output))]
-                else:
-                    answers = (found[0], torch.zeros_like(batch.start), *found[1:])
-                    parts = [self.loss.of_impulses(impulse, batch) for impulse in answers]
-                losses += [[float(total), float(weight)] for total, weight in parts]
-        measured = {f"loss{kind}": total / max(weight, TINY) for kind, (total, weight) in zip(kinds, losses.tolist())}
-        relative = (errors / np.maximum(square, TINY)).tolist()
-        for kind, values in zip(("", "_cache", "_grid"), relative):
-            measured.update({name + kind: value for name, value in zip(training_plots.NAMES.values(), values)})
-        return measured
-
-    def predict(self, model: Any) -> training_plots.Prediction:
-        """What a network answers to validation states, and the grids of the one with the most contacts."""
-        parts: list[tuple[Any, ...]] = []
-        most, shown = -1, None
-        with own_randomness(), torch.inference_mode():
-            for batch in self.validation:
-                images, target = self.splatter(batch)
-                output = model(images)
-                parts.append((self.decode(output, batch), batch.label, self.decode(target, batch)))
-                counts = batch.contact_start.diff()
-                i = int(counts.argmax())
-                if int(counts[i]) > most:
-                    most = int(counts[i])
-                    points = batch.point[batch.contact_start[i] : batch.contact_start[i + 1]]
-                    title = f"world {int(batch.seed[i])}, step {int(batch.step[i])}"
-                    shown = [output[i].numpy(), target[i].numpy(), points.numpy(), title]
-                if sum(len(part[0]) for part in parts) >= SHOWN_CONTACTS:
-                    break
-        assert shown is not None
-        impulse, label, floor = (torch.cat(column).numpy() for column in zip(*parts))
-        answer, target, points, title = shown
-        answer, target = (image.reshape(-1, 2, *self.grid.shape).sum(axis=0) for image in (answer, target))
-        return training_plots.Prediction(impulse, label, floor, self.grid, answer, target, points, title)
 
     # ------------------------------------------------------------------ files
 
@@ -442,44 +395,20 @@ class GridTraining:
         if self.search is not None:
             figures["rates.png"] = training_plots.rates_figure(self.search)
         if (options.out / BEST).exists() and self.metrics:
-            shown = self.predict(load_checkpoint(options.out / BEST)[0])
+            shown = self.validation.predict(load_checkpoint(options.out / BEST)[0])
             figures["predictions.png"] = training_plots.predictions_figure(shown, f"{title}: validation states")
         for name, figure in figures.items():
-            with atomic_path(options.out / name) as partial:
-                plots.save(figure, partial)
+            save_figure(figure, options.out / name)
         networks = [name for name in (BEST, LAST, STATE) if (options.out / name).exists()]
         summary["files"] = [*networks, "metrics.jsonl", "train.json", *figures]
         write_json(options.out / "train.json", summary)
         return summary
 
 
-class RunningSquare:
-    """Mean square of each channel (dimension 1) over what counts of several tensors."""
-
-    def __init__(self) -> None:
-        self.square: Any = 0.0
-        self.count: Any = 0.0
-
-    def add(self, values: Any, counts: Any) -> None:
-        """Add the values that count."""
-        self.square = self.square + (values.square() * counts).transpose(0, 1).flatten(1).sum(dim=1)
-        self.count = self.count + counts.transpose(0, 1).flatten(1).sum(dim=1)
-
-    def root(self) -> Any:
-        """Its root, 1 for a channel in which there is nothing, (channels,)."""
-        root = (self.square / torch.clamp(self.count, min=1)).sqrt()
-        return torch.where(root > 0, root, 1.0)
-
-
 def make_grid(box: Any, nodes: int) -> Grid:
     """The grid over a box (low x, low y, high x, high y) [m] with so many nodes along its longer side."""
     low, high = box[:2], box[2:]
     return Grid.from_box(low, high, max(high[0] - low[0], high[1] - low[1]) / (nodes - 1))
-
-
-def _squares(error: Any) -> np.ndarray:
-    """Sums of squares of each column, in float64."""
-    return error.double().square().sum(dim=0).numpy()
 
 
 def _plain_options(options: TrainOptions) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from dc_kernels.model.config import SolverConfig
 from dc_kernels.runtime.optional import require
 from dc_kernels.solve.rows import COLORS
 from dc_kernels.torch_ops.transfer import gather_torch
-from pipeline.training.train import LossName
+from pipeline.training.options import LossName
 
 torch = require("torch", "pipeline")
 

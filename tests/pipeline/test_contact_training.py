@@ -27,7 +27,7 @@ from pipeline.options import RunOptions
 from pipeline.scenes import Thesis
 from pipeline.seeds import TUNING_SEED, VALIDATION_SEED
 from pipeline.starts.learned import CallOptions, LearnedSolve
-from pipeline.training.tools import Processes
+from pipeline.training.processes import Processes
 
 FEW = (
     Crowd(bodies=30, worlds=2, acceleration="none", steps=(100, 120)),
@@ -181,7 +181,7 @@ def test_held_out_seeds_are_refused():
 
 
 def test_the_network_in_bfloat16_answers_nearly_the_same():
-    from pipeline.starts.warmstart import PRETRAINED
+    from pipeline.starts.registry import PRETRAINED
 
     model, manifest = load_checkpoint(PRETRAINED)
     assert model.network_name == "contactnet" and PRETRAINED.stat().st_size < 2e6
@@ -206,7 +206,7 @@ from pipeline.contactnet import training as contact_training
 from pipeline.contactnet import tuning
 from pipeline.contactnet.options import ContactTrainOptions
 from pipeline.contactnet.rollouts import Setting
-from pipeline.training.tools import Processes
+from pipeline.training.processes import Processes
 
 small = dict(bodies=30, worlds=3, solves=6, calls=2, steps=120, max_sweeps=400)
 contact_training.SETTINGS = tuple(Setting(acceleration=a, **small) for a in ("none", "aitken"))

@@ -14,9 +14,10 @@ from dc_kernels.measure import contact_slots
 torch = pytest.importorskip("torch")
 
 from pipeline.data import shards  # noqa: E402
-from pipeline.data.dataset import Batch, BatchOrder, Splatter, States, describe, loader  # noqa: E402
+from pipeline.data.dataset import Batch, BatchOrder, States, describe, loader  # noqa: E402
 from pipeline.data.generate import generate  # noqa: E402
 from pipeline.data.recipe import SOLVER, GenerateOptions, Recipe  # noqa: E402
+from pipeline.data.splatter import Splatter  # noqa: E402
 from pipeline.scenes import Mixed, Thesis  # noqa: E402
 from pipeline.seeds import HELD_OUT_SEED  # noqa: E402
 

@@ -15,28 +15,35 @@ import dc_kernels as dc
 from dc_kernels.grid.transfer import gather, splat
 from dc_kernels.measure import contact_slots
 from pipeline.cli import main
-from pipeline.evaluate import evaluate, runs
-from pipeline.plots import runs as run_plots
-from pipeline.starts import warmstart
+from pipeline.evaluate import comparison, runs, tables
+from pipeline.evaluate.comparison import evaluation
+from pipeline.evaluate.options import EvaluationOptions
+from pipeline.evaluate.strategy import run_strategy, split_label
+from pipeline.plots import protocol as run_plots
+from pipeline.starts import registry
+from pipeline.starts import start as starting
+from pipeline.starts.impulses import ImpulseStart, Zero
+from pipeline.starts.solution import thesis_grid
+from pipeline.starts.start import Report, Started
 
 torch = pytest.importorskip("torch")
 from pipeline.networks import models  # noqa: E402
 from pipeline.networks.checkpoint import grid_dict, save_checkpoint  # noqa: E402
-from pipeline.starts.grid_start import GridStart  # noqa: E402
+from pipeline.starts.grid_network import GridNetworkStart  # noqa: E402
 
 torch.set_num_threads(1)
 SMALL: dict[str, Any] = {"worlds": 2, "bodies": 10, "steps": 90}
 PNG = b"\x89PNG"
 
 
-def options(**changed: Any) -> evaluate.EvaluationOptions:
-    return evaluate.EvaluationOptions(**{**SMALL, **changed})
+def options(**changed: Any) -> EvaluationOptions:
+    return EvaluationOptions(**{**SMALL, **changed})
 
 
 @pytest.fixture(scope="module")
 def open_runs() -> list[runs.Run]:
     chosen = options(starts=("none", "builtin", "copy", "bad"), accelerations=("none", "aitken"), loops=("open",))
-    return evaluate.evaluation(chosen, progress=False)
+    return evaluation(chosen, progress=False)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +66,7 @@ def network(tmp_path_factory) -> Path:
 
 
 def test_open_loop_gives_all_the_states_of_builtins_trajectory(open_runs):
-    closed = evaluate.run_strategy(options(), "builtin", "none")
+    closed = run_strategy(options(), "builtin", "none")
     for run in open_runs:
         np.testing.assert_array_equal(run.contacts, closed.contacts)
         assert run.loop == "open"
@@ -77,7 +84,7 @@ def test_open_loop_solves_are_those_of_the_state(open_runs):
     for step in range(SMALL["steps"]):
         sim.collide(0.01)
         cache = sim.contacts.numpy("impulse").copy()
-        warmstart.none(sim)
+        Zero(sim).write()
         sim.solve()
         np.testing.assert_array_equal(open_runs[0].sweeps[step], sim.stats.numpy("sweeps"))
         slots, world = contact_slots(sim.contacts)
@@ -91,7 +98,7 @@ def test_open_loop_solves_are_those_of_the_state(open_runs):
 
 
 def test_closed_loop_is_a_trajectory_of_its_own():
-    none, builtin = evaluate.evaluation(options(starts=("none", "builtin"), loops=("closed",)), progress=False)
+    none, builtin = evaluation(options(starts=("none", "builtin"), loops=("closed",)), progress=False)
     assert (none.contacts != builtin.contacts).any()
 
 
@@ -104,9 +111,9 @@ def test_grid_is_copy_through_the_theses_grid(reverse):
     sim.run(150, 0.01)
     sim.collide(0.01)
     cache = sim.contacts.numpy("impulse").copy()
-    strategy = warmstart.parse("grid" if reverse else "grid-bilinear")
-    strategy(sim)
-    assert strategy.images.grid == dc.Grid.thesis()
+    start = registry.maker("grid" if reverse else "grid-bilinear")(sim)
+    start.write()
+    assert start.images.grid == dc.Grid.thesis()
     slots, _ = contact_slots(sim.contacts)
     found = sim.contacts.numpy("impulse")[slots].copy()
     sim.contacts.numpy("impulse")[...] = cache
@@ -125,16 +132,16 @@ def test_grid_covers_what_there_is():
     builder.add_world()
     builder.add_discs([(2.0, 1.0), (5.1, 4.0)], radius=0.5)
     sim = dc.Simulation(*builder.finalize())
-    grid = warmstart.thesis_grid(sim)
+    grid = thesis_grid(sim)
     assert grid.origin == (2.0, 1.0) and grid.spacing == 0.25 and grid.upper == pytest.approx((5.25, 4.0))
-    sim.step(0.01, start=warmstart.parse("grid"))
+    sim.step(0.01, start=registry.maker("grid")(sim))
 
 
 # ---------------------------------------------------------------------- networks
 
 
 def test_a_networks_time_is_split_and_counted(network):
-    run = evaluate.run_strategy(options(), f"tiny={network}", "none")
+    run = run_strategy(options(), f"tiny={network}", "none")
     assert run.label == "Tiny, PGS" and run.converged.mean() > 0.9
     for part in ("collide", "splat", "network", "gather", "solve", "advance"):
         assert run.parts[part] > 0.0
@@ -142,18 +149,18 @@ def test_a_networks_time_is_split_and_counted(network):
     assert run.strategy_s < run.wall_s
     assert run.counts["calls"] + run.counts["skipped"] == run.sweeps.size
     assert 0 < run.counts["skipped"] < run.sweeps.size
-    oracle = evaluate.run_strategy(options(), "copy", "none")
+    oracle = run_strategy(options(), "copy", "none")
     assert oracle.wall_s == pytest.approx(sum(oracle.parts.values()) - oracle.strategy_s) and not oracle.counts
 
 
 def test_a_file_without_a_label_is_called_by_its_stem(network):
-    assert evaluate.split_label(str(network)) == ("small", str(network))
-    assert evaluate.split_label("copy2") == ("copy2", "copy2")
-    assert evaluate.split_label(f"a=b={network}") == ("a=b", str(network))
+    assert split_label(str(network)) == ("small", str(network))
+    assert split_label("copy2") == ("copy2", "copy2")
+    assert split_label(f"a=b={network}") == ("a=b", str(network))
 
 
 def test_what_cannot_run_is_said_before_anything_runs(network, tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluate, "run_strategy", lambda *arguments, **others: pytest.fail("something ran"))
+    monkeypatch.setattr(comparison, "run_strategy", lambda *arguments, **others: pytest.fail("something ran"))
     foreign = tmp_path / "foreign.safetensors"
     foreign.write_bytes(b"no network")
     for changed, error, message in (
@@ -165,44 +172,43 @@ def test_what_cannot_run_is_said_before_anything_runs(network, tmp_path, monkeyp
         ({"steps": 0}, ValueError, "steps is 0"),
     ):
         with pytest.raises(error, match=message):
-            evaluate.evaluation(options(**changed), progress=False)
+            evaluation(options(**changed), progress=False)
 
 
 def test_threads_of_torch_are_the_options_and_come_back(network, monkeypatch):
     seen = []
     monkeypatch.setattr(
-        evaluate, "run_strategy", lambda *arguments, **others: seen.append(torch.get_num_threads()) or made()
+        comparison, "run_strategy", lambda *arguments, **others: seen.append(torch.get_num_threads()) or made()
     )
     torch.set_num_threads(2)
     try:
-        evaluate.evaluation(options(starts=(str(network),), loops=("open",), threads=1), progress=False)
+        evaluation(options(starts=(str(network),), loops=("open",), threads=1), progress=False)
         assert seen == [1] and torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(1)
 
 
 class Halved:
-    """A driver that halves the cache before the first sweep, and pauses in between."""
-
-    model = None
+    """A network that halves the cache before the first sweep, and pauses in between."""
 
     def __init__(self, sim: dc.Simulation, early: bool) -> None:
-        self.sim, self.stats, self.early = sim, self, early
-        self.given: list[np.ndarray] = []
+        self.sim, self.early = sim, early
         self.seconds = {"solve": 0.0, "network": 0.0}
 
-    def totals(self) -> dict[str, Any]:
-        return {"calls": 7, "empty": 2, "early": 3, "refused": 1, "undone": 4, "seconds": self.seconds}
+    def report(self) -> Report:
+        return Report(seconds=self.seconds, is_network=True, counts={"calls": 7, "skipped": 5, "dropped": 4})
 
-    def solve(self) -> None:
+    def solve(self, started: Started = lambda: None) -> None:
         impulse = self.sim.contacts.numpy("impulse")
         if self.early:
             impulse *= 0.5
+            started()
             self.sim.solve(pause=2)
         else:
             self.sim.solve(pause=0)
             impulse *= 0.5
             self.sim.stats.numpy("replaced")[...] = 1
+            started()
         self.seconds["network"] += 0.25
         if self.sim.running.any():
             self.sim.resume(pause=3)
@@ -211,20 +217,21 @@ class Halved:
 
 @pytest.mark.parametrize("early", [True, False])
 @pytest.mark.parametrize("loop", ["closed", "open"])
-def test_a_driver_runs_the_whole_solve(loop, early):
+def test_a_start_may_run_the_whole_solve(loop, early):
     """Its start is what the first sweep saw, whether it paused before that or not."""
 
-    class Half(warmstart.Copy):
-        def __call__(self, sim: dc.Simulation) -> None:
-            sim.contacts.numpy("impulse")[...] *= 0.5
+    class Half(ImpulseStart):
+        def write(self) -> None:
+            self.sim.contacts.numpy("impulse")[...] *= 0.5
 
-    driven = evaluate.run_strategy(options(), "half", "none", loop=loop, make=lambda sim: Halved(sim, early))
-    plain = evaluate.run_strategy(options(), "half", "none", loop=loop, make=lambda sim: Half())
+    driven = run_strategy(options(), "half", "none", loop=loop, make=lambda sim: Halved(sim, early))
+    plain = run_strategy(options(), "half", "none", loop=loop, make=Half)
     for name in ("sweeps", "change", "contacts", "errors", "decay"):
         np.testing.assert_array_equal(getattr(driven, name), getattr(plain, name))
-    assert driven.parts["network"] == 0.25 * SMALL["steps"] and driven.parts["start"] < 0.0 < driven.parts["collide"]
+    assert driven.parts["network"] == 0.25 * SMALL["steps"] and driven.parts["start"] == 0.0 < driven.parts["collide"]
     assert driven.wall_s == pytest.approx(sum(driven.parts.values()))
-    assert driven.counts["calls"] == 7 and driven.counts["skipped"] == driven.counts["dropped"] == 5
+    assert plain.wall_s == pytest.approx(sum(plain.parts.values()) - plain.strategy_s) and plain.parts["start"] > 0.0
+    assert driven.counts == {"calls": 7, "skipped": 5, "dropped": 4} and not plain.counts
 
 
 def test_names_of_networks(network, monkeypatch, tmp_path):
@@ -241,26 +248,28 @@ def test_names_of_networks(network, monkeypatch, tmp_path):
     read = []
     module = types.SimpleNamespace(LearnedSolve=Learned, CallOptions=types.SimpleNamespace)
     monkeypatch.setitem(sys.modules, "pipeline.starts.learned", module)
-    monkeypatch.setattr(warmstart, "PRETRAINED", tmp_path / "none.safetensors")
+    monkeypatch.setattr(registry, "PRETRAINED", tmp_path / "none.safetensors")
     with pytest.raises(OSError, match=r"none\.safetensors is not there"):
-        warmstart.maker("cnn")
-    assert isinstance(warmstart.maker(str(network))(options().simulation("none")), GridStart)
+        registry.maker("cnn")
+    assert isinstance(registry.maker(str(network))(options().simulation("none")), GridNetworkStart)
     monkeypatch.setattr("pipeline.networks.checkpoint.load_checkpoint", lambda path: read.append(path) or (Model(), {}))
     for name in ("cnn", "CNN-start", "x.safetensors"):
-        assert warmstart.is_network(name)
-        warmstart.maker(name)("sim")
+        assert registry.is_network(name)
+        registry.maker(name)("sim")
     assert [(sim, middle) for sim, _, middle in made] == [("sim", True), ("sim", False), ("sim", True)]
-    assert read == [warmstart.PRETRAINED, warmstart.PRETRAINED, "x.safetensors"]
-    assert not warmstart.is_network("copy2")
+    assert read == [registry.PRETRAINED, registry.PRETRAINED, "x.safetensors"]
+    assert not registry.is_network("copy2")
 
 
-def test_a_step_takes_strategies_and_drivers():
+def test_a_step_solves_from_its_start():
     ends = []
-    for driver in (True, False):
+    for start in (True, False):
         sim = options().simulation("none")
-        made = Halved(sim, True) if driver else lambda sim: sim.contacts.numpy("impulse").__imul__(0.5)
         for _ in range(SMALL["steps"]):
-            warmstart.step(sim, 0.01, made)
+            if start:
+                starting.step(Halved(sim, True), 0.01)
+            else:
+                sim.step(0.01, start=lambda sim: sim.contacts.numpy("impulse").__imul__(0.5))
         ends.append(sim.state.numpy("position").copy())
     np.testing.assert_array_equal(*ends)
 
@@ -301,7 +310,7 @@ def test_runs_are_compared_with_builtin_of_their_solver_and_loop():
     assert found["median_ratio"] == pytest.approx(20 / 60)
     assert found["worlds_better"] == 2 and found["wall_ratio"] == 0.5
     assert rows[2]["over_builtin"] is None and rows[3]["over_builtin"] is None
-    assert runs.cells([base, other], runs.EVALUATION)[1][3:5] == ["15-44", f"{found['sweeps_ratio']:.2f}"]
+    assert tables.cells([base, other], tables.EVALUATION_COLUMNS)[1][3:5] == ["15-44", f"{found['sweeps_ratio']:.2f}"]
 
 
 def test_nothing_to_compare_is_no_error():
@@ -310,7 +319,7 @@ def test_nothing_to_compare_is_no_error():
     row = runs.summaries([still])[0]
     assert row["over_builtin"]["sweeps_ratio"] is None and row["mean_sweeps"] == 0
     assert json.loads(json.dumps(row)) == row
-    assert "Builtin" in runs.table([still], runs.EVALUATION)
+    assert "Builtin" in tables.table([still], tables.EVALUATION_COLUMNS)
 
 
 def test_command_evaluate(tmp_path, capsys, network):

@@ -231,7 +231,7 @@ def test_a_world_that_stops_is_marked(tmp_path):
         first = int(np.argmax(flags != 0))
         assert not np.diff(file["step/contact_start"])[first + 1 :].any()
         assert np.isfinite(file["motion/position"][...]).all()
-    assert "NONFINITE" in generation.report(summary)
+    assert "NONFINITE" in generation.describe(summary)
 
 
 # ---------------------------------------------------------------------- ranges
@@ -306,10 +306,11 @@ def test_joints_are_refused(tmp_path):
 
 def test_stored_grids_are_those_made_from_the_states(tmp_path):
     dataset = pytest.importorskip("pipeline.data.dataset")
+    splatter = pytest.importorskip("pipeline.data.splatter")
     recipe = Recipe(scene=Mixed(bodies=6), options=changed(SMALL, worlds=2, grids=True, grid_size=(5.0, 5.0)).options)
     make(recipe, tmp_path)
     states = dataset.States(tmp_path, min_contacts=0)
-    image, label = dataset.Splatter(recipe.options.grid)(states.batch(range(len(states))))
+    image, label = splatter.Splatter(recipe.options.grid)(states.batch(range(len(states))))
     with h5py.File(tmp_path / shards.INDEX) as file:
         np.testing.assert_array_equal(file["grid/input"], image)
         np.testing.assert_array_equal(file["grid/label"], label)
@@ -370,7 +371,7 @@ def test_interrupt_keeps_what_is_finished(whole, tmp_path, monkeypatch):
     summary = make(SMALL, tmp_path)
     assert not summary["complete"] and not (tmp_path / shards.INDEX).exists()
     assert signal.getsignal(signal.SIGINT) is before
-    assert "the same command goes on" in generation.report(summary)
+    assert "the same command goes on" in generation.describe(summary)
     monkeypatch.undo()
     assert make(SMALL, tmp_path)["complete"]
     assert contents(tmp_path) == contents(whole)

@@ -16,19 +16,24 @@ import pytest
 import dc_kernels as dc
 from dc_kernels.measure import contact_slots
 from pipeline.cli import main
-from pipeline.evaluate import evaluate
+from pipeline.evaluate.comparison import protocol
+from pipeline.evaluate.options import ProtocolOptions
+from pipeline.evaluate.runs import Run
+from pipeline.evaluate.strategy import filled
 from pipeline.files import atomic_path, write_json
 from pipeline.options import RunOptions, SolverOptions
-from pipeline.plots import plots
+from pipeline.plots import style
+from pipeline.plots import world as drawing
 from pipeline.run.simulate import Output, simulate
 from pipeline.run.trajectory import STEP_FIELDS, pressing
 from pipeline.scenes import SCENES, Mixed, Settled, Stack, Thesis, scene
 from pipeline.seeds import HELD_OUT_SEED
-from pipeline.starts import warmstart
+from pipeline.starts import registry
+from pipeline.starts.impulses import ImpulseStart, Zero
 
 ROOT = Path(__file__).resolve().parents[2]
 PNG = b"\x89PNG"
-SMALL = evaluate.ProtocolOptions(worlds=2, bodies=8, steps=120)
+SMALL = ProtocolOptions(worlds=2, bodies=8, steps=120)
 
 
 @pytest.fixture(scope="module")
@@ -109,18 +114,18 @@ def test_a_recorded_run_is_the_simulation_itself(tmp_path):
 
 
 def test_interrupted_run_leaves_whole_files(tmp_path, monkeypatch):
-    class Interrupt:
+    class Interrupt(ImpulseStart):
         """As if Ctrl-C was pressed in the fourth step."""
 
         calls = 0
 
-        def __call__(self, sim):
+        def write(self):
             self.calls += 1
             if self.calls == 4:
                 signal.raise_signal(signal.SIGINT)
 
     before = signal.getsignal(signal.SIGINT)
-    monkeypatch.setitem(warmstart.STRATEGIES, "none", lambda seed: Interrupt())
+    monkeypatch.setitem(registry.STARTS, "none", lambda sim, seed: Interrupt(sim))
     output = Output(steps=1000, out=tmp_path, record_every=3, start="none")
     summary, _ = simulate(Settled(bodies=5), output=output, progress=False)
     assert signal.getsignal(signal.SIGINT) is before
@@ -135,10 +140,11 @@ def test_interrupted_run_leaves_whole_files(tmp_path, monkeypatch):
 
 
 def test_failed_run_leaves_the_old_file(tmp_path, monkeypatch):
-    def fail(sim):
-        raise RuntimeError("broken")
+    class Broken(ImpulseStart):
+        def write(self):
+            raise RuntimeError("broken")
 
-    monkeypatch.setitem(warmstart.STRATEGIES, "none", lambda seed: fail)
+    monkeypatch.setitem(registry.STARTS, "none", lambda sim, seed: Broken(sim))
     (tmp_path / "trajectory.h5").write_text("old")
     with pytest.raises(RuntimeError, match="broken"):
         simulate(Settled(bodies=5), output=Output(out=tmp_path, start="none"), progress=False)
@@ -186,10 +192,10 @@ def test_every_scene_steps_and_is_drawn(name, tmp_path):
     sim.run(30, 0.01)
     assert not sim.state.numpy("flags").any()
     assert (dc.kinetic_energy(sim) + dc.potential_energy(sim) <= energy + 1e-3 * np.abs(energy) + 1e-6).all()
-    with plots.figure(4.0, 4.0) as fig:
+    with style.figure(4.0, 4.0) as fig:
         axes = fig.add_subplot()
-        plots.draw_world(axes, sim, 1)
-        plots.save(fig, tmp_path / "world.png", dpi=60)
+        drawing.draw_world(axes, sim, 1)
+        style.save_figure(fig, tmp_path / "world.png", dpi=60)
     assert (tmp_path / "world.png").read_bytes()[:4] == PNG
     # what is drawn holds every body of the world
     left, right, (bottom, top) = *axes.get_xlim(), axes.get_ylim()
@@ -211,7 +217,7 @@ def test_outlines_have_the_bodies_area():
     builder = Mixed(bodies=24).build(1, 2)
     builder.add_box(builder.add_body((20.0, 20.0), 0.3), 0.4, 0.2, radius=0.1)
     model, *rest = builder.finalize("float64")
-    shapes = plots.WorldShapes.of(plots.arrays(dc.Simulation(model, *rest)), 0)
+    shapes = drawing.WorldShapes.of(drawing.arrays(dc.Simulation(model, *rest)), 0)
     area = np.zeros(model.body_count)
     for owner, points in shapes.outlines:
         x, y = points[..., 0], points[..., 1]
@@ -224,15 +230,15 @@ def test_forces_are_impulses_over_dt():
     sim = dc.Simulation(*Stack(bodies=1, jitter=0.0).build(2).finalize("float64"))
     sim.run(3, 0.02)
     for world in range(2):
-        forces = plots.Forces.of(sim, world)
+        forces = drawing.Forces.of(sim, world)
         assert forces.normal.sum() == pytest.approx(9.8, rel=1e-3)
         np.testing.assert_allclose(forces.lines[:, 0], sim.state.numpy("position")[[2 * world + 1] * 2])
         np.testing.assert_allclose(np.sort(forces.points[:, 0]), [-0.5, 0.5], atol=1e-6)
 
 
 @pytest.fixture(scope="module")
-def runs() -> list[evaluate.Run]:
-    return evaluate.protocol(SMALL, progress=False)
+def runs() -> list[Run]:
+    return protocol(SMALL, progress=False)
 
 
 def test_protocol_compares_the_starts(runs):
@@ -263,15 +269,15 @@ def test_protocol_is_its_worlds_own_closed_loop(runs):
     np.testing.assert_array_equal(runs[1].sweeps, sweeps)
     np.testing.assert_array_equal(runs[1].contacts, contacts)
     sim = dc.Simulation(*Thesis(bodies=8).build(2, HELD_OUT_SEED).finalize(), config=config)
-    squares = []
+    squares, none = [], Zero(sim)
     for _ in range(SMALL.steps):
-        sim.step(0.01, start=warmstart.none)
+        sim.step(0.01, start=none)
         squares.append(sim.contacts.numpy("impulse")[contact_slots(sim.contacts)[0]].astype(float) ** 2)
     np.testing.assert_allclose(runs[0].start_error, np.concatenate(squares).mean(axis=0), rtol=1e-6)
 
 
 def test_statistics_count_states_with_contacts():
-    run = evaluate.Run(
+    run = Run(
         start="none",
         solver="PGS",
         max_sweeps=100,
@@ -294,8 +300,7 @@ def test_statistics_count_states_with_contacts():
 
 def test_history_is_filled_with_its_last_change():
     history = np.array([[3.0, 2.0, 0.0, 0.0], [5.0, 4.0, 3.0, 2.0], [0.0, 0.0, 0.0, 0.0]])
-    filled = evaluate._filled(history, np.array([2, 4, 0]))
-    np.testing.assert_array_equal(filled, [[3, 2, 2, 2], [5, 4, 3, 2], [0, 0, 0, 0]])
+    np.testing.assert_array_equal(filled(history, np.array([2, 4, 0])), [[3, 2, 2, 2], [5, 4, 3, 2], [0, 0, 0, 0]])
 
 
 @pytest.mark.parametrize(
@@ -311,7 +316,7 @@ def test_history_is_filled_with_its_last_change():
 )
 def test_wrong_protocol_options_raise(options, message):
     with pytest.raises(ValueError, match=message):
-        evaluate.protocol(evaluate.ProtocolOptions(**options), progress=False)
+        protocol(ProtocolOptions(**options), progress=False)
 
 
 def last_json(text: str) -> dict:
@@ -352,7 +357,7 @@ def test_command_simulate_with_a_network(tmp_path, network, capsys):
     assert summary == json.loads((tmp_path / "summary.json").read_text())
     found = summary["network"]
     assert found["solves"] == 10 and found["calls"] >= 10
-    assert set(found["seconds"]) == {"solve", "splat", "network", "gather"}
+    assert set(found["seconds"]) == {"solve", "splat", "network", "gather", "start"}
     assert 0.0 < sum(found["seconds"].values()) < summary["simulation_s"]
     main(["simulate", *options, "--out", str(tmp_path)])
     text = capsys.readouterr().out
@@ -363,8 +368,10 @@ def test_command_simulate_with_a_network(tmp_path, network, capsys):
 
 
 def test_networks_have_the_threads_of_the_run(tmp_path, network, monkeypatch, capsys):
-    torch, seen, step = sys.modules["torch"], [], warmstart.step
-    monkeypatch.setattr(warmstart, "step", lambda *given: (seen.append(torch.get_num_threads()), step(*given)))
+    from pipeline.starts.learned import LearnedSolve
+
+    torch, seen, solve = sys.modules["torch"], [], LearnedSolve.solve
+    monkeypatch.setattr(LearnedSolve, "solve", lambda *given: (seen.append(torch.get_num_threads()), solve(*given)))
     torch.set_num_threads(2)
     try:
         for command in (["simulate", "--out", str(tmp_path)], ["explain"]):
@@ -383,13 +390,13 @@ def test_a_recorded_run_with_a_network_is_its_own_loop(tmp_path, network):
         progress=False,
     )
     own = dc.Simulation(*Thesis(bodies=8).build(2).finalize())
-    solve = warmstart.maker(str(network))(own)
+    solve = registry.maker(str(network))(own)
     for _ in range(60):
         own.collide(0.01)
         solve.solve()
         own.advance()
     np.testing.assert_array_equal(sim.state.numpy("position"), own.state.numpy("position"))
-    assert solve.explain() == summary["network"]["explain"]
+    assert solve.report().text == summary["network"]["explain"]
 
 
 def test_command_protocol(tmp_path, capsys):
@@ -462,7 +469,11 @@ def test_wrong_values_are_one_line_and_exit_2(arguments, message, capsys):
 
 
 def test_interrupted_protocol_is_one_line(monkeypatch, capsys, tmp_path):
-    monkeypatch.setitem(warmstart.STRATEGIES, "none", lambda seed: lambda sim: signal.raise_signal(signal.SIGINT))
+    class Interrupted(ImpulseStart):
+        def write(self):
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setitem(registry.STARTS, "none", lambda sim, seed: Interrupted(sim))
     with pytest.raises(SystemExit) as caught:
         main(["protocol", "--worlds", "1", "--bodies", "3", "--json", "--out", str(tmp_path)])
     assert caught.value.code == 130

@@ -27,15 +27,26 @@ from pipeline.cli import main  # noqa: E402
 from pipeline.data import dataset  # noqa: E402
 from pipeline.data.generate import generate  # noqa: E402
 from pipeline.data.recipe import GenerateOptions, Recipe  # noqa: E402
+from pipeline.data.splatter import Splatter  # noqa: E402
 from pipeline.networks import models  # noqa: E402
 from pipeline.networks.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
 from pipeline.scenes import Mixed, Thesis  # noqa: E402
 from pipeline.seeds import HELD_OUT_SEED  # noqa: E402
-from pipeline.starts.grid_start import GridStart, grid_starter  # noqa: E402
+from pipeline.starts.grid_network import GridNetworkStart  # noqa: E402
+from pipeline.starts.registry import maker  # noqa: E402
 from pipeline.training import grid as grid_training  # noqa: E402
 from pipeline.training import losses  # noqa: E402
-from pipeline.training import tools as training  # noqa: E402
-from pipeline.training.train import TrainOptions, train  # noqa: E402
+from pipeline.training.grid import train_grid_network  # noqa: E402
+from pipeline.training.log import Log  # noqa: E402
+from pipeline.training.optimizer import (  # noqa: E402
+    check_loss,
+    clip_gradients,
+    make_optimizer,
+    make_schedule,
+)
+from pipeline.training.options import TrainOptions  # noqa: E402
+from pipeline.training.processes import Processes, seed_everything  # noqa: E402
+from pipeline.training.rate import find_rate  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = Thesis(bodies=6)
@@ -59,7 +70,7 @@ def batch(data):
 @pytest.fixture
 def undrawn(monkeypatch) -> None:
     """Trainings without their pictures, which take longer than they do."""
-    monkeypatch.setattr(grid_training.plots, "save", lambda figure, path: path.write_bytes(PNG))
+    monkeypatch.setattr(grid_training, "save_figure", lambda figure, path: path.write_bytes(PNG))
 
 
 def options(data: Path, out: Path, **changes) -> TrainOptions:
@@ -216,8 +227,8 @@ def test_an_unknown_loss_is_refused():
 def test_sgd_takes_the_steps_of_nesterov():
     """Momentum m v + g, then x - rate (g + m v) (Sutskever et al. 2013), with the seed's momentum, and a decay."""
     x = torch.tensor([1.0, -2.0], dtype=torch.float64, requires_grad=True)
-    optimizer = training.make_optimizer([x], "sgd", 0.01)
-    schedule = training.make_schedule(optimizer, "decay", 100, decay=1e-2)
+    optimizer = make_optimizer([x], "sgd", 0.01)
+    schedule = make_schedule(optimizer, "decay", 100, decay=1e-2)
     place, momentum = x.detach().clone(), torch.zeros(2, dtype=torch.float64)
     for step in range(4):
         optimizer.zero_grad()
@@ -231,8 +242,8 @@ def test_sgd_takes_the_steps_of_nesterov():
 
 
 def rates(name: str, steps: int = 50) -> list[float]:
-    optimizer = training.make_optimizer([torch.zeros(1, requires_grad=True)], "adamw", 0.1)
-    schedule = training.make_schedule(optimizer, name, steps)
+    optimizer = make_optimizer([torch.zeros(1, requires_grad=True)], "adamw", 0.1)
+    schedule = make_schedule(optimizer, name, steps)
     found = []
     for _ in range(steps):
         found.append(optimizer.param_groups[0]["lr"])
@@ -257,15 +268,15 @@ def test_one_cycle_goes_up_and_down():
     ("call", "message"),
     [
         (
-            lambda p: training.make_optimizer(p, "adam", 1.0),
+            lambda p: make_optimizer(p, "adam", 1.0),
             r"optimizer is 'adam'; it must be one of \('sgd', 'adamw'\)",
         ),
-        (lambda p: training.make_optimizer(p, "sgd", 0.0), "rate is 0.0; it must be finite and > 0"),
-        (lambda p: training.make_optimizer(p, "sgd", math.nan), "rate is nan"),
-        (lambda p: training.make_schedule(training.make_optimizer(p, "sgd", 1.0), "steps", 5), "schedule is 'steps'"),
-        (lambda p: training.make_schedule(training.make_optimizer(p, "sgd", 1.0), "decay", 0), "steps is 0"),
-        (lambda p: training.seed_everything(-1), "seed is -1"),
-        (lambda p: training.check_loss(torch.tensor(math.inf), 17), "the loss of step 17 is inf"),
+        (lambda p: make_optimizer(p, "sgd", 0.0), "rate is 0.0; it must be finite and > 0"),
+        (lambda p: make_optimizer(p, "sgd", math.nan), "rate is nan"),
+        (lambda p: make_schedule(make_optimizer(p, "sgd", 1.0), "steps", 5), "schedule is 'steps'"),
+        (lambda p: make_schedule(make_optimizer(p, "sgd", 1.0), "decay", 0), "steps is 0"),
+        (lambda p: seed_everything(-1), "seed is -1"),
+        (lambda p: check_loss(torch.tensor(math.inf), 17), "the loss of step 17 is inf"),
     ],
 )
 def test_parts_out_of_range_are_refused(call, message):
@@ -276,12 +287,12 @@ def test_parts_out_of_range_are_refused(call, message):
 def test_gradients_are_cut_and_a_broken_one_stops():
     weight = torch.zeros(4, requires_grad=True)
     weight.grad = torch.full((4,), 3.0)
-    assert training.clip_gradients([weight], None, 0) == 6.0
-    assert training.clip_gradients([weight], 1.5, 0) == 6.0
+    assert clip_gradients([weight], None, 0) == 6.0
+    assert clip_gradients([weight], 1.5, 0) == 6.0
     assert float(weight.grad.norm()) == pytest.approx(1.5, rel=1e-4)
     weight.grad[1] = math.nan
     with pytest.raises(ValueError, match="the gradient of step 5 is nan"):
-        training.clip_gradients([weight], 1.5, 5)
+        clip_gradients([weight], 1.5, 5)
 
 
 class Bowl(torch.nn.Module):
@@ -300,28 +311,28 @@ class Bowl(torch.nn.Module):
 
 def test_the_rate_finder_stays_below_divergence_and_leaves_no_trace():
     bowl = Bowl()
-    optimizer = training.make_optimizer(bowl.parameters(), "sgd", 1.0, momentum=0.0)
+    optimizer = make_optimizer(bowl.parameters(), "sgd", 1.0, momentum=0.0)
     state = torch.get_rng_state()
-    search = training.find_rate(bowl, optimizer, bowl.loss, lowest=1e-5, highest=10.0, steps=100)
+    search = find_rate(bowl, optimizer, bowl.loss, lowest=1e-5, highest=10.0, steps=100)
     assert float(bowl.x.detach()) == 1.0
     assert torch.equal(torch.get_rng_state(), state)
     assert 0.2 / Bowl.CURVATURE / 10.0 < search.rate < 2.0 / Bowl.CURVATURE
     assert 2.0 / Bowl.CURVATURE < search.rates[-1] < 10.0  # it saw where it diverges, and went no further
     assert search.losses[0] == pytest.approx(1.0, rel=1e-2)
     with pytest.raises(ValueError, match="the loss of batch 0 is nan before any step"):
-        training.find_rate(bowl, optimizer, lambda i: bowl.loss(i) * math.nan)
+        find_rate(bowl, optimizer, lambda i: bowl.loss(i) * math.nan)
     with pytest.raises(ValueError, match=r"rates are 1\.0 to 0\.1"):
-        training.find_rate(bowl, optimizer, bowl.loss, lowest=1.0, highest=0.1)
+        find_rate(bowl, optimizer, bowl.loss, lowest=1.0, highest=0.1)
 
 
 def test_a_log_that_goes_on_drops_what_came_after(tmp_path):
-    log = training.Log(tmp_path)
+    log = Log(tmp_path)
     for step in (5, 10, 15):
         log.add(step, {"train/loss": 1.0 / step})
     log.close()
     with (tmp_path / "metrics.jsonl").open("a") as file:
         file.write('{"step": 20, "tra')  # a killed run's half line
-    log = training.Log(tmp_path, 10)
+    log = Log(tmp_path, 10)
     log.add(12, {"train/loss": 0.5})
     log.close()
     rows = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
@@ -337,7 +348,7 @@ def test_a_log_that_goes_on_drops_what_came_after(tmp_path):
 def test_a_training_writes_whole_files_and_learns(data, tmp_path, network, rate):
     """Of the same few states, seen again and again, the network learns some."""
     chosen = options(data, tmp_path, stride=20, epochs=12, dropout=0.0, loss="contact_mse", log_every=3, rate=rate)
-    summary = train(network, chosen, progress=False)
+    summary = train_grid_network(network, chosen, progress=False)
     names = {"best.safetensors", "last.safetensors", "training.safetensors", "metrics.jsonl", "train.json"}
     pictures = {"curves.png", "predictions.png"}
     assert {path.name for path in tmp_path.iterdir()} == {*names, *pictures, "tensorboard"}
@@ -395,7 +406,7 @@ def test_a_training_interrupted_and_resumed_has_the_bits_of_one_that_was_not(
 ):
     """Ctrl-C in the middle of an epoch, then once more: batch norm, dropped values, schedules and order go on."""
     whole, parts = options(data, tmp_path / "whole", **changes), options(data, tmp_path / "parts", **changes)
-    assert train(network, whole, progress=False)["complete"]
+    assert train_grid_network(network, whole, progress=False)["complete"]
     learn = grid_training.GridTraining.learn
 
     def interrupted(self, batch, stop=False):
@@ -404,20 +415,20 @@ def test_a_training_interrupted_and_resumed_has_the_bits_of_one_that_was_not(
         return learn(self, batch, stop or self.step in (2, 7))
 
     monkeypatch.setattr(grid_training.GridTraining, "learn", interrupted)
-    summary = train(network, parts, progress=False)
+    summary = train_grid_network(network, parts, progress=False)
     assert (summary["complete"], summary["steps"]) == (False, 3)
     assert "predictions.png" not in summary["files"]  # no epoch is over
-    summary = train(network, replace(parts, resume=True), progress=False)
+    summary = train_grid_network(network, replace(parts, resume=True), progress=False)
     assert (summary["complete"], summary["steps"]) == (False, 8)
     monkeypatch.setattr(grid_training.GridTraining, "learn", learn)
-    summary = train(network, replace(parts, resume=True), progress=False)
+    summary = train_grid_network(network, replace(parts, resume=True), progress=False)
     assert summary["complete"]
     assert_same_training(tmp_path / "whole", tmp_path / "parts")
 
 
 def test_a_killed_training_goes_on_from_its_last_save(data, tmp_path, monkeypatch, undrawn):
     whole, parts = (options(data, tmp_path / name, find_rate=True) for name in ("whole", "parts"))
-    chosen = train("pressure", whole, progress=False)["choices"]["rate"]
+    chosen = train_grid_network("pressure", whole, progress=False)["choices"]["rate"]
     learn = grid_training.GridTraining.learn
 
     def killed(self, batch, stop=False):
@@ -427,9 +438,9 @@ def test_a_killed_training_goes_on_from_its_last_save(data, tmp_path, monkeypatc
 
     monkeypatch.setattr(grid_training.GridTraining, "learn", killed)
     with pytest.raises(MemoryError):
-        train("pressure", replace(parts, save_every=3), progress=False)
+        train_grid_network("pressure", replace(parts, save_every=3), progress=False)
     monkeypatch.setattr(grid_training.GridTraining, "learn", learn)
-    summary = train("pressure", replace(parts, resume=True), progress=False)
+    summary = train_grid_network("pressure", replace(parts, resume=True), progress=False)
     assert summary["choices"]["rate"] == chosen != 1e-3
     assert (tmp_path / "parts" / "rates.png").read_bytes()[:4] == PNG
     assert_same_training(tmp_path / "whole", tmp_path / "parts")
@@ -437,9 +448,9 @@ def test_a_killed_training_goes_on_from_its_last_save(data, tmp_path, monkeypatc
 
 def test_a_finished_training_stays_as_it_is(data, tmp_path, undrawn):
     chosen = options(data, tmp_path, epochs=1)
-    train("pressure", chosen, progress=False)
+    train_grid_network("pressure", chosen, progress=False)
     before = trained(tmp_path)
-    summary = train("pressure", replace(chosen, resume=True), progress=False)
+    summary = train_grid_network("pressure", replace(chosen, resume=True), progress=False)
     assert summary["complete"]
     assert all(torch.equal(tensor, before[name]) for name, tensor in trained(tmp_path).items())
 
@@ -447,14 +458,14 @@ def test_a_finished_training_stays_as_it_is(data, tmp_path, undrawn):
 def test_a_loss_that_is_not_finite_stops_with_the_last_save_whole(data, tmp_path, undrawn):
     chosen = options(data, tmp_path, optimizer="sgd", schedule="constant", rate=1e12, save_every=1)
     with pytest.raises(ValueError, match=r"the (loss|gradient) of step \d+ is (nan|inf|-inf)"):
-        train("pressure", chosen, progress=False)
+        train_grid_network("pressure", chosen, progress=False)
     model, _ = load_checkpoint(tmp_path / "last.safetensors")
     assert all(torch.isfinite(weight).all() for weight in model.parameters())
 
 
 def test_another_training_is_not_continued(data, tmp_path, undrawn):
     chosen = options(data, tmp_path, epochs=1)
-    train("pressure", chosen, progress=False)
+    train_grid_network("pressure", chosen, progress=False)
     for network, changes, message in (
         ("pressure", {"batch_size": 4}, "was trained with batch_size = 8; this run has 4"),
         ("pressure", {"nodes": 15}, "was trained with rows = 17; this run has 15"),
@@ -462,16 +473,16 @@ def test_another_training_is_not_continued(data, tmp_path, undrawn):
         ("unet", {}, "was trained with network = 'pressure'; this run has 'unet'"),
     ):
         with pytest.raises(ValueError, match=message):
-            train(network, replace(chosen, resume=True, **changes), progress=False)
+            train_grid_network(network, replace(chosen, resume=True, **changes), progress=False)
     with pytest.raises(FileNotFoundError, match=r"training\.safetensors is not there"):
-        train("pressure", replace(chosen, resume=True, out=tmp_path / "other"), progress=False)
+        train_grid_network("pressure", replace(chosen, resume=True, out=tmp_path / "other"), progress=False)
 
 
 def test_held_out_worlds_are_never_trained_on(tmp_path):
     recipe = Recipe(scene=SCENE, options=GenerateOptions(worlds=2, steps=40, seed=HELD_OUT_SEED))
     generate(recipe, tmp_path / "data", threads=1, progress=False)
     with pytest.raises(ValueError, match=f"has worlds of seeds from {HELD_OUT_SEED} on"):
-        train("pressure", options(tmp_path / "data", tmp_path / "out"), progress=False)
+        train_grid_network("pressure", options(tmp_path / "data", tmp_path / "out"), progress=False)
     assert not (tmp_path / "out").exists()
 
 
@@ -480,7 +491,7 @@ def test_a_loss_that_would_miss_the_bias_of_overlaps_is_refused(tmp_path):
     recipe = Recipe(scene=SCENE, options=GenerateOptions(worlds=2, steps=40), solver=solver)
     generate(recipe, tmp_path / "data", threads=1, progress=False)
     with pytest.raises(ValueError, match="loss is 'sweeps', which does not know the velocity bias that overlaps had"):
-        train("pressure", options(tmp_path / "data", tmp_path / "out", loss="sweeps"), progress=False)
+        train_grid_network("pressure", options(tmp_path / "data", tmp_path / "out", loss="sweeps"), progress=False)
 
 
 @pytest.mark.parametrize(
@@ -502,7 +513,7 @@ def test_a_loss_that_would_miss_the_bias_of_overlaps_is_refused(tmp_path):
 )
 def test_options_out_of_range_are_refused(data, tmp_path, network, changes, message):
     with pytest.raises(ValueError, match=message):
-        train(network, options(**{"data": data, "out": tmp_path / "out", **changes}), progress=False)
+        train_grid_network(network, options(**{"data": data, "out": tmp_path / "out", **changes}), progress=False)
     assert not (tmp_path / "out").exists()
 
 
@@ -524,7 +535,9 @@ import sys
 from pathlib import Path
 from safetensors.torch import save_file
 from pipeline.training import grid as grid_training
-from pipeline.training.train import TrainOptions, train
+from pipeline.training.options import TrainOptions
+
+train_grid_network = grid_training.train_grid_network
 
 class Run(grid_training.GridTraining):
     def finish(self, began):
@@ -533,7 +546,7 @@ class Run(grid_training.GridTraining):
         return super().finish(began)
 
 grid_training.GridTraining = Run
-train("pressure", TrainOptions(data=Path(sys.argv[1]), out=Path(sys.argv[2]), **SETTINGS), progress=False)
+train_grid_network("pressure", TrainOptions(data=Path(sys.argv[1]), out=Path(sys.argv[2]), **SETTINGS), progress=False)
 """
 
 
@@ -553,7 +566,7 @@ def test_two_processes_train_as_one(data, tmp_path, undrawn):
     for name, tensor in first.items():
         assert torch.equal(tensor, second[name]), name
     alone = TrainOptions(data=data, out=tmp_path / "one", **settings)
-    summary = train("pressure", alone, progress=False)
+    summary = train_grid_network("pressure", alone, progress=False)
     assert json.loads((out / "train.json").read_text())["steps"] == summary["steps"]
     fresh = models.build("pressure", load_checkpoint(out / "last.safetensors")[0].config).state_dict()
     for name, tensor in load_checkpoint(tmp_path / "one" / "last.safetensors")[0].state_dict().items():
@@ -563,7 +576,7 @@ def test_two_processes_train_as_one(data, tmp_path, undrawn):
         if name.endswith("weight"):
             assert (fresh[name] - tensor).abs().max() > 1e-3  # round-off is not all that was compared
     with pytest.raises(ValueError, match="batch_size is 7; 2 processes cannot share it evenly"):
-        grid_training.GridTraining("pressure", replace(alone, batch_size=7), training.Processes(0, 2))
+        grid_training.GridTraining("pressure", replace(alone, batch_size=7), Processes(0, 2))
 
 
 # ---------------------------------------------------------------------- starts
@@ -574,7 +587,7 @@ def checkpoint(data, tmp_path_factory) -> Path:
     """A network at the beginning of its training."""
     out = tmp_path_factory.mktemp("begun")
     chosen = options(data, out, bins=3, h=0.7, walls=50.0)
-    begun = grid_training.GridTraining("pressure", chosen, training.Processes())
+    begun = grid_training.GridTraining("pressure", chosen, Processes())
     begun.log.close()
     save_checkpoint(out / "begun.safetensors", begun.model, begun.manifest())
     return out / "begun.safetensors"
@@ -587,13 +600,13 @@ def test_in_a_simulation_a_network_reads_and_writes_what_it_was_trained_on(data,
     sim = dc.Simulation(*SCENE.build(8, 0).finalize(), config=Recipe().solver)
     sim.run(step, 0.01)
     sim.collide(0.01)
-    start = GridStart(model, manifest, sim)
-    start(sim)
+    start = GridNetworkStart(sim, model, manifest)
+    start.write()
     found = sim.contacts.numpy("impulse")[contact_slots(sim.contacts)[0]]
     states = dataset.States(data, min_contacts=0)
     batch = states.batch([70 * world + step for world in range(8)])
     grid = start.images.grid
-    splatter = dataset.Splatter(grid, **manifest["images"])
+    splatter = Splatter(grid, **manifest["images"])
     decode = losses.Decoder(grid=grid, reverse=manifest["decode"]["reverse"], h=0.7, bins=3)
     with torch.inference_mode():
         wanted = decode(model(splatter(batch)[0]), batch)
@@ -628,10 +641,10 @@ def test_the_network_sees_the_images_where_they_lie_and_no_world_without_contact
         builder.add_discs([(7.5, height), (3.0, height)], radius=0.5)
     sim = dc.Simulation(*builder.finalize())
     model = Fixed(torch.ones(3, 2, 61, 61))
-    start = grid_starter(model, sim, MANIFEST)
+    start = GridNetworkStart(sim, model, MANIFEST)
     sim.step(0.01, start=start)
     assert [count for _, count in model.seen] == [2]
-    assert (start.calls, start.skipped, start.dropped) == (1, 1, 0)
+    assert (start.calls, start.skipped, start.dropped) == (2, 1, 0)
     sim.run(150, 0.01, start=start)
     model.seen.clear()
     sim.step(0.01, start=start)  # by now all have landed
@@ -651,8 +664,8 @@ def test_a_world_whose_answer_is_not_finite_starts_from_its_cache(bad):
     cached = sim.contacts.numpy("impulse")[slots].copy()
     answer = torch.zeros(3, 2, 61, 61)
     answer[1, 0, :30] = bad
-    start = grid_starter(Fixed(answer), sim, MANIFEST)
-    start(sim)
+    start = GridNetworkStart(sim, Fixed(answer), MANIFEST)
+    start.write()
     found = sim.contacts.numpy("impulse")[slots]
     np.testing.assert_array_equal(found, np.where(world[:, None] == 1, cached, 0.0))
     assert start.dropped == 1
@@ -662,7 +675,7 @@ def test_a_world_whose_answer_is_not_finite_starts_from_its_cache(bad):
 def test_a_start_changes_the_sweeps_but_not_the_answer(checkpoint):
     config = dc.SolverConfig(tolerance=1e-7, max_sweeps=5000)
     sims = [dc.Simulation(*SCENE.build(4, 50).finalize(), config=config) for _ in range(2)]
-    start = grid_starter(checkpoint, sims[0])
+    start = maker(str(checkpoint))(sims[0])
     for _ in range(60):
         sims[0].step(0.01, start=start)
         sims[1].step(0.01)
@@ -673,14 +686,12 @@ def test_a_start_changes_the_sweeps_but_not_the_answer(checkpoint):
 
 def test_what_cannot_start_a_simulation_is_refused(tmp_path):
     sim = settled(Thesis(bodies=5), worlds=1, steps=0)
-    with pytest.raises(ValueError, match="manifest is None; a network that is given itself needs one"):
-        grid_starter(Fixed(torch.zeros(1)), sim)
     save_checkpoint(tmp_path / "a.safetensors", models.build("pressure", {"width": 0.1}), {"grid": MANIFEST["grid"]})
     with pytest.raises(ValueError, match="the manifest has no 'images': the network was not trained on images"):
-        grid_starter(tmp_path / "a.safetensors", sim)
+        maker(str(tmp_path / "a.safetensors"))(sim)
     double = settled(Thesis(bodies=5), worlds=1, steps=0, dtype="float64")
     with pytest.raises(ValueError, match=r"sim\.dtype is float64; networks answer in float32"):
-        grid_starter(Fixed(torch.zeros(1)), double, MANIFEST)
-    start = grid_starter(Fixed(torch.zeros(1)), sim, MANIFEST)
-    with pytest.raises(ValueError, match="the network was bound to another simulation"):
+        GridNetworkStart(double, Fixed(torch.zeros(1)), MANIFEST)
+    start = GridNetworkStart(sim, Fixed(torch.zeros(1)), MANIFEST)
+    with pytest.raises(ValueError, match="the start was made for another simulation"):
         start(double)

@@ -1,20 +1,12 @@
-"""Training a network of the theses: its options, and what each network is trained on and how unless told otherwise.
-
-``grid_training`` does the work; this module loads without torch. What a training writes into its folder:
-
-- ``best.safetensors``, ``last.safetensors``: the network with the least validation loss, and the last one, each with
-  its manifest (``checkpoint``);
-- ``training.safetensors``: what ``--resume`` continues from, bit for bit on one thread;
-- ``metrics.jsonl`` and ``tensorboard/``: loss, rate, gradient and validation by step;
-- ``train.json``, ``curves.png``, ``predictions.png``, with the rate finder ``rates.png``: summary and pictures.
-"""
+"""Options of a training of the theses' networks, and the defaults of each network; this module loads without torch."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
+
+from pipeline.checks import check_finite, check_least
 
 NetworkName = Literal["convfc", "pressure", "peak", "unet"]
 LossName = Literal["grid_mse", "grid_mae", "contact_mse", "energy", "sweeps"]
@@ -29,19 +21,22 @@ CACHED = ("impulse_n", "impulse_t")
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """What a thesis says of its network's input and training."""
+    """What a network of the theses reads and how it is trained, unless options say otherwise."""
 
     bodies: tuple[str, ...] = BODIES
-    """Channels of bodies."""
+    """Channels that show bodies."""
     contacts: tuple[str, ...] = NORMALS
-    """Channels of contacts."""
+    """Channels that show contacts."""
     nodes: int = 61
     """Nodes along each side of the box [1]."""
     decode: DecodeName = "reverse"
     """Way back to the contacts: bilinear (Wu), or reverse SPH (Engedal)."""
     optimizer: OptimizerName = "adamw"
+    """SGD with Nesterov momentum, or AdamW."""
     schedule: ScheduleName = "onecycle"
+    """How the learning rate goes over the steps."""
     rate: float = 1e-3
+    """Learning rate, of "onecycle" the highest."""
 
 
 SETUPS: dict[NetworkName, Setup] = {
@@ -54,7 +49,7 @@ SETUPS: dict[NetworkName, Setup] = {
 
 @dataclass(frozen=True, kw_only=True)
 class TrainOptions:
-    """What is trained on, how, and what is written."""
+    """Options of a training: the data, the network, the loss, the steps, and the files."""
 
     data: Path = Path("out/data")
     """Data set, of ``deep-contact generate``."""
@@ -81,7 +76,7 @@ class TrainOptions:
     cached: bool = False
     """Let the network also read the impulses of the step before."""
     loss: LossName = "grid_mse"
-    """What is minimized: see losses.py."""
+    """What is minimized: at the nodes, at the contacts, as energy, or after sweeps of the solver."""
     sweeps: int = 20
     """Sweeps of the loss "sweeps" [1]."""
     scaling: Literal["channel", "none"] = "channel"
@@ -97,17 +92,17 @@ class TrainOptions:
     find_rate: bool = False
     """Find the learning rate by a short training in which it grows (Smith 2017)."""
     decay: float = 1e-6
-    """Of the schedule "decay" [1/step]."""
+    """Rate at which the schedule "decay" falls [1/step]."""
     weight_decay: float = 0.0
-    """Of the optimiser."""
+    """Weight decay of the optimiser [1]."""
     clip: float | None = None
     """Longest gradient, to which longer ones are cut [1]."""
     validation: float = 0.1
     """Share of the worlds that is kept for validation [1]."""
     stride: int = 1
-    """Every so many steps of a world are used [1]."""
+    """Steps of a world from one that is used to the next [1]."""
     seed: int = 0
-    """Of the weights, the order of the states, and dropped values [1]."""
+    """Seed of the weights, the order of the states, and dropped values [1]."""
     threads: int = 1
     """Threads of torch and of the kernels; bits are the same from run to run on one [1]."""
     workers: int = 0
@@ -119,66 +114,12 @@ class TrainOptions:
 
     def check(self) -> None:
         """Raise a ``ValueError`` that names the option which is out of its range."""
-        least = {"bins": 1, "epochs": 1, "batch_size": 1, "stride": 1, "threads": 1, "log_every": 1, "save_every": 1}
-        for name, low in {**least, "seed": 0, "workers": 0, "sweeps": 0}.items():
-            if getattr(self, name) < low:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be >= {low}")
-        for name in ("decay", "weight_decay", "walls"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be finite and >= 0")
-        if self.nodes is not None and self.nodes < 8:
-            raise ValueError(f"nodes is {self.nodes}; it must be >= 8")
+        check_least(self, bins=1, epochs=1, batch_size=1, stride=1, threads=1, log_every=1, save_every=1, nodes=8)
+        check_least(self, seed=0, workers=0, sweeps=0)
+        check_finite(self, "decay", "weight_decay", "walls", above=False)
         if self.clip is not None and not self.clip > 0.0:
             raise ValueError(f"clip is {self.clip}; it must be > 0")
         if not 0.0 < self.validation < 1.0:
             raise ValueError(f"validation is {self.validation}; it must lie in (0, 1)")
         if self.find_rate and self.rate is not None:
             raise ValueError(f"rate is {self.rate}, and find_rate asks for another one; give one of the two")
-
-
-def train(network: NetworkName, options: TrainOptions | None = None, progress: bool = True) -> dict[str, Any]:
-    """Train a network; Ctrl-C ends it early, with whole files to resume from.
-
-    Under ``torchrun`` each process takes its share of every batch; the first one prints and writes.
-
-    Args:
-        network: convfc, pressure, peak or unet.
-        options: what is trained on, how, and what is written.
-        progress: show a bar on stderr.
-
-    Returns:
-        The content of ``train.json``.
-
-    Raises:
-        ValueError: for an option out of its range, a data set that is none or too small, states of held-out seeds, or
-            a loss that is not finite, naming the step.
-        ImportError: naming the extra, without torch, h5py or matplotlib.
-    """
-    options = options or TrainOptions()
-    options.check()
-    if network not in SETUPS:
-        raise ValueError(f"network is {network!r}; it must be one of {tuple(SETUPS)}")
-    from pipeline.training.grid import train_grid
-
-    return train_grid(network, options, progress)
-
-
-def describe_training(summary: dict[str, Any]) -> str:
-    """What a training did, in a few lines."""
-    metrics, choices = summary["metrics"], summary["choices"]
-    lines = [
-        f"{summary['network']}: {summary['parameters']:,} weights, {summary['epochs']} epochs, "
-        f"{summary['steps']} steps, {summary['training_s']:.0f} s"
-        + ("" if summary["complete"] else "; interrupted, --resume goes on"),
-        f"{choices['optimizer']}, schedule {choices['schedule']}, rate {choices['rate']:.3g}",
-    ]
-    if metrics:
-        loss, best, zero = metrics["loss"], summary["best_loss"], metrics["loss_zero"]
-        lines.append(f"validation loss: last {loss:.4g}, best {best:.4g}, that of zero impulses {zero:.4g}")
-        lines += [
-            f"squared error of {name} impulses, over that of zero: {metrics[name]:.3g}; cached impulses "
-            f"{metrics[f'{name}_cache']:.3g}; the truth by the grid {metrics[f'{name}_grid']:.2g}"
-            for name in ("normal", "tangential")
-        ]
-    lines.append(f"{summary['out']}: {', '.join(summary['files'])}")
-    return "\n".join(lines)

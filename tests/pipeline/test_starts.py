@@ -10,7 +10,8 @@ import pytest
 import dc_kernels as dc
 from dc_kernels.measure import contact_slots
 from pipeline.scenes import Chain, Settled, Thesis
-from pipeline.starts import warmstart
+from pipeline.starts.impulses import Random
+from pipeline.starts.registry import maker
 
 PGS = dc.SolverConfig(acceleration="none", max_sweeps=5000, min_sweeps=1)
 
@@ -31,7 +32,7 @@ def impulses(sim: dc.Simulation) -> np.ndarray:
 def test_none_is_zero():
     sim = settled()
     assert impulses(sim).any()
-    warmstart.parse("none")(sim)
+    maker("none")(sim).write()
     assert len(impulses(sim))
     assert not impulses(sim).any()
 
@@ -41,7 +42,7 @@ def test_none_forgets_joints_too():
     sim.step(0.01)
     sim.collide(0.01)
     assert sim.joints.numpy("joint_impulse").any()
-    warmstart.parse("none")(sim)
+    maker("none")(sim).write()
     assert not sim.joints.numpy("joint_impulse").any()
 
 
@@ -50,7 +51,7 @@ def test_builtin_is_the_impulse_of_the_step_before():
     sim.run(5, 0.01)
     before = dict(zip(keys(sim), impulses(sim)))
     sim.collide(0.01)
-    warmstart.parse("builtin")(sim)
+    maker("builtin")(sim).write()
     kept = [key in before for key in keys(sim)]
     assert any(kept)
     for key, impulse in zip(keys(sim), impulses(sim)):
@@ -66,26 +67,26 @@ def keys(sim: dc.Simulation) -> list[tuple[int, int]]:
 def test_builtin_needs_the_cache():
     sim = settled(config=dataclasses.replace(PGS, start="zero"))
     with pytest.raises(ValueError, match="needs 'cache'"):
-        warmstart.parse("builtin")(sim)
+        maker("builtin")(sim).write()
 
 
 def test_bad_is_fifty():
     sim = settled()
-    warmstart.parse("bad")(sim)
+    maker("bad")(sim).write()
     np.testing.assert_array_equal(impulses(sim), 50.0)
 
 
 def test_random_is_uniform_seeded_and_independent_of_the_batch():
     sim = settled(worlds=3, bodies=30)
-    warmstart.parse("random", 7)(sim)
+    maker("random", 7)(sim).write()
     drawn = impulses(sim)
     assert len(drawn) > 100
     assert ((drawn >= [0.0, -2.0]) & (drawn <= [5.0, 2.0])).all()
     np.testing.assert_allclose(drawn.mean(axis=0), [2.5, 0.0], atol=0.5)
     assert (drawn.max(axis=0) > [4.5, 1.8]).all()
-    warmstart.parse("random", 7)(sim)
+    maker("random", 7)(sim).write()
     np.testing.assert_array_equal(impulses(sim), drawn)
-    warmstart.parse("random", 8)(sim)
+    maker("random", 8)(sim).write()
     other = impulses(sim)
     assert (other != drawn).any()
     counts = sim.contacts.numpy("contact_count")  # world w of seed s draws as world 0 of seed s + w
@@ -95,16 +96,16 @@ def test_random_is_uniform_seeded_and_independent_of_the_batch():
 
 def test_random_goes_on_from_step_to_step():
     sim = settled()
-    strategy = warmstart.Random(3)
-    strategy(sim)
+    strategy = Random(sim, 3)
+    strategy.write()
     first = impulses(sim)
-    strategy(sim)
+    strategy.write()
     assert (impulses(sim) != first).all()
 
 
 def test_copy_starts_at_the_solution():
     sim = settled()
-    warmstart.parse("copy")(sim)
+    maker("copy")(sim).write()
     assert (dc.to_numpy(sim.stats.sweeps) > 1).all()
     start = impulses(sim)
     sim.solve()
@@ -121,7 +122,7 @@ def test_copy_is_rounded(decimals):
     solution = impulses(sim)
     np.testing.assert_array_equal(sim.state.numpy("velocity"), state)  # nothing has happened yet
     sim = settled()
-    warmstart.parse(f"Copy{decimals}")(sim)
+    maker(f"Copy{decimals}")(sim).write()
     np.testing.assert_array_equal(impulses(sim), np.round(solution, decimals))
 
 
@@ -133,7 +134,7 @@ def test_every_strategy_reaches_the_same_velocities():
         builder = Thesis(bodies=10, friction=0.0).build(2)
         sim = dc.Simulation(*builder.finalize("float64"), config=config)
         sim.run(60, 0.01)
-        sim.step(0.01, start=warmstart.parse(name))
+        sim.step(0.01, start=maker(name)(sim))
         ends.append(sim.state.numpy("velocity").copy())
         assert (dc.to_numpy(sim.stats.sweeps) < config.max_sweeps).all()
     assert len(impulses(sim)) > 5
@@ -145,16 +146,16 @@ def test_every_strategy_reaches_the_same_velocities():
 @pytest.mark.parametrize("name", ["", "copy-1", "copy2.5", "grid2", "copyN", "nonee"])
 def test_unknown_names_raise(name):
     with pytest.raises(ValueError, match=r"it must be one of .* or copyN"):
-        warmstart.parse(name)
+        maker(name)
 
 
 def test_negative_seed_raises():
     with pytest.raises(ValueError, match="seed is -1"):
-        warmstart.parse("random", -1)
+        maker("random", -1)
 
 
 def test_no_contacts_is_no_error():
     sim = dc.Simulation(*Thesis(bodies=1, gravity=0.0).build(2).finalize("float64"))
     for name in ("none", "random", "bad", "copy2"):
-        sim.step(0.001, start=warmstart.parse(name))
+        sim.step(0.001, start=maker(name)(sim))
         assert len(impulses(sim)) == 0

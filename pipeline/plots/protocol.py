@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.runtime.optional import require
-from pipeline.evaluate.runs import COLUMNS, EVALUATION, PARTS, PATHS, Column, Run, cells
-from pipeline.plots.plots import INK, LINES, MUTED, draw_world, figure
+from pipeline.evaluate.runs import PARTS, PATHS, Run
+from pipeline.evaluate.tables import EVALUATION_COLUMNS, PROTOCOL_COLUMNS, Column, cells
+from pipeline.plots.style import INK, LINES, MUTED, figure
+from pipeline.plots.world import draw_world
 
 COLORS = (
     *("#c2410c", "#1d4ed8", "#0f766e", "#7c3aed", "#d4a017", "#475569"),
@@ -84,8 +86,7 @@ def draw_over_steps(axes: Any, runs: Sequence[Run], name: str, title: str, windo
 
 def protocol_figure(runs: Sequence[Run], title: str) -> Any:
     """The theses' plots: steps left and impulse change per sweep, contacts and sweeps per step."""
-    with figure(12.0, 8.0) as fig:
-        fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    with figure(12.0, 8.0, title) as fig:
         axes = fig.subplots(2, 2)
         draw_steps_left(axes[0, 0], runs)
         if any(run.decay is not None for run in runs):
@@ -98,8 +99,8 @@ def protocol_figure(runs: Sequence[Run], title: str) -> Any:
     return fig
 
 
-def draw_table(axes: Any, runs: Sequence[Run], columns: Sequence[Column] = COLUMNS) -> None:
-    """The table of ``runs.table`` as text, the label of each row in the colour of its line."""
+def draw_table(axes: Any, runs: Sequence[Run], columns: Sequence[Column] = PROTOCOL_COLUMNS) -> None:
+    """Draw the table of ``tables.table`` as text, the label of each row in the colour of its line."""
     axes.axis("off")
     rows, styles = cells(runs, columns), line_styles(runs)
     table = axes.table(rows, colLabels=[c.title for c in columns], cellLoc="right", loc="center", bbox=(0, 0, 1, 1))
@@ -118,8 +119,7 @@ def draw_table(axes: Any, runs: Sequence[Run], columns: Sequence[Column] = COLUM
 
 def demo_figure(sim: Any, runs: Sequence[Run], title: str) -> Any:
     """One picture of it all: a world at its end with its forces, sweeps per step, steps left per sweep, the table."""
-    with figure(15.0, 8.4) as fig:
-        fig.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
+    with figure(15.0, 8.4, title) as fig:
         grid = fig.add_gridspec(2, 2, height_ratios=(1.75, 1.0))
         axes = fig.add_subplot(grid[0, 0])
         draw_world(axes, sim)
@@ -185,8 +185,7 @@ def draw_wall(axes: Any, runs: Sequence[Run]) -> None:
 
 def evaluation_figure(runs: Sequence[Run], title: str) -> Any:
     """All plots of the theses for runs of one solver and loop, with spread, wall time and the table."""
-    with figure(17.0, 12.0 + 0.25 * len(runs)) as fig:
-        fig.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    with figure(17.0, 12.0 + 0.25 * len(runs), title) as fig:
         grid = fig.add_gridspec(4, 3, height_ratios=(1, 1, 1, 0.09 * (len(runs) + 1.5)))
         panels = [[fig.add_subplot(grid[row, column]) for column in range(3)] for row in range(2)]
         draw_steps_left(panels[0][0], runs, legend=False)
@@ -204,5 +203,5 @@ def evaluation_figure(runs: Sequence[Run], title: str) -> Any:
         legend = fig.add_subplot(grid[2, 2])
         legend.axis("off")
         legend.legend(*panels[0][0].get_legend_handles_labels(), loc="center", fontsize=9.5, title=PATHS[runs[0].loop])
-        draw_table(fig.add_subplot(grid[3, :]), runs, EVALUATION)
+        draw_table(fig.add_subplot(grid[3, :]), runs, EVALUATION_COLUMNS)
     return fig

@@ -1,0 +1,38 @@
+"""The command ``generate``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from dc_kernels.model.config import SolverConfig
+from pipeline.commands.common import Common
+from pipeline.data.generate import describe, generate
+from pipeline.data.recipe import GenerateOptions, Recipe
+from pipeline.scenes import AnyScene, Thesis
+
+
+@dataclass(frozen=True, kw_only=True)
+class Generate(Common):
+    """Make a data set: worlds on all cores, each state with its label; or go on with one that was cut short."""
+
+    scene: AnyScene = field(default_factory=Thesis)
+    """What stands in the worlds; each scene has options of its own."""
+    options: GenerateOptions = field(default_factory=GenerateOptions)
+    solver: SolverConfig = field(default_factory=SolverConfig)
+    config: Path | None = None
+    """TOML file of options, with tables scene, ranges and solver: its values take the place of the defaults here."""
+    out: Path = Path("out/data")
+    """Folder of the shards and of index.h5."""
+    threads: int = 0
+    """Shards made at once; 0: one for each core [1]."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler, tcp://..., whose workers make the shards instead."""
+
+    def __call__(self) -> dict[str, Any]:
+        recipe = Recipe(scene=self.scene, options=self.options, solver=self.solver)
+        summary = generate(recipe, self.out, self.threads, self.scheduler, progress=not self.json)
+        if not self.json:
+            print(describe(summary))
+        return summary

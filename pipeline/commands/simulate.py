@@ -1,0 +1,72 @@
+"""Commands that run one scene: ``simulate`` and ``explain``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from pipeline.commands.common import Common
+from pipeline.options import RunOptions, SolverOptions
+from pipeline.process import torch_threads
+from pipeline.run.simulate import Output, simulate
+from pipeline.run.summary import describe
+from pipeline.scenes import AnyScene
+from pipeline.starts.registry import maker
+from pipeline.starts.start import step
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulate(Common):
+    """Run a scene; write trajectory.h5, summary.json, summary.png and, on request, a video."""
+
+    scene: AnyScene
+    """What to run; each scene has options of its own."""
+    run: RunOptions = field(default_factory=RunOptions)
+    solver: SolverOptions = field(default_factory=SolverOptions)
+    output: Output = field(default_factory=Output)
+
+    def __call__(self) -> dict[str, Any]:
+        summary, _ = simulate(self.scene, self.run, self.solver, self.output, progress=not self.json)
+        if not self.json:
+            print(describe(summary))
+        return summary
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explain(Common):
+    """Say what runs for a scene, what is skipped, and why."""
+
+    scene: AnyScene
+    """What to explain; each scene has options of its own."""
+    run: RunOptions = field(default_factory=RunOptions)
+    solver: SolverOptions = field(default_factory=SolverOptions)
+    start: str = "builtin"
+    """Start of the contact solver, as for simulate; a network says how often it is called, and why not."""
+    steps: int = 100
+    """Steps that are run first where a network is the start: its calls depend on them [1]."""
+
+    def __call__(self) -> dict[str, Any]:
+        text = explain(self.scene, self.run, self.solver, self.start, self.steps)
+        if not self.json:
+            print(text)
+        return {"scene": self.scene.name, "explain": text}
+
+
+def explain(scene: AnyScene, run: RunOptions, solver: SolverOptions, start: str, steps: int) -> str:
+    """Say what runs for a scene as it stands and, with a network as start, what that did in the first steps.
+
+    Raises:
+        ValueError: for an option out of its range, or an unknown start.
+        OSError: a network's file cannot be read.
+    """
+    if steps < 0:
+        raise ValueError(f"steps is {steps}; it must be >= 0")
+    make = maker(start, run.seed)
+    sim = run.simulation(scene, solver.config())
+    made = make(sim)
+    if not made.report().is_network:
+        return sim.explain()
+    with torch_threads(run.threads):
+        for _ in range(steps):
+            step(made, run.dt)
+    return f"{sim.explain()}\n{made.report().text}"

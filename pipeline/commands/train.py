@@ -1,0 +1,43 @@
+"""Commands that train: ``train`` a network of the theses, and ``train-contactnet``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from pipeline.commands.common import Common, Positional
+from pipeline.contactnet.options import ContactTrainOptions
+from pipeline.training.options import NetworkName, TrainOptions
+from pipeline.training.summary import describe
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train(Common):
+    """Train a network of the theses on a data set; write network, state to resume from, curves and predictions."""
+
+    network: Positional[NetworkName]
+    """Which network."""
+    training: TrainOptions = field(default_factory=TrainOptions)
+
+    def __call__(self) -> dict[str, Any]:
+        from pipeline.training.grid import train_grid_network
+
+        summary = train_grid_network(self.network, self.training, progress=not self.json)
+        if not self.json and "files" in summary:  # the first of several processes
+            print(describe(summary))
+        return summary
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainContactnet(Common):
+    """Train ContactNet, which corrects solves in flight, on the calls that it makes itself; no data set is needed."""
+
+    training: ContactTrainOptions = field(default_factory=ContactTrainOptions)
+
+    def __call__(self) -> dict[str, Any]:
+        from pipeline.contactnet.training import describe_contact_training, train_contactnet
+
+        summary = train_contactnet(self.training, progress=not self.json)
+        if not self.json and summary:
+            print(describe_contact_training(summary))
+        return summary

@@ -1,0 +1,106 @@
+"""Pictures of a run: its summary over time, and an animation of its trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.runtime.optional import require
+from pipeline.plots.style import CYCLE, INK, MUTED, figure
+from pipeline.plots.world import WorldDrawing, WorldShapes, draw_world
+
+
+def _over_worlds(axes: Any, time: np.ndarray, values: np.ndarray, color: str, label: str | None = None) -> None:
+    """Median over the worlds of (steps, worlds), with the band that holds 80 % of them."""
+    if values.shape[1] > 2:
+        axes.fill_between(time, *np.percentile(values, (10, 90), axis=1), color=color, alpha=0.15, linewidth=0)
+    axes.plot(time, np.median(values, axis=1), color=color, label=label, linewidth=1.4)
+
+
+def summary_figure(sim: Any, series: Mapping[str, np.ndarray], dt: float, title: str) -> Any:
+    """The final state of world 0 beside sweeps, contacts, energy and overlap over time.
+
+    Args:
+        sim: the simulation at its end.
+        series: the per-step arrays of ``simulate.STEP_FIELDS``, (steps, worlds).
+        dt: time step [s].
+        title: of the figure.
+    """
+    worlds = series["sweeps"].shape[1]
+    time = dt * np.arange(1, len(series["sweeps"]) + 1)
+    with figure(14.0, 8.6, title) as fig:
+        grid = fig.add_gridspec(3, 2, width_ratios=(1.25, 1.0))
+        axes = fig.add_subplot(grid[:2, 0])
+        draw_world(axes, sim)
+        axes.set_title(f"world 0 after {len(time)} steps, {time[-1] if len(time) else 0.0:.2f} s")
+        if not len(time):
+            return fig
+        sweeps, contacts, energy, overlap = (fig.add_subplot(grid[place]) for place in ((2, 0), (0, 1), (1, 1), (2, 1)))
+        _over_worlds(sweeps, time, series["sweeps"], CYCLE[0])
+        _over_worlds(contacts, time, series["contact_count"], MUTED, "within reach")
+        _over_worlds(contacts, time, series["pressing_count"], CYCLE[1], "that press or overlap")
+        kinetic, potential = series["kinetic_energy"], series["potential_energy"]
+        _over_worlds(energy, time, kinetic + potential, INK, "total")
+        _over_worlds(energy, time, potential, CYCLE[2], "potential")
+        _over_worlds(energy, time, kinetic, CYCLE[0], "kinetic")
+        _over_worlds(overlap, time, 1e3 * series["penetration_max"], CYCLE[3], "largest")
+        _over_worlds(overlap, time, 1e3 * series["penetration_mean"], CYCLE[5], "mean of the contacts that press")
+        panels = {"sweeps of the solver": sweeps, "contacts": contacts, "energy [J]": energy, "overlap [mm]": overlap}
+        for name, panel in panels.items():
+            panel.set_title(name + (f" (median and 10-90 % of {worlds} worlds)" if worlds > 2 else ""))
+            panel.set_xlim(0.0, time[-1])
+            if panel is not sweeps:
+                panel.legend(fontsize=8, loc="best")
+        for panel in (sweeps, overlap):
+            panel.set_xlabel("time [s]")
+        for panel in (sweeps, contacts, overlap):
+            panel.set_ylim(bottom=0.0)
+    return fig
+
+
+def animate(trajectory: Path, target: Path, world: int = 0, rate: float = 25.0, progress: Any = None) -> None:
+    """Draw one world of a trajectory, in real time as far as its records allow.
+
+    Args:
+        trajectory: file written by ``simulate``.
+        target: .gif or .mp4.
+        world: index of the world.
+        rate: most pictures per second [1/s].
+        progress: wraps the list of pictures, as tqdm does.
+
+    Raises:
+        ImportError: naming the extra, without ffmpeg for .mp4.
+    """
+    h5py, animation = require("h5py", "pipeline"), require("matplotlib.animation", "pipeline")
+    with h5py.File(trajectory, "r") as file, figure(7.0, 7.0) as fig:
+        shapes = WorldShapes.of({name: data[...] for name, data in file["model"].items()}, world)
+        time = file["record/time"][...]
+        every = max(1, round(1.0 / (rate * float(np.diff(time[:2])[0])))) if len(time) > 1 else 1
+        frames = np.arange(0, len(time), every)
+        spacing = float(time[every] - time[0]) if len(time) > every else 1.0 / rate
+        axes = fig.add_subplot()
+
+        def state(record: int) -> tuple[np.ndarray, np.ndarray]:
+            return file["record/position"][record, shapes.bodies], file["record/angle"][record, shapes.bodies]
+
+        drawing = WorldDrawing(axes, shapes, *state(0))
+        drawing.fit([state(0), state(len(time) // 2), state(-1)])
+        axes.set_title("0.00 s")
+        fig.canvas.draw()
+        fig.set_layout_engine("none")  # once is enough
+        if target.suffix == ".mp4":
+            ffmpeg = require("imageio_ffmpeg", "pipeline").get_ffmpeg_exe()
+            require("matplotlib", "pipeline").rcParams["animation.ffmpeg_path"] = (
+                ffmpeg  # until the figure's block ends
+            )
+            writer = animation.FFMpegWriter(fps=min(rate, 1.0 / spacing))
+        else:
+            writer = animation.PillowWriter(fps=min(rate, 1.0 / spacing))
+        with writer.saving(fig, str(target), dpi=90):
+            for record in progress(frames) if progress else frames:
+                drawing.update(*state(int(record)))
+                axes.set_title(f"{time[record]:.2f} s")
+                writer.grab_frame()

@@ -1,0 +1,78 @@
+"""The starts by name. A new one is a class in a file of its own and a line in ``STARTS``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import dc_kernels as dc
+from pipeline.starts.impulses import Bad, Builtin, Random, Zero
+from pipeline.starts.solution import Copy, Transfer
+from pipeline.starts.start import Start
+
+Maker = Callable[[dc.Simulation], Start]
+"""Makes a start for a simulation."""
+
+STARTS: dict[str, Callable[[dc.Simulation, int], Start]] = {
+    "none": lambda sim, seed: Zero(sim),
+    "builtin": lambda sim, seed: Builtin(sim),
+    "random": Random,
+    "bad": lambda sim, seed: Bad(sim),
+    "copy": lambda sim, seed: Copy(sim),
+    "grid": lambda sim, seed: Transfer(sim),
+    "grid-bilinear": lambda sim, seed: Transfer(sim, reverse=False),
+}
+"""Makes a start for a simulation and a seed, by name; ``maker`` understands copyN, and networks, too."""
+CHECKPOINT = ".safetensors"
+"""Ends the names of the files of trained networks."""
+PRETRAINED = Path(__file__).resolve().parents[1] / "contactnet" / f"contactnet{CHECKPOINT}"
+"""The file of the pretrained network, which comes with the package."""
+CNN = {"cnn": True, "cnn-start": False}
+"""Names of the pretrained network, and whether it is called in mid-solve too."""
+
+
+def maker(name: str, seed: int = 0) -> Maker:
+    """Return what makes the start of a name for a simulation; files are read here, before anything runs.
+
+    Args:
+        name: a key of ``STARTS``; copyN, the solution rounded to N decimals; cnn, the pretrained network at the start
+            and in mid-solve; cnn-start, at the start only; or the path of a trained network (.safetensors).
+        seed: of the random start.
+
+    Raises:
+        OSError: a network's file cannot be read.
+        ValueError: for an unknown name, a negative seed, or a file that holds no network.
+    """
+    lower = name.lower()
+    if is_network(name):
+        return _network_maker(name)
+    if seed < 0:
+        raise ValueError(f"seed is {seed}; it must be >= 0")
+    if lower in STARTS:
+        make = STARTS[lower]
+        return lambda sim: make(sim, seed)
+    match = re.fullmatch(r"copy(\d{1,2})", lower)
+    if match is None:
+        raise ValueError(f"start is {name!r}; it must be one of {tuple(STARTS)} or copyN with N decimals")
+    decimals = int(match[1])
+    return lambda sim: Copy(sim, decimals)
+
+
+def is_network(name: str) -> bool:
+    """Tell whether a name for ``maker`` is that of a network."""
+    return name.lower() in CNN or name.lower().endswith(CHECKPOINT)
+
+
+def _network_maker(name: str) -> Maker:
+    from pipeline.networks.checkpoint import load_checkpoint
+
+    model, manifest = load_checkpoint(PRETRAINED if name.lower() in CNN else name)
+    if model.network_name == "contactnet":
+        from pipeline.starts.learned import CallOptions, LearnedSolve
+
+        options = CallOptions(middle=CNN.get(name.lower(), True))
+        return lambda sim: LearnedSolve(sim, model, options)
+    from pipeline.starts.grid_network import GridNetworkStart
+
+    return lambda sim: GridNetworkStart(sim, model, manifest)
