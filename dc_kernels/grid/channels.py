@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
+
+import numpy as np
 
 
 class Channel(NamedTuple):
@@ -38,3 +41,24 @@ CONTACT_CHANNELS = {
     "new": Channel(8, "1", "1 where the contact is new in this step, 0 where it was there before"),
 }
 IMPULSES = ("impulse_n", "impulse_t")
+
+
+def channel_codes(what: str, names: Sequence[str], table: Mapping[str, Channel]) -> np.ndarray:
+    """Return the codes of channels in the kernels, (channels,) int32.
+
+    Args:
+        what: how the error calls ``names``.
+        names: of the channels.
+        table: ``BODY_CHANNELS`` or ``CONTACT_CHANNELS``.
+
+    Raises:
+        ValueError: for an unknown or repeated name.
+    """
+    if isinstance(names, str):
+        raise ValueError(f"{what} is {names!r}; it must be a sequence of names")
+    for i, name in enumerate(names):
+        if name not in table:
+            raise ValueError(f"{what}[{i}] is {name!r}; it must be one of {tuple(table)}")
+        if name in names[:i]:
+            raise ValueError(f"{what}[{i}] is {name!r}, which is there already")
+    return np.array([table[name].code for name in names], np.int32)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from dc_kernels.grid.area import area_points, center_points, wall_nodes
-from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES, Channel
+from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES, channel_codes
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.layout import TILE_COLUMNS, TILE_ROWS
 from dc_kernels.grid.transfer import BAND, Splat, Stencil, allocate_image, chunks_of, stencil_scalars, transfer_kernels
@@ -92,8 +92,8 @@ class Images:
         self.kernel: Stencil = kernel
         self.normalize: Literal["particle", "sum"] = normalize
         self._scalars = stencil_scalars(grid, kernel, h, normalize, nearest)
-        self._body_codes = _codes("bodies", bodies, BODY_CHANNELS)
-        self._contact_codes = _codes("contacts", contacts, CONTACT_CHANNELS)
+        self._body_codes = channel_codes("bodies", bodies, BODY_CHANNELS)
+        self._contact_codes = channel_codes("contacts", contacts, CONTACT_CHANNELS)
         if not bodies and not contacts:
             raise ValueError("bodies and contacts are both empty; an image needs a channel")
         binned = [f"{name}/{b}" for b in range(bins) for name in contacts] if bins > 1 else contacts
@@ -399,19 +399,3 @@ def _feature_kernels(backend: str, dtype: str) -> dict[str, Any]:
     else:
         from dc_kernels._numpy.grid import images as features  # type: ignore[attr-defined, no-redef]
     return features.kernels(dtype)
-
-
-def _codes(what: str, names: Sequence[str], table: Mapping[str, Channel]) -> np.ndarray:
-    """Codes of channels.
-
-    Raises:
-        ValueError: for an unknown or repeated one.
-    """
-    if isinstance(names, str):
-        raise ValueError(f"{what} is {names!r}; it must be a sequence of names")
-    for i, name in enumerate(names):
-        if name not in table:
-            raise ValueError(f"{what}[{i}] is {name!r}; it must be one of {tuple(table)}")
-        if name in names[:i]:
-            raise ValueError(f"{what}[{i}] is {name!r}, which is there already")
-    return np.array([table[name].code for name in names], np.int32)

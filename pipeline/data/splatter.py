@@ -11,8 +11,7 @@ import numpy as np
 
 import dc_kernels as dc
 from dc_kernels.grid.area import wall_nodes
-from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES
-from dc_kernels.grid.images import _codes as channel_codes
+from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES, channel_codes
 from dc_kernels.grid.transfer import Splat, Stencil, allocate_image, stencil_scalars, transfer_kernels
 from dc_kernels.model.arrays import kernel_array, kernel_vectors
 from dc_kernels.model.enums import BodyType
