@@ -1,7 +1,9 @@
 """``python -m bench.run [NAME ...] [--quick]``: run benches one after the other and keep what they print.
 
 Each bench runs in a process of its own; its JSON line replaces the earlier one of that bench in
-``bench/results/results.jsonl``. The bench ``worlds`` also gives the figure ``bench/results/worlds.png``.
+``bench/results/results.jsonl``. The bench ``worlds`` also gives the figure ``bench/results/worlds.png``. After each
+bench ``docs/measured.md`` and the figures in ``README.md`` are written from that file; ``--pages`` writes them and runs
+none.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.__main__ import NAMES
+from bench.pages import page
 
 RESULTS = Path(__file__).resolve().parent / "results"
 ENGINES = ("ours", "pymunk_10", "pymunk_50", "pybox2d_10", "pybox2d_50")
@@ -98,19 +101,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.run", description="Run benches and store their results.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"which ones, of {', '.join(NAMES)}; none: all")
     parser.add_argument("--quick", action="store_true", help="the quick form of each")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results [%(default)s]")
+    parser.add_argument(
+        "--pages", action="store_true", help="run none: write the pages from the results that are there"
+    )
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results; pages are of the default one")
     options = parser.parse_args(arguments)
     unknown = [name for name in options.names if name not in NAMES]
     if unknown:
         print(f"there is no bench {', '.join(map(repr, unknown))}; there are: {', '.join(NAMES)}", file=sys.stderr)
         return 2
-    records = []
+    if options.pages:
+        if options.names:
+            print("--pages takes no NAME: it writes what all results say", file=sys.stderr)
+            return 2
+        print(*page.write(), sep="\n")
+        return 0
     for name in options.names or NAMES:
-        records.append(run_bench(name, options.quick))
-        store(records[-1:], options.out / "results.jsonl")
-    for record in records:
-        if record["bench"] == "worlds":
+        record = run_bench(name, options.quick)
+        store([record], options.out / "results.jsonl")
+        if name == "worlds":
             draw(record, options.out / "worlds.png")
+        if options.out == RESULTS:
+            page.write()
     return 0
 
 

@@ -1,0 +1,162 @@
+"""The page ``docs/measured.md`` and the README's figures, from the records that the benches left."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from bench.__main__ import NAMES, load
+from bench.pages import learning, solving, speed, transfer
+from bench.pages.markdown import Record, figure, paragraphs, table
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "bench" / "results" / "results.jsonl"
+MEASURED = ROOT / "docs" / "measured.md"
+README = ROOT / "README.md"
+BEGIN, END = "<!-- figures: python -m bench.run --pages -->", "<!-- end of figures -->"
+
+# bench: title of its section, what makes it
+SECTIONS = {
+    "worlds": ("Thesis worlds", speed.worlds),
+    "sweep": ("One sweep", speed.sweep),
+    "scaling": ("Everything but the solve", speed.scaling),
+    "protocol": ("The thesis protocol", learning.protocol),
+    "error_time": ("Run time against error", solving.error_time),
+    "fc2d": ("Problems of others", solving.fc2d),
+    "accuracy": ("Closed forms", solving.accuracy),
+    "stability": ("Stability", solving.stability),
+    "learning": ("Learned starts and corrections", learning.learning),
+    "generate": ("Data sets", speed.generate),
+    "train": ("Training", speed.train),
+    "transfer": ("Particles to grid and back", transfer.transfer),
+    "roundtrip": ("The theses' round trip", transfer.roundtrip),
+    "neighbors": ("Neighbour search", speed.neighbors),
+    "startup": ("Start of a process", speed.startup),
+}
+
+
+def read(path: Path = RESULTS) -> dict[str, Record]:
+    """The records of a results file, by bench."""
+    return {record["bench"]: record for record in map(json.loads, path.read_text(encoding="utf-8").splitlines())}
+
+
+def section(record: Record) -> str:
+    """The section of a bench: title, command, body; without a writer of its own it holds the promised keys."""
+    name = record["bench"]
+    bench = load(name)
+    title, write = SECTIONS.get(name, (f"{name[0].upper()}{name[1:]}", None))
+    command = f"`python -m bench {name}{' --quick' if record['quick'] else ''}`"
+    if write is None:
+        body = paragraphs(
+            f"{bench.SUMMARY}.", table(("key", "value"), [(f"`{key}`", record[key]) for key in bench.KEYS])
+        )
+    else:
+        body = write(record)
+    return paragraphs(f"## {title}", command, body)
+
+
+def machines(records: Mapping[str, Record]) -> str:
+    """The machine or machines that the records were taken on, and which benches on which."""
+    found: dict[str, list[str]] = {}
+    for name, record in records.items():
+        facts = record["machine"]
+        packages = ", ".join(f"{package} {number}" for package, number in facts["packages"].items())
+        line = f"{facts['cpu']}, {facts['cores']} cores, {facts['system']}; Python {facts['python']}, {packages}"
+        found.setdefault(line, []).append(name)
+    if len(found) == 1:
+        return f"All figures are from one machine: {next(iter(found))}."
+    return "\n".join(f"- {', '.join(f'`{name}`' for name in names)}: {line}." for line, names in found.items())
+
+
+def measured(records: Mapping[str, Record]) -> str:
+    """The page with a section for each bench that has a record."""
+    order = [*SECTIONS, *(name for name in NAMES if name not in SECTIONS)]
+    kept = {name: records[name] for name in order if name in records}
+    return (
+        paragraphs(
+            "# Measured",
+            "`python -m bench.run` runs the benches and writes this page from what they printed "
+            "([bench/results/results.jsonl](../bench/results/results.jsonl)); `python -m bench.run --pages` writes "
+            "it again without running any. Times are medians of interleaved runs; "
+            "[bench/README.md](../bench/README.md) says how each is taken.",
+            machines(kept),
+            *map(section, kept.values()),
+        )
+        + "\n"
+    )
+
+
+def headlines(records: Mapping[str, Record]) -> str:
+    """The README's five figures beside the peers, and the time to a first step."""
+    worlds, transfers, near = records["worlds"], records["transfer"], records["neighbors"]
+    pile = records["error_time"]["scenes"]["thesis_1000"]["runs"]["penetration"][solving.PENETRATION]
+    solved = records["fc2d"]["solved"]["1e8"]
+    first_order = max(count for name, count in solved.items() if name not in ("newton", "auto"))
+    problems = len({row["file"] for row in records["fc2d"]["rows"]}) + records["fc2d"]["states"]
+
+    def times(theirs: float, ours: float) -> str:
+        return f"{figure(theirs / ours)} x"
+
+    rows = [
+        (
+            "worlds of 100 discs per second, each step to 1e-4 N s; mean overlap left",
+            f"{figure(worlds['worlds_per_s'])}; {figure(worlds['overlap_mean_mm'])} mm",
+            f"pymunk {figure(worlds['pymunk_10'])}; {figure(worlds['pymunk_10_overlap_mm'])} mm",
+            f"{times(worlds['worlds_per_s'], worlds['pymunk_10'])} the speed",
+        ),
+        (
+            "1 000 discs at rest, wall time per simulated second, overlap below 1 mm",
+            f"{figure(1e3 * pile['default'])} ms",
+            f"pymunk {figure(1e3 * pile['pymunk']['seconds'])}, pybox2d {figure(1e3 * pile['pybox2d']['seconds'])} ms",
+            f"{times(pile['pymunk']['seconds'], pile['default'])}, "
+            f"{times(pile['pybox2d']['seconds'], pile['default'])}",
+        ),
+        (
+            "splat of 1e5 particles in random order",
+            f"{figure(transfers['splat_100000_ns'])} ns each",
+            f"torch `index_add_` {figure(transfers['index_add_100000_ns'])} ns",
+            times(transfers["index_add_100000_ns"], transfers["splat_100000_ns"]),
+        ),
+        (
+            "neighbours of 1e5 points, about 6 each",
+            f"{figure(near['hash_ns 2D 100000'])} ns each",
+            f"SciPy's k-d tree {figure(near['ckdtree_ns 2D 100000'])} ns",
+            times(near["ckdtree_ns 2D 100000"], near["hash_ns 2D 100000"]),
+        ),
+        (
+            f"contact problems solved to 1e-8, of {problems}",
+            figure(solved["auto"]),
+            f"best first-order method {first_order}",
+            times(solved["auto"], first_order),
+        ),
+    ]
+    cold, warm = records["startup"]["cold_s"], records["startup"]["warm_s"]
+    return paragraphs(
+        table(("one thread", "deep-contact", "beside", "ratio"), rows),
+        f"From the start of a process to the end of its first step it takes {figure(cold)} s with an empty kernel "
+        f"cache, {figure(warm)} s afterwards.",
+    )
+
+
+def with_headlines(text: str, records: Mapping[str, Record]) -> str:
+    """The README with its figures written anew between their marks.
+
+    Raises:
+        ValueError: where the marks are missing.
+    """
+    before, found, rest = text.partition(BEGIN)
+    _, ended, after = rest.partition(END)
+    if not (found and ended):
+        raise ValueError(f"README.md must hold the marks {BEGIN!r} and {END!r}")
+    return f"{before}{BEGIN}\n\n{headlines(records)}\n\n{END}{after}"
+
+
+def write(results: Path = RESULTS, page: Path = MEASURED, readme: Path = README) -> Sequence[Path]:
+    """Write the page and the README's figures from a results file; the paths of both."""
+    records = read(results)
+    text = with_headlines(readme.read_text(encoding="utf-8"), records)
+    page.parent.mkdir(parents=True, exist_ok=True)
+    page.write_text(measured(records), encoding="utf-8")
+    readme.write_text(text, encoding="utf-8")
+    return page, readme

@@ -1,0 +1,118 @@
+"""Sections of the benches that take times: worlds, sweeps, steps, neighbours, data sets, training, startup."""
+
+from __future__ import annotations
+
+from bench.cases import SCALING_WORLDS, SWEEP_PILES
+from bench.pages.markdown import Record, figure, paragraphs, table
+from bench.peers.peers import PEER_TEXT
+
+
+def worlds(record: Record) -> str:
+    """Worlds per second and overlaps beside the peers."""
+    ours = record["worlds_per_s"]
+    rows = [("**deep-contact**, to 1e-4 N s", ours, 1.0, record["ours_overlap_mm"], record["ours_overlap_max_mm"])]
+    for name, text in PEER_TEXT.items():
+        overlap = (record[f"{name}_overlap_mm"], record[f"{name}_overlap_max_mm"])
+        rows.append((text, record[name], ours / record[name], *overlap))
+    header = ("engine", "worlds/s", "ours over it", "mean overlap after the run [mm]", "largest [mm]")
+    return paragraphs(
+        "100 discs fall into a box, 250 steps of 0.01 s, 64 worlds, creation included. Each of our steps is solved to "
+        "1e-4 N s from the cached impulses; a peer takes the iterations that its row says.",
+        table(header, rows),
+        f"Two threads take {record['threads_ratio']:.2f} times as many worlds per second as one. A step takes "
+        f"{record['mean_sweeps']:.0f} sweeps in the mean; {record['share_capped']:.1%} of the steps end at the cap of "
+        "1000 sweeps and report their residual.",
+        "![worlds per second, and mean overlap, of five engines](../bench/results/worlds.png)",
+    )
+
+
+def sweep(record: Record) -> str:
+    """Cost of a contact in a sweep."""
+    rows = [
+        (
+            record[f"contacts_{target}"],
+            record[f"discs_{target}"],
+            record[f"ns_general_{target}"],
+            record[f"ns_discs_{target}"],
+        )
+        for target in SWEEP_PILES
+    ]
+    return paragraphs(
+        "One sweep of projected Gauss-Seidel over a settled pile, float32, one thread. The kernel of all shapes and "
+        "the one for discs alone meet the same contacts.",
+        table(("contacts", "discs", "any shape [ns per contact]", "discs only [ns per contact]"), rows),
+    )
+
+
+def scaling(record: Record) -> str:
+    """Time and memory of a step beside the solve."""
+    columns = ("collide_ns", "advance_ns", "ns_per_body", "bytes_per_body", "bytes_per_contact")
+    rows = [
+        (f"{number} x {figure(bodies)}", *(record[f"{column}_{bodies}"] for column in columns))
+        for bodies, number in SCALING_WORLDS.items()
+    ]
+    header = ("worlds x discs", "collide [ns]", "advance [ns]", "sum [ns]", "bytes per body", "bytes per contact")
+    return paragraphs(
+        "Everything but the solve, on settled thesis piles, one thread: nanoseconds per body and step, and the memory "
+        "reserved.",
+        table(header, rows),
+        f"A pile of 100 000 discs that are numbered at random instead of by place takes "
+        f"{record['ns_per_body_shuffled']:.0f} ns: number bodies by place, as the scenes do.",
+    )
+
+
+def neighbors(record: Record) -> str:
+    """Nanoseconds a point of each method."""
+    clouds = [key.removeprefix("pairs ") for key in record if key.startswith("pairs ")]
+    methods = ("hash", "ckdtree", "tree", "all", "hashgrid", "lists")
+    rows = [
+        (
+            " ".join(figure(int(word)) if word.isdigit() else word for word in cloud.split()),
+            *(record.get(f"{method}_ns {cloud}") for method in methods),
+            record.get(f"over_ckdtree {cloud}"),
+        )
+        for cloud in clouds
+    ]
+    header = ("points", "`hash`", "`kdtree` (SciPy)", "`tree`", "`all`", "`wp.HashGrid`", "`hash`, lists")
+    return paragraphs(
+        "Nanoseconds per point with about 6 neighbours each, float32, build and all pairs, one thread.",
+        table((*header, "SciPy over `hash`"), rows),
+    )
+
+
+def generate(record: Record) -> str:
+    """Making of a data set."""
+    rows = [
+        (f"{record['worlds']} thesis worlds, {figure(record['states'])} states [s]", record["seconds"]),
+        ("bytes of a state, file and index", record["bytes_per_step"]),
+        ("contacts of a state", record["contacts"]),
+        ("sweeps to the run's 1e-4 N s", record["mean_sweeps"]),
+        ("further sweeps to the label's 1e-5 N s", record["mean_label_sweeps"]),
+        ("states whose label reaches it [%]", 100.0 * record["label_reached"]),
+    ]
+    return paragraphs(
+        f"Each state is solved to 1e-4 and on to 1e-5 N s, compressed and written; {record['machine']['threads']} "
+        "threads.",
+        table(("a data set", "value"), rows),
+    )
+
+
+def train(record: Record) -> str:
+    """Minutes to a ContactNet."""
+    how = "; the minutes are extrapolated from one round" if record["extrapolated"] else ""
+    rows = [("minutes", record["minutes"]), ("steps", record["steps"]), ("a step [s]", record["step_s"])]
+    return paragraphs(
+        f"Training of the ContactNet in the package from nothing, on one core{how}.", table(("", ""), rows)
+    )
+
+
+def startup(record: Record) -> str:
+    """From the start of a process to a first step."""
+    rows = [
+        (f"{name} kernel cache", record[f"{key}_s"], min(record[f"{key}_all_s"]), max(record[f"{key}_all_s"]))
+        for name, key in (("full", "warm"), ("empty", "cold"))
+    ]
+    return paragraphs(
+        "A new Python process up to the end of its first step. Warp compiles the kernels at first use and caches them.",
+        table(("process start to first step [s]", "median", "lowest", "highest"), rows),
+    )

@@ -1,0 +1,238 @@
+"""README and docs stay true: their examples run, and the files, modules, commands and options that they name exist."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import importlib
+import io
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import get_args, get_type_hints
+
+import numpy as np
+import pytest
+
+import dc_kernels as dc
+from bench.__main__ import NAMES
+from pipeline import cli
+from pipeline.scenes import SCENES
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", ROOT / "bench" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+TEXTS = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in PAGES}
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+FOLDERS = "dc_kernels|pipeline|bench|docs|tests"
+# options of other programs that the pages name
+FOREIGN = {"--nproc-per-node", "--quick", "--pages"}
+
+
+def blocks(page: str, language: str) -> list[str]:
+    """The code blocks of a language on a page, in order."""
+    return [code for found, code in BLOCK.findall(TEXTS[page]) if found == language]
+
+
+def quoted(page: str) -> list[str]:
+    """What stands between backticks in the prose of a page."""
+    return re.findall(r"`([^`]+)`", " ".join(BLOCK.sub("", TEXTS[page]).split()))
+
+
+def every(words: Callable[[str], list[str]]) -> list[tuple[str, str]]:
+    """(page, word) of all pages."""
+    return [(page, word) for page in TEXTS for word in dict.fromkeys(words(page))]
+
+
+def check_readme(scope: dict) -> None:
+    sim = scope["sim"]
+    assert not sim.state.numpy("flags").any()
+    assert sim.state.numpy("time") == pytest.approx(2.51)  # 250 steps, and the one in phases
+    assert len(scope["start"]) >= sim.contacts.numpy("contact_count").sum() > 64 * 6
+
+
+def check_solver(scope: dict) -> None:
+    sim = scope["sim"]
+    assert float(sim.stats.numpy("change")[0]) < 1e-5
+    assert sim.state.numpy("time")[0] == pytest.approx(0.11)
+    assert scope["other"].config.start == "zero"
+
+
+def check_transfer(scope: dict) -> None:
+    assert scope["pixels"].shape == (4, 6, 61, 61) and scope["label"].shape == (4, 2, 61, 61)
+    assert float(scope["leaf"].grad.abs().max()) > 0
+
+
+def check_extend(scope: dict) -> None:
+    assert 10 < scope["fallen"].sum() < 4 * 30  # through the gap
+    assert np.isfinite(scope["sim"].state.numpy("position")).all()
+
+
+CHECKS = {
+    "README.md": check_readme,
+    "docs/solver.md": check_solver,
+    "docs/transfer.md": check_transfer,
+    "docs/extend.md": check_extend,
+}
+
+
+@pytest.mark.parametrize("page", [page for page in TEXTS if blocks(page, "python")])
+def test_the_examples_run(page, capsys):
+    """The blocks of a page, one after the other: each goes on where the one before ends."""
+    scope: dict = {"__name__": __name__}  # dataclasses look their module up
+    for code in blocks(page, "python"):
+        exec(compile(code, page, "exec"), scope)
+    CHECKS[page](scope)
+    if page == "README.md":
+        assert "broadphase" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("page", "code"), [(page, code) for page in TEXTS for code in blocks(page, "py")])
+def test_the_fragments_compile(page, code):
+    compile(code, page, "exec")
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_every_link_leads_to_a_file(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", TEXTS[page]):
+        path, _, anchor = target.partition("#")
+        found = (ROOT / page).parent / path if path else ROOT / page
+        assert found.exists(), target
+        if anchor:
+            titles = re.findall(r"^#+ (.*)$", found.read_text(encoding="utf-8"), re.MULTILINE)
+            assert anchor in [re.sub(r"[^\w -]", "", title).lower().replace(" ", "-") for title in titles], target
+
+
+def test_every_path_exists():
+    paths = every(lambda page: [word for word in quoted(page) if re.fullmatch(rf"(?:{FOLDERS})/[\w./]*", word)])
+    assert len(paths) > 30
+    missing = [(page, path) for page, path in paths if not (ROOT / path).exists()]
+    assert not missing
+
+
+def resolve(name: str) -> None:
+    """Import what a dotted name begins with and look the rest up in it; a file that is a program is only found.
+
+    Raises:
+        AttributeError: where there is no such name.
+    """
+    parts = name.split(".")
+    if parts[0] == "dc":
+        module, rest = dc, parts[1:]
+    else:
+        if ROOT.joinpath(*parts).with_suffix(".py").exists():
+            return
+        known = [i for i in range(1, len(parts) + 1) if is_module(parts[:i])]
+        module, rest = importlib.import_module(".".join(parts[: known[-1]])), parts[known[-1] :]
+    functools.reduce(getattr, rest, module)
+
+
+def is_module(parts: list[str]) -> bool:
+    """Whether a dotted name is a file or a folder of the tree."""
+    return ROOT.joinpath(*parts).is_dir() or ROOT.joinpath(*parts).with_suffix(".py").exists()
+
+
+def test_every_module_and_name_can_be_imported():
+    dotted = every(lambda page: re.findall(r"(?<![\w/.])(?:dc_kernels|pipeline|bench|dc)\.\w[\w.]*\w", TEXTS[page]))
+    assert len(dotted) > 20
+    for _, name in dotted:
+        resolve(name)
+    with pytest.raises(AttributeError, match="nonsense"):
+        resolve("dc_kernels.model.nonsense")
+
+
+def test_every_member_of_a_simulation_exists():
+    known = {*dir(dc.Simulation), *dc.Simulation.__annotations__, "state", "model", "joints", "config"}
+    members = every(lambda page: re.findall(r"\bsim\.(\w+)", TEXTS[page]))
+    assert len(members) > 10
+    assert not [(page, member) for page, member in members if member not in known]
+
+
+def test_every_setting_of_the_solver_exists():
+    """The first column of the settings' table, and keywords in backticks: fields of SolverConfig."""
+    fields = {field.name for field in dataclasses.fields(dc.SolverConfig)}
+    table = TEXTS["docs/solver.md"].split("| setting |")[1].split("\n\n")[0]
+    settings = re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| ([^|]+) \|", table, re.MULTILINE)))
+    assert len(settings) > 5 and set(settings) <= fields
+    for values, field in ((choices("method"), "method"), (choices("acceleration"), "acceleration")):
+        row = next(line for line in table.splitlines() if line.startswith(f"| `{field}`"))
+        assert all(f"`{value}`" in row for value in values), field
+
+
+def choices(name: str) -> tuple[str, ...]:
+    """The values that a field of SolverConfig takes."""
+    return get_args(get_type_hints(dc.SolverConfig)[name])
+
+
+def test_every_scene_is_named():
+    sentence = TEXTS["docs/command-line.md"].split("Scenes:")[1].split(". ")[0]
+    assert set(re.findall(r"`([\w-]+)`", sentence)) == set(SCENES)
+
+
+def test_every_make_target_exists():
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = every(lambda page: re.findall(r"(?:`|^)make (\w+)", TEXTS[page], re.MULTILINE))
+    assert {"demo", "test", "lint", "bench"} <= {target for _, target in targets}
+    for page, target in targets:
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE), (page, target)
+
+
+def test_every_bench_exists():
+    named = every(lambda page: re.findall(r"python -m bench (\w+)", TEXTS[page]))
+    assert len(named) > 15
+    assert not [(page, name) for page, name in named if name not in NAMES]
+    rows = re.findall(r"^\| `(\w+)` \|", TEXTS["bench/README.md"], re.MULTILINE)
+    assert sorted(rows) == sorted(NAMES)
+
+
+def command_lines() -> list[tuple[str, str]]:
+    """(page, line) of every deep-contact command in a shell block."""
+    return [
+        (page, line.split("#")[0].strip())
+        for page in TEXTS
+        for code in blocks(page, "sh")
+        for line in code.splitlines()
+        if line.startswith("deep-contact")
+    ]
+
+
+def test_every_command_line_is_understood(capsys):
+    lines = command_lines()
+    assert len(lines) >= 12
+    for _, line in lines:
+        cli.parse(shlex.split(line)[1:])  # exits where it does not understand
+    with pytest.raises(SystemExit):
+        cli.parse(["simulate", "thesis", "--nonsense"])
+    capsys.readouterr()
+
+
+HELPS = (
+    *((name,) for name in ("simulate", "generate", "train", "train-contactnet", "evaluate", "protocol", "explain")),
+    *(("demo",), ("figures", "kernels"), ("fclib", "export"), ("fclib", "solve"), ("simulate", "mixed")),
+    *(("generate", "mixed"), ("generate", "thesis"), ("train", "unet")),
+)
+
+
+@pytest.fixture(scope="module")
+def helps():
+    """The text that --help prints for each command and subcommand that a page names."""
+    return {" ".join(words): help_text(*words) for words in HELPS}
+
+
+def help_text(*words: str) -> str:
+    """What --help prints for a command."""
+    with contextlib.redirect_stdout(io.StringIO()) as out, pytest.raises(SystemExit):
+        cli.parse([*words, "--help"])
+    return out.getvalue()
+
+
+def test_every_option_is_known_to_the_help(helps):
+    options = {option for text in helps.values() for option in re.findall(r"--[a-z][\w-]*", text)}
+    named = every(lambda page: re.findall(r"(?<!\S)--[a-z][\w-]*", " ".join(quoted(page))))
+    assert len({option for _, option in named}) > 6
+    assert not [(page, option) for page, option in named if option not in options | FOREIGN]
+    for page, line in command_lines():
+        words = shlex.split(line)[1:]
+        known = "".join(text for name, text in helps.items() if " ".join(words).startswith(name))
+        assert not [(page, word) for word in words if word.startswith("--") and word not in known]
