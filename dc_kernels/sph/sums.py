@@ -20,13 +20,8 @@ from dc_kernels.model.arrays import kernel_arrays
 from dc_kernels.neighbors.search import Neighbors, neighbor_lists
 from dc_kernels.runtime.backends import bind, check_backend, run_shards
 from dc_kernels.runtime.inputs import check_array, check_count, check_points
+from dc_kernels.sph.quantities import CHUNK, PUBLIC, Quantity
 from dc_kernels.sph.smoothing import KERNELS, scale
-
-QUANTITIES = {"value": 0, "gradient": 1, "laplacian": 2, "divergence": 3}
-"""Codes of the sums; "divergence", values . grad W, only serves the adjoint of "gradient"."""
-PUBLIC = ("value", "gradient", "laplacian")
-CHUNK = 512  # queries of a Warp thread, and the unit that Python threads share
-ORDERS = {"value": 0, "gradient": 1, "laplacian": 2, "divergence": 1}
 
 
 def sph_sum(
@@ -72,14 +67,14 @@ def sph_sum(
         ValueError: naming the argument, the index and the limit.
     """
     queries, points, values, mass, density = check_particles(queries, points, values, mass, density)
-    check_options(quantity, threads, backend)
-    factor = scale(kernel, h, points.shape[1], ORDERS[quantity], points.dtype)
+    code = check_options(quantity, threads, backend)
+    factor = scale(kernel, h, points.shape[1], code.order, points.dtype)
     weighted = values * volume(mass, density)[:, None]
     lists = neighbor_lists(
         queries, points, h, method=method, query_start=query_start, point_start=point_start, threads=threads
     )
-    out = sum_lists(lists, queries, points, weighted, h, factor, kernel, quantity, threads, backend)
-    return out.reshape(out_shape(quantity, len(queries), values.shape[1], points.shape[1]))
+    out = sum_lists(lists, queries, points, weighted, h, factor, kernel, code, threads, backend)
+    return out.reshape(out_shape(code, len(queries), values.shape[1], points.shape[1]))
 
 
 def sph_density(
@@ -113,7 +108,7 @@ def sph_density(
     check_options("value", threads, backend)
     factor = scale(kernel, h, points.shape[1], 0, points.dtype)
     lists = neighbor_lists(points, points, h, method=method, query_start=start, point_start=start, threads=threads)
-    return sum_lists(lists, points, points, mass[:, None], h, factor, kernel, "value", threads, backend)[:, 0]
+    return sum_lists(lists, points, points, mass[:, None], h, factor, kernel, Quantity.VALUE, threads, backend)[:, 0]
 
 
 # ------------------------------------------------------------------ sums over lists of neighbours
@@ -127,16 +122,17 @@ def sum_lists(
     h: float,
     factor: float,
     kernel: str,
-    quantity: str,
+    quantity: Quantity,
     threads: int,
     backend: str,
 ) -> np.ndarray:
     """The kernel ``sum_neighbors``: columns of (n, C) become C (value, laplacian), C dim (gradient) or C / dim."""
     width, dim = value.shape[1], points.shape[1]
-    columns = int(width * dim if quantity == "gradient" else width // dim if quantity == "divergence" else width)
+    factors = {Quantity.GRADIENT: dim, Quantity.DIVERGENCE: 1 / dim}
+    columns = round(width * factors.get(quantity, 1))
     out = np.empty((len(queries), columns), points.dtype)
     arrays = {"query": queries, "point": points, "value": value, "out": out}
-    scalars = {"kernel": KERNELS[kernel], "quantity": QUANTITIES[quantity], "h": h, "scale": factor}
+    scalars = {"kernel": KERNELS[kernel], "quantity": int(quantity), "h": h, "scale": factor}
     _run("sum_neighbors", lists, arrays, scalars, threads, backend)
     return out
 
@@ -149,19 +145,19 @@ def pull_lists(
     value: np.ndarray,
     h: float,
     kernel: str,
-    quantity: str,
+    quantity: Quantity,
     *,
     swapped: bool,
     threads: int,
     backend: str,
 ) -> np.ndarray:
     """The kernel ``pull_neighbors``: gradient by the queries' positions, (nq, dim)."""
-    factor = scale(kernel, h, points.shape[1], ORDERS[quantity] + 1, points.dtype)
+    factor = scale(kernel, h, points.shape[1], quantity.order + 1, points.dtype)
     out = np.empty_like(queries)
     arrays = {"query": queries, "point": points, "query_value": query_value, "value": value, "out": out}
     scalars = {
         "kernel": KERNELS[kernel],
-        "quantity": QUANTITIES[quantity],
+        "quantity": int(quantity),
         "swapped": int(swapped),
         "h": h,
         "scale": factor,
@@ -185,9 +181,9 @@ def volume(mass: np.ndarray, density: np.ndarray) -> np.ndarray:
     return result
 
 
-def out_shape(quantity: str, count: Any, channels: Any, dim: int) -> tuple[Any, ...]:
+def out_shape(quantity: Quantity, count: Any, channels: Any, dim: int) -> tuple[Any, ...]:
     """Shape of a sum's result."""
-    return (count, channels, dim) if quantity == "gradient" else (count, channels)
+    return (count, channels, dim) if quantity == Quantity.GRADIENT else (count, channels)
 
 
 def _run(
@@ -239,9 +235,14 @@ def check_particles(queries: Any, points: Any, values: Any, mass: Any, density: 
     return queries, points, values, mass, density
 
 
-def check_options(quantity: str, threads: int, backend: str) -> None:
-    """Raise ValueError for an unknown quantity or backend, or a number of threads below 1."""
+def check_options(quantity: str, threads: int, backend: str) -> Quantity:
+    """The code of a quantity.
+
+    Raises:
+        ValueError: for an unknown quantity or backend, or a number of threads below 1.
+    """
     if quantity not in PUBLIC:
-        raise ValueError(f"quantity is {quantity!r}; it must be one of {PUBLIC}")
+        raise ValueError(f"quantity is {quantity!r}; it must be one of {tuple(PUBLIC)}")
     check_count("threads", threads)
     check_backend(backend)
+    return PUBLIC[quantity]

@@ -22,9 +22,9 @@ from dc_kernels.neighbors.search import Neighbors, neighbor_lists
 from dc_kernels.runtime.inputs import check_array
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.optional import require
+from dc_kernels.sph.quantities import PUBLIC, Quantity
 from dc_kernels.sph.smoothing import scale
 from dc_kernels.sph.sums import (
-    ORDERS,
     check_options,
     check_particles,
     out_shape,
@@ -150,7 +150,7 @@ def _sum(
 
 @_sum.register_fake
 def _(queries: Any, points: Any, values: Any, *rest: Any) -> Any:
-    return queries.new_empty(out_shape(rest[6], queries.shape[0], values.shape[1], points.shape[1]))
+    return queries.new_empty(out_shape(PUBLIC[rest[6]], queries.shape[0], values.shape[1], points.shape[1]))
 
 
 @torch.library.custom_op(
@@ -178,10 +178,10 @@ def _sum_backward(
     named = {"queries": queries, "points": points, "values": values, "mass": mass, "density": density}
     q, p, a, m, rho = (tensor_array(name, tensor) for name, tensor in named.items())
     check_particles(q, p, a, m, rho)
-    check_options(quantity, threads, "warp")
+    code = check_options(quantity, threads, "warp")
     # autograd hands over expanded tensors, such as the ones of a sum
     y = tensor_array("cotangent", cotangent.contiguous())
-    check_array("cotangent", y, out_shape(quantity, len(q), a.shape[1], p.shape[1]), p.dtype)
+    check_array("cotangent", y, out_shape(code, len(q), a.shape[1], p.shape[1]), p.dtype)
     y = y.reshape(len(q), y.size // max(len(q), 1))
     starts = [tensor_integers("query_start", query_start), tensor_integers("point_start", point_start)]
     cells = volume(m, rho)
@@ -200,14 +200,14 @@ def _sum_backward(
     by_q = by_p = by_a = by_m = by_rho = empty
     options: dict[str, Any] = {"threads": threads, "backend": "warp"}
     if want_q:
-        by_q = pull_lists(among_points, q, p, y, weighted, h, kernel, quantity, swapped=False, **options)
+        by_q = pull_lists(among_points, q, p, y, weighted, h, kernel, code, swapped=False, **options)
     if want_p:
-        by_p = pull_lists(among_queries, p, q, weighted, y, h, kernel, quantity, swapped=True, **options)
+        by_p = pull_lists(among_queries, p, q, weighted, y, h, kernel, code, swapped=True, **options)
     if want_a or want_m or want_rho:
-        back = "divergence" if quantity == "gradient" else quantity
-        factor = scale(kernel, h, p.shape[1], ORDERS[quantity], p.dtype)
+        back = Quantity.DIVERGENCE if code == Quantity.GRADIENT else code
+        factor = scale(kernel, h, p.shape[1], code.order, p.dtype)
         # grad W is odd: seen from the particle it has the other sign
-        sign = -1.0 if quantity == "gradient" else 1.0
+        sign = -1.0 if code == Quantity.GRADIENT else 1.0
         unit = sum_lists(among_queries, p, q, y, h, sign * factor, kernel, back, **options)
         by_a = cells[:, None] * unit if want_a else empty
         by_volume = (a * unit).sum(axis=1)

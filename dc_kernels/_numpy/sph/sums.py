@@ -6,9 +6,7 @@ import numpy as np
 
 from dc_kernels._numpy.common import Array, Kernels
 from dc_kernels._numpy.sph.smoothing import weigh
-from dc_kernels.sph.sums import CHUNK, QUANTITIES
-
-_NAMES = {code: name for name, code in QUANTITIES.items()}
+from dc_kernels.sph.quantities import CHUNK, Quantity
 
 
 def kernels(dtype: str) -> Kernels:
@@ -31,18 +29,18 @@ def sum_neighbors(
     out: Array,
 ) -> None:
     """Seed, equations 3.7 and 3.8: out = sum of the neighbours' values times W, grad W, lap W, or . grad W."""
-    name, dim = _NAMES[quantity], point.shape[1]
+    dim = point.shape[1]
     for q in _queries(tid + chunk_offset, query):
         near = neighbor_index[neighbor_start[q] : neighbor_start[q + 1]]
         e = _offsets(query[q], point[near], h)
         a = value[near].astype(np.float64)
-        if name == "value":
+        if quantity == Quantity.VALUE:
             out[q] = scale * (weigh(kernel, "w", e) @ a)
-        elif name == "laplacian":
+        elif quantity == Quantity.LAPLACIAN:
             out[q] = scale * (weigh(kernel, "laplacian", e) @ a)
         else:
             slope = weigh(kernel, "f", e)[:, None] * e
-            if name == "gradient":
+            if quantity == Quantity.GRADIENT:
                 out[q] = scale * (a.T @ slope).ravel()
             else:
                 out[q] = scale * np.einsum("jck,jk->c", a.reshape(len(a), out.shape[1], dim), slope)
@@ -68,13 +66,13 @@ def pull_neighbors(
 
     Swapped, the queries are the particles of that sum and the neighbours its queries: by the particles' positions.
     """
-    name, dim = _NAMES[quantity], point.shape[1]
+    dim = point.shape[1]
     for q in _queries(tid + chunk_offset, query):
         near = neighbor_index[neighbor_start[q] : neighbor_start[q + 1]]
         e = _offsets(query[q], point[near], h)
         u, a = query_value[q].astype(np.float64), value[near].astype(np.float64)
-        if name != "gradient":
-            weight = weigh(kernel, "f" if name == "value" else "laplacian_slope", e)
+        if quantity != Quantity.GRADIENT:
+            weight = weigh(kernel, "f" if quantity == Quantity.VALUE else "laplacian_slope", e)
             out[q] = scale * ((weight * (a @ u)) @ e)
             continue
         if swapped:

@@ -13,101 +13,7 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.common import kernel_module, scalar_types
-from dc_kernels._warp.grid.loops import ADD_RUN, HOME, LOST
-from dc_kernels._warp.grid.stencil import SETUP, snippet
-from dc_kernels.grid.layout import TILE_COLUMNS, TILE_ROWS
-
-AHEAD = 12  # points that are fetched ahead of their use; 8 to 24 cost the same
-
-# for a tile of every point of a chunk: VISIT
-_VISIT = f"""
-const int across = (K + {TILE_COLUMNS - 1}) / {TILE_COLUMNS}, tiles = across * ((R + {TILE_ROWS - 1}) / {TILE_ROWS});
-int* const slots = tile_slot.data + (size_t)chunk * tile_slot.shape[1] + (size_t)world * tiles;
-const int first = point_start.data[world];
-const long long count = point_count.data[world];
-const int begin = first + (int)(count * chunk / chunks), end = first + (int)(count * (chunk + 1) / chunks);
-const bool separable = stencil > 4;
-auto range = [&](S u, int nodes, int& lo, int& hi) {{
-    if (separable) {{
-        lo = (int)clip(u, 0, nodes - 1) - 1;
-        hi = lo + 3;
-    }} else {{
-        u = clip(u, -hs - 2, nodes + hs + 1);
-        lo = (int)__builtin_elementwise_ceil(u - hs);
-        hi = (int)__builtin_elementwise_floor(u + hs);
-        if (lo > hi) lo = hi = nearest_node(u, nodes);
-    }}
-    lo = lo < 0 ? 0 : (lo > nodes - 1 ? nodes - 1 : lo);
-    hi = hi < 0 ? 0 : (hi > nodes - 1 ? nodes - 1 : hi);
-}};
-for (int i = begin; i < end; ++i) {{
-    int c0 = 0, c1 = 0;
-    r0 = r1 = 0;
-    if (finite(i)) {{
-        range(x, K, c0, c1);
-        range(y, R, r0, r1);
-    }}
-    for (int r = r0 / {TILE_ROWS}; r <= r1 / {TILE_ROWS}; ++r)
-        for (int c = c0 / {TILE_COLUMNS}; c <= c1 / {TILE_COLUMNS}; ++c) VISIT;
-}}
-"""
-
-_TILE = f"""
-const int across = (K + {TILE_COLUMNS - 1}) / {TILE_COLUMNS}, tiles = across * ((R + {TILE_ROWS - 1}) / {TILE_ROWS});
-const int within_world = tile - world * tiles;
-const int row_lo = within_world / across * {TILE_ROWS}, col_lo = within_world % across * {TILE_COLUMNS};
-const int row_hi = row_lo + {TILE_ROWS} < R ? row_lo + {TILE_ROWS} : R;
-const int col_hi = col_lo + {TILE_COLUMNS} < K ? col_lo + {TILE_COLUMNS} : K;
-const int begin = tile_start.data[tile], end = tile_start.data[tile + 1];
-const size_t nodes = (size_t)R * K;
-const int channels = bins * C;
-S* const target = image.data + ((size_t)world * image.shape[1] + channel_offset) * nodes;
-tile_lost.data[tile] = 0;
-if (begin == end) {{
-    if (tile_touched.data[tile])
-        for (int c = 0; c < channels; ++c)
-            for (int r = row_lo; r < row_hi; ++r)
-                for (int n = col_lo; n < col_hi; ++n) target[c * nodes + (size_t)r * K + n] = 0;
-    tile_touched.data[tile] = 0;
-    return;
-}}
-tile_touched.data[tile] = 1;
-// a window reaches into the tile from no farther away than its own width
-const int pad = stencil > 4 ? L : ((int)(2 * hs) / L + 1) * L;
-const int left = col_lo - pad, row_stride = {TILE_COLUMNS} + 2 * pad;
-const size_t channel_stride = (size_t)row_stride * {TILE_ROWS};
-S* const buffer = scratch.data + (size_t)slot * scratch.shape[1];
-S* const base = buffer - channel_offset * channel_stride;
-for (size_t n = 0; n < channels * channel_stride; ++n) buffer[n] = 0;
-auto mark = [](int, int) {{}};
-auto item = [&](int k) {{
-    const size_t next = order.data[k + {AHEAD}];
-    __builtin_prefetch(P + 2 * next);
-    __builtin_prefetch(value.data + next * C);
-    return order.data[k];
-}};
-"""
-_TILE_OUT = """
-tile_lost.data[tile] = lost;
-for (int c = 0; c < channels; ++c)
-    for (int r = row_lo; r < row_hi; ++r) {
-        const S* from = buffer + c * channel_stride + (size_t)(r - row_lo) * row_stride + pad;
-        S* to = target + c * nodes + (size_t)r * K + col_lo;
-        // past the cache where the row is aligned: a sixteenth of the whole
-        typedef S A __attribute__((ext_vector_type(L)));
-        int n = 0;
-        if (((unsigned long long)to & (sizeof(A) - 1)) == 0)
-            for (; n + L <= col_hi - col_lo; n += L)
-                __builtin_nontemporal_store((A) * (const V*)(from + n), (A*)(to + n));
-        for (; n < col_hi - col_lo; ++n) to[n] = from[n];
-    }
-"""
-
-
-def _visit(dtype: str, action: str) -> str:
-    scalar = {"float32": "float", "float64": "double"}[dtype]
-    text = SETUP + _VISIT.replace("VISIT", action)
-    return f"#if !defined(__CUDA_ARCH__)\n{text}\n#endif\n".replace("S_TYPE", scalar)
+from dc_kernels._warp.grid.stencil import WEIGHTS, grid_code
 
 
 @cache
@@ -122,7 +28,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     vectors = wp.array(dtype=vec2)
     module = kernel_module("transfer_tiles", dtype)
 
-    @wp.func_native(_visit(dtype, "++slots[r * across + c]"))
+    @wp.func_native(grid_code(dtype, "grid/tiling.h", "grid/visit.h", "grid/count_tiles.h"))
     def count_chunk(
         world: wp.int32,
         chunk: wp.int32,
@@ -170,7 +76,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             tile_slot,
         )
 
-    @wp.func_native(_visit(dtype, "order.data[slots[r * across + c]++] = i"))
+    @wp.func_native(grid_code(dtype, "grid/tiling.h", "grid/visit.h", "grid/list_tiles.h"))
     def list_chunk(
         world: wp.int32,
         chunk: wp.int32,
@@ -222,7 +128,9 @@ def kernels(dtype: str) -> dict[str, Any]:
             order,
         )
 
-    @wp.func_native(snippet(dtype, LOST + _TILE + HOME, ADD_RUN, _TILE_OUT))
+    @wp.func_native(
+        grid_code(dtype, "grid/tiling.h", "grid/tile.h", "grid/points.h", "grid/add.h", *WEIGHTS, "grid/splat_tile.h")
+    )
     def splat_tile(
         tile: wp.int32,
         world: wp.int32,

@@ -10,18 +10,8 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.common import kernel_module, scalar_types
-from dc_kernels._warp.grid.loops import (
-    ADD_RUN,
-    BILINEAR_RUN,
-    DIVIDE,
-    GATHER,
-    GATHER_RUN,
-    GRADIENT_RUN,
-    HOME,
-    LOST,
-    WORLD,
-)
-from dc_kernels._warp.grid.stencil import snippet
+from dc_kernels._warp.grid.stencil import WEIGHTS, grid_code
+from dc_kernels._warp.native import native_code
 
 _MODULES = ("splat", "gather", "gradient")  # apart: a stencil for each takes seconds to compile
 
@@ -37,7 +27,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     vectors = wp.array(dtype=vec2)
     splat_module, gather_module, gradient_module = (kernel_module(f"transfer_{n}", dtype) for n in _MODULES)
 
-    @wp.func_native(snippet(dtype, LOST + WORLD + HOME, ADD_RUN, "missed.data[world] = lost;"))
+    @wp.func_native(grid_code(dtype, "grid/world.h", "grid/points.h", "grid/add.h", *WEIGHTS, "grid/splat_world.h"))
     def splat_world(
         world: wp.int32,
         stencil: wp.int32,
@@ -101,7 +91,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             image,
         )
 
-    @wp.func_native(snippet(dtype, GATHER, GATHER_RUN, bilinear=BILINEAR_RUN))
+    @wp.func_native(grid_code(dtype, "grid/chunk.h", "grid/points.h", *WEIGHTS, "grid/gather.h"))
     def gather_chunk(
         world: wp.int32,
         chunk: wp.int32,
@@ -163,7 +153,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             value,
         )
 
-    @wp.func_native(snippet(dtype, GATHER, GRADIENT_RUN))
+    @wp.func_native(grid_code(dtype, "grid/chunk.h", "grid/points.h", *WEIGHTS, "grid/gradient.h"))
     def gradient_chunk(
         world: wp.int32,
         chunk: wp.int32,
@@ -228,7 +218,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             gradient,
         )
 
-    @wp.func_native(DIVIDE)
+    @wp.func_native(native_code("grid/divide.h", dtype=dtype))
     def divide_world(world: wp.int32, weight: image_type, image: image_type): ...
 
     @wp.kernel(module=splat_module, enable_backward=False)
