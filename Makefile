@@ -39,11 +39,13 @@ lint: $(VENV)/.dev ## check style, format and types
 	@echo "== lint: style, format, types"
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	find dc_kernels -name '*.h' -exec $(BIN)/clang-format --dry-run --Werror {} +
 	$(BIN)/mypy
 
 format: $(VENV)/.dev ## format the code and fix what can be fixed
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+	find dc_kernels -name '*.h' -exec $(BIN)/clang-format -i {} +
 
 bench: $(VENV)/.dev ## run the benches: BENCHES="sweep worlds", ARGS=--quick
 	@for name in $(BENCHES); do echo "== bench $$name"; $(BIN)/python -m bench $$name $(ARGS) || exit 1; done
