@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, Literal
 
 import numpy as np
@@ -14,16 +12,18 @@ import numpy as np
 from dc_kernels.model.arrays import Contacts, Joints, Model, State, uniform
 from dc_kernels.model.config import ACCELERATIONS, SolverConfig
 from dc_kernels.model.enums import CAPACITY_FLAGS, BodyType, ShapeType
-from dc_kernels.runtime.backends import Launch, bind, in_turn, kernel_table, recorded
+from dc_kernels.runtime.backends import Launch, bind, kernel_table
+from dc_kernels.runtime.capture import recording, refuse_recording
 from dc_kernels.runtime.inputs import check_count
+from dc_kernels.runtime.sequences import Rounds, Watch, in_turn
+from dc_kernels.runtime.stepping import Shards
 from dc_kernels.solve.iteration import COUNTERS, NEVER
 from dc_kernels.solve.schedules import SCHEDULES, SolveStats, check_iteration, solver_scalars
 from dc_kernels.storage import PADDING, Cache, Motion, Pairs, Rows, Storage
 
 Start = Callable[["Simulation"], None]
+Phase = Literal["advance", "collide", "solve"]
 _COLLIDE = ("predict", "update_pairs", "narrowphase", "match_contacts", "color_constraints", "pack_rows")
-SHARDS_PER_THREAD = 2
-CHUNK = 10  # steps that a thread takes of a shard at a time: 250 at once leaves one idle at the end for 3 %
 _SLACK = 0.05  # of the slop: within it two separating axes count as equal and the first body's is taken
 
 
@@ -35,6 +35,10 @@ class Simulation:
     Before ``advance`` nothing of ``state`` changes, so the first two may be repeated.
 
     Worlds are independent: the result of each has the same bits whatever the others, ``threads`` and the schedule.
+
+    Several Python threads may call simulations at once; calls of one simulation wait for each other. A call on the CPU
+    within ``wp.ScopedCapture`` becomes part of that graph. The graph cannot grow: a world that runs out of room stays
+    where it is, its flag set, until the next call outside the graph mends that.
     """
 
     motion: Motion
@@ -65,7 +69,8 @@ class Simulation:
             state: evolves in place.
             joints: None for none.
             config: settings of the solver; the attribute ``config`` may be replaced between steps and solves.
-            threads: Python threads that worlds are sharded over (launches release the GIL); at most one a world.
+            threads: at most so many Python threads share the worlds (launches release the GIL), fewer where a step is
+                so short that handing it over would cost more.
             schedule: "world" (a thread runs a world's solve) or "color" (a launch a colour, for large worlds on a GPU).
             on_overflow: what happens when a step needs more pairs or contacts than reserved: reallocate and go on, or
                 raise OverflowError with the state of the last step intact.
@@ -95,31 +100,25 @@ class Simulation:
         self._check_groups()
         self.schedule = schedule
         self.on_overflow = on_overflow
-        self.threads = max(1, min(threads, model.world_count))
-        # more shards than threads: who is done first takes on what is left
-        shards = 1 if self.threads == 1 else min(SHARDS_PER_THREAD * self.threads, model.world_count)
-        edges = np.linspace(0, model.world_count, shards + 1).astype(int)
-        self._shards = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
+        self._shards = Shards(model.world_count, model.body_count, threads)
+        self.threads = self._shards.threads
+        shards = len(self._shards.ranges)
         self.specialize = specialize
         self.variant = self._row_variant()
         self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, self.only_discs and specialize)
         self._config = config or SolverConfig()
         # on a CPU a shard solves world after world
         self._one_by_one = schedule == "world" and self.device == "cpu"
-        at_once = len(self._shards) if self._one_by_one else model.world_count
+        at_once = shards if self._one_by_one else model.world_count
         self.storage = Storage(
-            model, joints, self._config, self.variant, pairs_per_shape, contacts_per_body, len(self._shards), at_once
+            model, joints, self._config, self.variant, pairs_per_shape, contacts_per_body, shards, at_once
         )
         self._rename_groups()
-        self._peak = {"pairs": 0, "contacts": 0, "blocks": 0}
-        self._phase = "advance"
-        self._halt = False
-        self._lock = threading.Lock()
-        self._left: list[int] = []
-        self._busy: set[int] = set()
-        self._commands: dict[str, list[Launch]] = {}
-        self._solves: dict[tuple[SolverConfig | None, int | None, bool], list[Launch]] = {}
-        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+        self._phase: Phase = "advance"
+        self._dt: float | None = None  # the last one that was found right
+        self._lock = threading.RLock()
+        self._rounds: dict[str, list[Rounds]] = {}
+        self._solves: dict[tuple[SolverConfig | None, int | None, bool], list[Rounds]] = {}
         self._bind_all()
 
     # ------------------------------------------------------------------ set-up
@@ -184,14 +183,28 @@ class Simulation:
         self._advance = ["displace", "commit"]
         if config.position_correction == "ngs" and config.position_iterations:
             self._advance.insert(1, "correct_positions")
-        self._commands.clear()
+        self._rounds.clear()
         self._solves.clear()
+        # views are kept: making one takes longer than a small world's kernels
+        self._flags, self._step_dt = self.state.numpy("flags"), self.motion.numpy("step_dt")
+        used = (self.pairs.pair_count, self.contacts.contact_count, self.rows.block_needed)
+        self._watch = Watch(self.state.flags, int(CAPACITY_FLAGS), used if self.device == "cpu" else ())
 
-    def _launches(self, phase: str) -> list[Launch]:
-        """A phase, or the whole "step", as one call for each shard; recorded when first wanted."""
-        if phase not in self._commands:
-            self._commands[phase] = [self._record(phase, *shard) for shard in self._shards]
-        return self._commands[phase]
+    def _phase_rounds(self, phase: str) -> list[Rounds]:
+        """A phase, or the whole "step", over each shard; bound when first wanted."""
+        if phase not in self._rounds:
+            phases = ("collide", "solve", "advance") if phase == "step" else (phase,)
+            # a whole step that runs out of room halts all shards; else all should say what they need
+            self._rounds[phase] = self._bind_rounds(phases, together=phase == "step")
+        return self._rounds[phase]
+
+    def _bind_rounds(
+        self, phases: tuple[str, ...], changed: Mapping[str, Any] | None = None, together: bool = False
+    ) -> list[Rounds]:
+        def bind(first: int, count: int) -> list[Launch]:
+            return [launch for phase in phases for launch in self._phase_launches(phase, first, count, changed)]
+
+        return self._shards.rounds(bind, self._watch, together)
 
     def _phase_launches(
         self, phase: str, first: int, count: int, changed: Mapping[str, Any] | None = None
@@ -201,17 +214,10 @@ class Simulation:
         names = _COLLIDE if phase == "collide" else self._advance
         return [self.bind(name, first, count) for name in names]
 
-    def _record(self, phase: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
-        """One call for several launches: on a CPU a graph, with which a world's step takes 61 us instead of 142."""
-        phases = ("collide", "solve", "advance") if phase == "step" else (phase,)
-        launches = [launch for name in phases for launch in self._phase_launches(name, first, count, changed)]
-        driven = self.schedule != "world" and "solve" in phases  # by the host, from values
-        return in_turn(launches) if driven else recorded(launches, self.backend, self.device)
-
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
         """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
         # empty lanes write zeros to a padding body: one for each shard, or threads would share its cache line
-        shard = next((i for i, (a, n) in enumerate(self._shards) if a <= first < a + n), 0)
+        shard = next((i for i, (a, n) in enumerate(self._shards.ranges) if a <= first < a + n), 0)
         padding = self.model.body_count + PADDING * shard
         values = {**self.values, **(changed or {}), "world_offset": first, "padding_body": padding}
         width = self.storage.history_width
@@ -229,20 +235,38 @@ class Simulation:
         before = self._config
         if config == before:
             return
-        self._config = config
-        self.storage.adapt(config, before)
-        self._bind_all()
-        if self._phase != "advance":
-            # rows depend on the settings too: those of the step in flight are made anew
-            for shard in self._shards:
-                self.bind("pack_rows", *shard)()
+        refuse_recording("a change of config", "make it before")
+        with self._lock:
+            self._config = config
+            self.storage.adapt(config, before)
+            self._bind_all()
+            if self._phase != "advance":
+                # rows depend on the settings too: those of the step in flight are made anew
+                for shard in self._shards.ranges:
+                    self.bind("pack_rows", *shard)()
+
+    @property
+    def phase(self) -> Phase:
+        """The part of a step that was called last: "advance" between two steps, "collide" or "solve" within one."""
+        return self._phase
+
+    @property
+    def layout_version(self) -> int:
+        """A number that changes whenever arrays were allocated anew: views taken before are stale.
+
+        That is when a step needed more room, and for a configuration or contacts of an earlier run that need more.
+        Views are whatever ``contacts.impulse`` and the like gave before, as arrays, numpy or tensors: they then show
+        memory that no step writes any more.
+        """
+        return self.storage.version
 
     # ------------------------------------------------------------------ stepping
 
     def warmup(self) -> None:
-        """Compile and record everything now, which the first step would do otherwise (seconds, if not in the cache)."""
-        for phase in ("collide", "solve", "advance", "step"):
-            self._launches(phase)
+        """Compile and bind everything now, which the first step would do otherwise (seconds, if not in the cache)."""
+        with self._lock:
+            for phase in ("collide", "solve", "advance", "step"):
+                self._phase_rounds(phase)
 
     def step(self, dt: float, start: Start | None = None) -> None:
         """One time step of dt [s] in every world.
@@ -273,30 +297,37 @@ class Simulation:
         """
         if steps < 0:
             raise ValueError(f"steps is {steps}; it must not be negative")
-        self._set_dt(dt)
-        if start is None and callback is None:
-            self._run_shards(steps)
-            return
-        for _ in range(steps):
-            if start is None:
-                self._run_shards(1)
-            else:
-                self.collide(dt)
-                start(self)
-                self.storage.check_start()
-                self.solve()
-                self.advance()
-            if callback is not None:
-                callback(self)
+        if start is not None or callback is not None:
+            refuse_recording("a step with start or callback", "these run in Python")
+        with self._lock:
+            self._set_dt(dt)
+            if start is None and callback is None:
+                self._run_steps(steps)
+                return
+            for _ in range(steps):
+                if start is None:
+                    self._run_steps(1)
+                else:
+                    self.collide(dt)
+                    start(self)
+                    self.storage.check_start()
+                    self.solve()
+                    self.advance()
+                if callback is not None:
+                    callback(self)
 
-    def collide(self, dt: float) -> None:
+    def collide(self, dt: float | np.ndarray) -> None:
         """Predict velocities and find the contacts of the step; their impulses hold the start of the solve.
+
+        Args:
+            dt: time step, > 0 [s], of all worlds, or of each, (W,).
 
         Raises:
             ValueError, OverflowError: see ``step``.
         """
-        self._set_dt(dt)
-        self._collide()
+        with self._lock:
+            self._set_dt(dt)
+            self._collide()
 
     def solve(self, config: SolverConfig | None = None, *, pause: int | None = None) -> None:
         """Solve from ``contacts.impulse`` and the predicted velocities; the impulses then hold the solution.
@@ -312,9 +343,10 @@ class Simulation:
         Raises:
             ValueError: out of turn, or for another setting or a pause out of range.
         """
-        if self._phase == "advance":
-            raise ValueError("solve() needs collide(dt) first: the contacts are those of a finished step")
-        self._solve(config, pause, resume=False)
+        with self._lock:
+            if self._phase == "advance":
+                raise ValueError("solve() needs collide(dt) first: the contacts are those of a finished step")
+            self._solve(config, pause, resume=False)
 
     def resume(self, config: SolverConfig | None = None, *, pause: int | None = None) -> None:
         """Go on with a solve that paused: worlds that finished are left alone.
@@ -329,9 +361,10 @@ class Simulation:
         Raises:
             ValueError: see ``solve``.
         """
-        if self._phase != "solve":
-            raise ValueError("resume() needs solve(pause=...) first: no solve is in flight")
-        self._solve(config, pause, resume=True)
+        with self._lock:
+            if self._phase != "solve":
+                raise ValueError("resume() needs solve(pause=...) first: no solve is in flight")
+            self._solve(config, pause, resume=True)
 
     @property
     def running(self) -> np.ndarray:
@@ -345,8 +378,9 @@ class Simulation:
                 raise ValueError(f"schedule is {self.schedule!r}; only 'world' can pause a solve")
             if pause is not None and not 0 <= pause < NEVER:
                 raise ValueError(f"pause is {pause}; it must lie in [0, {NEVER})")
+        self._check_recording()
         if config is None and pause is None and not resume:
-            self._launch("solve")
+            self._take("solve")
         else:
             key = (config, pause, resume)
             if key not in self._solves:
@@ -358,123 +392,85 @@ class Simulation:
                 if (pause is not None or resume) and changed["acceleration"] == ACCELERATIONS["adaptive"]:
                     changed["acceleration"] = ACCELERATIONS["aitken"]  # what a stretch remembers outlives no launch
                 changed.update(resume=int(resume), pause=NEVER if pause is None else pause)
-                self._solves[key] = [self._record("solve", *shard, changed) for shard in self._shards]
-            self._run_launches(self._solves[key])
+                self._solves[key] = self._bind_rounds(("solve",), changed)
+            self._shards.run(self._solves[key], 1)
         self._phase = "solve"
 
     def advance(self) -> None:
         """Commit the step: velocities, positions, their correction, time, and the contact cache."""
-        if self._phase != "solve":
-            raise ValueError("advance() needs solve() first: there are no solved velocities")
-        self._launch("advance")
-        self._phase = "advance"
+        with self._lock:
+            if self._phase != "solve":
+                raise ValueError("advance() needs solve() first: there are no solved velocities")
+            self._check_recording()
+            self._take("advance")
+            self._phase = "advance"
 
-    def _set_dt(self, dt: float) -> None:
-        value = float(dt)
-        if not (0.0 < value < float("inf")):
+    def _set_dt(self, dt: float | np.ndarray) -> None:
+        if not isinstance(dt, float) or dt != self._dt:
+            self._check_dt(dt)
+        if recording():
+            self._check_recording()
+            if np.ndim(dt):
+                refuse_recording("a time step of each world", "a graph holds one of all")
+            self.motion.step_dt.fill_(float(dt))  # a replay may find that of another call
+        elif self.device == "cpu":
+            self._step_dt[...] = dt
+        else:
+            self.motion.assign("step_dt", np.broadcast_to(dt, self._step_dt.shape))
+
+    def _check_dt(self, dt: float | np.ndarray) -> None:
+        value = np.asarray(dt, np.float64)
+        if not ((value > 0.0) & (value < float("inf"))).all():
             raise ValueError(f"dt is {dt!r}; it must be finite and > 0 [s]")
-        if self.dtype.type(value) == 0:
+        if not value.astype(self.dtype).all():
             raise ValueError(f"dt is {dt!r}; it underflows {self.dtype.name}")
-        target = self.motion.numpy("step_dt")
-        target[...] = value
-        if self.device != "cpu":
-            self.motion.assign("step_dt", target)
+        self._dt = dt if isinstance(dt, float) else None
+
+    def _check_recording(self) -> None:
+        """Refuse what cannot become part of the graph that this thread records."""
+        if not recording():
+            return
+        if self.backend != "warp":
+            refuse_recording("a step of the numpy backend", "it runs at once")
+        if self.schedule != "world":
+            refuse_recording(f"a step with schedule {self.schedule!r}", "the host drives it")
+
+    def _take(self, phase: str) -> bool:
+        """Run a phase in all worlds; whether one ran out of room."""
+        return self._shards.run(self._phase_rounds(phase), 1)
 
     def _collide(self) -> None:
-        self._launch("collide")
-        while self._overflowed():
+        while self._take("collide"):
             self._grow()
-            self._launch("collide")
-        self._note_peak()
         self._phase = "collide"
 
-    def _launch(self, phase: str) -> None:
-        self._run_launches(self._launches(phase))
-
-    def _run_launches(self, shards: list[Launch]) -> None:
-        if self._pool is None:
-            shards[0]()
-        else:
-            list(self._pool.map(lambda launch: launch(), shards))
-
-    def _run_shards(self, steps: int) -> None:
+    def _run_steps(self, steps: int) -> None:
         """All steps of every shard; a shard stops at an overflow, which is mended before it goes on."""
-        if self.device != "cpu" or self.on_overflow == "raise":
+        if (self.device != "cpu" or self.on_overflow == "raise") and not recording():
             for _ in range(steps):
                 self._collide()  # all worlds, so that none has moved if one raises
-                self._launch("solve")
-                self._launch("advance")
+                self._take("solve")
+                self._take("advance")
             self._phase = "advance"
             return
-        self._left = [steps] * len(self._shards)
-        while any(self._left):
-            self._halt = False
-            self._launches("step")  # before the threads ask for it
-            if self._pool is None:
-                for shard, left in enumerate(self._left):
-                    self._left[shard] -= self._run_shard(shard, left)
-            else:
-                workers = [self._pool.submit(self._work) for _ in range(self.threads)]
-                try:
-                    for worker in workers:
-                        worker.result()
-                except BaseException:
-                    # an interrupt: threads end their step, and none is left at work when the caller goes on; worlds may
-                    # have come to different times
-                    self._halt = True
-                    wait(workers)
-                    raise
-            behind = np.flatnonzero(self.state.numpy("flags") & int(CAPACITY_FLAGS))
-            if len(behind):
-                self._grow()
+        left: int | list[int] = steps
+        while self._shards.run(self._phase_rounds("step"), left):
+            left = self._shards.left
+            behind = np.flatnonzero(self._flags & int(CAPACITY_FLAGS))
+            self._grow()
             for w in behind:
                 self._repeat(int(w))
-        self._note_peak()
         self._phase = "advance"
 
     def _repeat(self, w: int) -> None:
         """The step of a world that ran out of room, and so stayed behind the others."""
         in_turn(self._phase_launches("collide", w, 1))()
-        while self._overflowed():
+        while (self._flags & int(CAPACITY_FLAGS)).any():
             self._grow()
             in_turn(self._phase_launches("collide", w, 1))()
         in_turn([*self._phase_launches("solve", w, 1), *self._phase_launches("advance", w, 1)])()
 
-    def _work(self) -> None:
-        """Run chunks of the shard that is farthest behind and free, until none is left or room is needed."""
-        while not self._halt:
-            with self._lock:
-                free = [i for i, n in enumerate(self._left) if n and i not in self._busy]
-                if not free:
-                    return
-                shard = max(free, key=lambda i: self._left[i])
-                self._busy.add(shard)
-            done = 0
-            try:
-                done = self._run_shard(shard, min(self._left[shard], CHUNK))
-            finally:
-                with self._lock:
-                    self._left[shard] -= done
-                    self._busy.discard(shard)
-
-    def _run_shard(self, shard: int, steps: int) -> int:
-        """Steps taken until some world ran out of room; worlds that did not have taken the last one too."""
-        step = self._launches("step")[shard]
-        first, count = self._shards[shard]
-        flags = self.state.numpy("flags")[first : first + count]
-        for done in range(steps):
-            if self._halt:  # another shard waits for room
-                return done
-            step()
-            if (flags & int(CAPACITY_FLAGS)).any():
-                self._halt = True
-                return done + 1
-        return steps
-
     # ------------------------------------------------------------------ capacity
-
-    def _overflowed(self) -> bool:
-        return bool((self.state.numpy("flags") & int(CAPACITY_FLAGS)).any())
 
     def _grow(self) -> None:
         """More room for the worlds that ran out of it; their step is then repeated from ``collide``."""
@@ -496,15 +492,11 @@ class Simulation:
         Raises:
             ValueError: naming a missing field or a wrong shape.
         """
-        self.storage.restore(count, arrays, contact_dt, self._config)
-        self._phase = "advance"
-        self._bind_all()
-
-    def _note_peak(self) -> None:
-        if self.device != "cpu":
-            return
-        for name, counts in self.storage.used().items():
-            self._peak[name] = max(self._peak[name], int(counts.max(initial=0)))
+        refuse_recording("restore_contacts", "it writes at once")
+        with self._lock:
+            self.storage.restore(count, arrays, contact_dt, self._config)
+            self._phase = "advance"
+            self._bind_all()
 
     # ------------------------------------------------------------------ reports
 
@@ -512,8 +504,8 @@ class Simulation:
         """Pairs, contacts and blocks of rows: reserved in all worlds, used now, and the most one world used."""
         used, room = self.storage.used(), self.storage.reserved()
         return {
-            name: {"reserved": int(room[name].sum()), "used": int(used[name].sum()), "peak_of_a_world": peak}
-            for name, peak in self._peak.items()
+            name: {"reserved": int(room[name].sum()), "used": int(used[name].sum()), "peak_of_a_world": int(peak)}
+            for name, peak in zip(used, self._shards.peak.max(axis=0))
         }
 
     def memory(self) -> dict[str, int]:

@@ -61,7 +61,7 @@ def save(sim: Simulation, path: str | os.PathLike[str]) -> None:
         ImportError: without h5py, naming the extra that installs it.
     """
     h5py = require("h5py", "pipeline")
-    if sim._phase != "advance":
+    if sim.phase != "advance":
         raise ValueError("save() in the middle of a step: finish it with solve() and advance(), or take a step")
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")

@@ -92,6 +92,7 @@ class Storage:
 
     Attributes:
         pair_room, contact_room, block_room: what is reserved for each world, (W,).
+        version: changes whenever arrays were allocated anew.
     """
 
     def __init__(
@@ -109,6 +110,7 @@ class Storage:
 
         ``at_once``: worlds whose solves may be in flight together.
         """
+        self.version = 0
         self.at_once = at_once
         self.model = model
         self.joints = joints
@@ -154,6 +156,7 @@ class Storage:
         """Allocate what a new configuration needs."""
         if (config.history, config.max_sweeps) != (before.history, before.max_sweeps):
             self.stats.allocate_history(config)
+            self.version += 1
         self.provide(config)
 
     def provide(self, config: SolverConfig) -> bool:
@@ -221,6 +224,7 @@ class Storage:
 
     def _reallocate(self, group: ArrayGroup, names: tuple[str, ...]) -> None:
         """New zeroed arrays for the present sizes."""
+        self.version += 1
         group.sizes = dict(self.sizes)
         model = self.model
         for name in names:

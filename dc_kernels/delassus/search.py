@@ -10,7 +10,7 @@ import numpy as np
 from dc_kernels.delassus.problem import DelassusProblem
 from dc_kernels.model.arrays import kernel_array, kernel_vectors, to_numpy
 from dc_kernels.model.config import SolverConfig
-from dc_kernels.runtime.backends import bind, kernel_file
+from dc_kernels.runtime.backends import bind, make_kernels
 
 METHODS = {"pgs": 0, "sor": 0, "aitken": 1, "nncg": 2, "anderson": 3, "hybrid": 4}
 """Methods of one kernel; "auto" and "newton" are made of them and of ``newton``."""
@@ -46,7 +46,7 @@ class DelassusSolution:
 
 def delassus_kernels(backend: str, dtype: str) -> dict[str, Any]:
     """Look up the kernels: map_delassus, solve_delassus."""
-    return kernel_file(backend, "delassus.search").kernels(dtype)
+    return make_kernels(backend, "delassus.search", dtype)
 
 
 class Search:

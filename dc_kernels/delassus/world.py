@@ -30,7 +30,7 @@ def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
         ValueError: after ``advance``, for a world that is not there or does not advance, or a contact or joint
             between bodies that nothing moves.
     """
-    if sim._phase == "advance":
+    if sim.phase == "advance":
         raise ValueError("the contacts are those of a finished step: call collide(dt) first")
     if not 0 <= world < sim.model.world_count:
         raise ValueError(f"world is {world}; it must lie in [0, {sim.model.world_count})")
@@ -133,7 +133,7 @@ def refine(sim: Simulation, tolerance: float, *, max_sweeps: int = 100_000) -> d
     Raises:
         ValueError: out of turn, on a GPU, or for a tolerance that is not > 0.
     """
-    if sim._phase != "solve" or sim.running.any():
+    if sim.phase != "solve" or sim.running.any():
         raise ValueError("refine() stands between a solve() that has ended and advance()")
     if sim.device != "cpu":
         raise ValueError(f"refine() runs on the CPU; the simulation is on {sim.device!r}")

@@ -20,6 +20,7 @@ from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.layout import TILE_COLUMNS, TILE_ROWS
 from dc_kernels.grid.transfer import BAND, Splat, Stencil, allocate_image, chunks_of, stencil_scalars, transfer_kernels
 from dc_kernels.model.arrays import kernel_array, kernel_vectors, to_numpy, to_torch
+from dc_kernels.runtime.backends import make_kernels
 from dc_kernels.runtime.inputs import check_count
 from dc_kernels.runtime.interop import address
 from dc_kernels.runtime.program import Fed, Kernel, Program, Stage
@@ -100,7 +101,10 @@ class Images:
         self.channels = (*bodies, *binned)
         self.worlds = sim.model.world_count
         self.threads = max(1, min(threads, self.worlds))
-        self._table = {**transfer_kernels(sim.backend, sim.dtype.name), **_feature_kernels(sim.backend, sim.dtype.name)}
+        self._table = {
+            **transfer_kernels(sim.backend, sim.dtype.name),
+            **make_kernels(sim.backend, "grid.images", sim.dtype.name),
+        }
         self._image = allocate_image(self.worlds, len(self.channels), grid, sim.dtype)
         self._impulses: Any = None
         self._splat_impulses: Program | None = None
@@ -120,7 +124,6 @@ class Images:
         self._wall_channel = list(bodies).index("mass") if walls and "mass" in bodies else -1
         if self._wall_channel >= 0:
             self._find_walls(float(walls or 0.0))
-        self._bound: Any = None
         self._bind()
 
     # ------------------------------------------------------------------ the image
@@ -139,7 +142,7 @@ class Images:
 
     def splat(self) -> Any:
         """Fill the image from the present state and contacts, and return it."""
-        if self._bound is not self.sim.values:
+        if self._bound != (self.sim.layout_version, self.sim.config):
             self._bind()
         self._splat()
         return self.image
@@ -149,7 +152,7 @@ class Images:
 
         Its channels are the normal and tangential impulse [N s] of each bin in turn, as ``start_from`` reads them.
         """
-        if self._bound is not self.sim.values:
+        if self._bound != (self.sim.layout_version, self.sim.config):
             self._bind()
         if self._splat_impulses is None:
             if self._impulses is None:
@@ -224,7 +227,7 @@ class Images:
     def _gather(
         self, image: Any, at: str, channels: int | None, kernel: Stencil | None, h: float | None, reverse: bool
     ) -> Any:
-        if self._bound is not self.sim.values:
+        if self._bound != (self.sim.layout_version, self.sim.config):
             self._bind()
         pointer, shape = address(image, "image", self.sim.dtype)
         bins = self._points[at]["bins"]
@@ -321,9 +324,9 @@ class Images:
         }
 
     def _bind(self) -> None:
-        """Bind everything to the simulation's arrays: it makes ``values`` anew when it has reallocated some."""
+        """Bind everything to the simulation's present arrays and settings."""
         sim = self.sim
-        self._bound = sim.values
+        self._bound = (sim.layout_version, sim.config)
         self._room = room = sim.contacts.sizes["contact"]
         common = {**sim.values, **self._scalars, "grid_origin": self._origin}
         self._contacts: dict[str, Any] = {
@@ -391,11 +394,3 @@ class Images:
         if splat.tiled:
             return functools.partial(to_numpy(splat.values["tile_touched"]).__setitem__, self._wall_tiles, 1)
         return Kernel(self._table["mark_walls"], {**self._wall_values, "touched": splat.values["touched"]})
-
-
-def _feature_kernels(backend: str, dtype: str) -> dict[str, Any]:
-    if backend == "warp":
-        from dc_kernels._warp.grid import images as features
-    else:
-        from dc_kernels._numpy.grid import images as features  # type: ignore[attr-defined, no-redef]
-    return features.kernels(dtype)

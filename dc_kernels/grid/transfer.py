@@ -25,9 +25,10 @@ import numpy as np
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.layout import BAND, CHUNK, TILE_COLUMNS, TILE_ROWS
 from dc_kernels.model.arrays import aligned_zeros, float_dtype, kernel_array, kernel_arrays, kernel_vectors, to_numpy
-from dc_kernels.runtime.backends import Launch, bind, check_backend, run_shards, shard_worlds
+from dc_kernels.runtime.backends import Launch, bind, check_backend, make_kernels
 from dc_kernels.runtime.inputs import check_array, check_bins, check_count, check_layout, check_points, check_start
 from dc_kernels.runtime.interop import host_view
+from dc_kernels.runtime.threads import run_shards, shard_worlds
 from dc_kernels.solve.rows import LANES
 from dc_kernels.sph.smoothing import KERNELS, STENCILS, check_support
 
@@ -40,13 +41,8 @@ Stencil = Literal["poly6", "spiky", "gaussian", "cubic", "wendland", "bilinear",
 
 def transfer_kernels(backend: str, dtype: str) -> Mapping[str, Any]:
     """Kernels by name: splat_worlds, gather_points, gather_gradient, divide_image; for Warp tiles too."""
-    if check_backend(backend) == "warp":
-        from dc_kernels._warp.grid import tiles, transfer
-
-        return {**transfer.kernels(dtype), **tiles.kernels(dtype)}
-    from dc_kernels._numpy.grid.transfer import kernels
-
-    return kernels(dtype)
+    table = make_kernels(backend, "grid.transfer", dtype)
+    return {**table, **make_kernels(backend, "grid.tiles", dtype)} if backend == "warp" else table
 
 
 def allocate_image(worlds: int, channels: int, grid: Grid, dtype: Any = "float32") -> np.ndarray:

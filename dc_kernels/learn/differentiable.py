@@ -156,7 +156,7 @@ class ContactProblem:
             raise ValueError(f"sim.device is {sim.device!r}; contact problems are solved on the CPU")
         if sim.model.joint_count:
             raise ValueError(f"sim has {sim.model.joint_count} joints; a contact problem holds contacts only")
-        if sim._phase == "advance":
+        if sim.phase == "advance":
             raise ValueError("from_simulation needs collide(dt) first: the contacts are those of a finished step")
         first, live = sim.model.numpy("body_start").astype(np.int64), sim.state.numpy("flags") == 0
         chosen = np.arange(len(live)) if worlds is None else np.array(worlds, np.int64).reshape(-1)

@@ -19,7 +19,7 @@ from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.transfer import Splat, allocate_image, chunks_of, stencil_scalars, transfer_kernels
 from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
 from dc_kernels.model.arrays import aligned_zeros, kernel_array, kernel_vectors, to_torch
-from dc_kernels.runtime.backends import kernel_file
+from dc_kernels.runtime.backends import make_kernels
 from dc_kernels.runtime.inputs import check_count
 from dc_kernels.runtime.interop import address
 from dc_kernels.runtime.program import Fed, Kernel, Program
@@ -33,7 +33,7 @@ PLACES = ("place", "place_a", "place_b")
 
 def in_flight_kernels(backend: str, dtype: str, variant: str) -> dict[str, Any]:
     """Look up the kernels: solve_features, correct_impulses."""
-    return kernel_file(backend, "learn.in_flight").kernels(dtype, variant)
+    return make_kernels(backend, "learn.in_flight", dtype, variant)
 
 
 class SolveReader:
@@ -89,12 +89,11 @@ class SolveReader:
         self.scale = aligned_zeros((worlds, 4), sim.dtype)
         self._point_count = np.zeros(worlds, np.int32)
         self.asked = self.count = 0
-        self._bound: Any = None
         self._bind()
 
     def begin(self) -> None:
         """Take the impulses that the solves begin with as those known: ``since`` then counts from there."""
-        if self._bound is not self.sim.values:
+        if self._bound != (self.sim.layout_version, self.sim.config):
             self._bind()
         np.copyto(self.known, self.sim.contacts.numpy("impulse"))
 
@@ -112,7 +111,7 @@ class SolveReader:
             ValueError: for a world that is not there, out of order or not paused, or acceleration "nncg".
         """
         self._check(worlds)
-        if self._bound is not self.sim.values:
+        if self._bound != (self.sim.layout_version, self.sim.config):
             self._bind()
         self.asked = asked = len(worlds)
         counts = self.sim.contacts.numpy("contact_count")[worlds]
@@ -211,11 +210,11 @@ class SolveReader:
         return Fed(stage, name, self.worlds, backend=self.sim.backend, threads=self.threads)
 
     def _bind(self) -> None:
-        """Bind everything to the simulation's arrays: it makes ``values`` anew when it has reallocated some."""
+        """Bind everything to the simulation's present arrays and settings."""
         sim, dtype, backend = self.sim, self.sim.dtype, self.sim.backend
         if sim.config.acceleration == "nncg":
             raise ValueError("config.acceleration is 'nncg'; a solve that is read keeps the step of each sweep")
-        self._bound = sim.values
+        self._bound = (sim.layout_version, sim.config)
         self._room = room = sim.contacts.sizes["contact"]
         self._chunks = chunks_of(int(sim.storage.contact_room.max(initial=0)))
         self.local, self.image_value = aligned_zeros((room, len(LOCAL)), dtype), np.zeros((room, len(IMAGE)), dtype)

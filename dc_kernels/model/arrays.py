@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, Field
+from dc_kernels.runtime.building import start_warp
 from dc_kernels.runtime.optional import require
 
 FLOATS: dict[str, np.dtype] = {"float32": np.dtype(np.float32), "float64": np.dtype(np.float64)}
@@ -67,6 +68,7 @@ def allocate(field: Field, count: int, real: np.dtype, device: str, backend: str
         return aligned_zeros((count, *shape), scalar)
     import warp as wp
 
+    start_warp()
     dtype = warp_dtype(field, real)
     if device == "cpu":
         return wp.array(aligned_zeros((count, *shape), scalar), dtype=dtype, device="cpu", copy=False)
@@ -98,6 +100,7 @@ def kernel_array(array: np.ndarray, backend: str) -> Any:
         return array
     import warp as wp
 
+    start_warp()
     return wp.array(array, dtype=wp.dtype_from_numpy(array.dtype), device="cpu", copy=False)
 
 
@@ -112,6 +115,7 @@ def kernel_vectors(array: np.ndarray, backend: str) -> Any:
         return array
     import warp as wp
 
+    start_warp()
     dtype = wp.types.vector(array.shape[1], wp.dtype_from_numpy(array.dtype))
     return wp.array(array, dtype=dtype, shape=(len(array),), device="cpu", copy=False)
 

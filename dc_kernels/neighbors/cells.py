@@ -4,26 +4,19 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from dc_kernels.model.arrays import kernel_arrays
-from dc_kernels.runtime.backends import bind, thread_pool
+from dc_kernels.runtime.backends import bind, make_kernels
 from dc_kernels.runtime.inputs import MAX_INDEX
+from dc_kernels.runtime.threads import map_threads
 
 PADDING = 16  # points and entries behind the last that lanes read and write
 MAX_FOUND = MAX_INDEX - PADDING  # pairs, or entries of lists, of a call
 ROOM = 16  # pairs and entries reserved for a point at first: of memory, only what is written becomes resident
 LEAST_ROOM = 1024
-
-
-def each(function: Callable[[int], Any], count: int, threads: int) -> list[Any]:
-    """Results of 0 .. count - 1 in order."""
-    if threads == 1 or count < 2:
-        return [function(i) for i in range(count)]
-    return list(thread_pool(threads).map(function, range(count)))
 
 
 def allowed(total: int) -> int:
@@ -51,11 +44,7 @@ class SortedCells:
         self.backend = backend
         self.reach = float(points.dtype.type(radius))
         self.dtype, self.dim = points.dtype, points.shape[1]
-        if backend == "warp":
-            from dc_kernels._warp.neighbors.search import kernels
-        else:
-            from dc_kernels._numpy.neighbors.search import kernels  # type: ignore[attr-defined, assignment, no-redef]
-        self.kernels = kernels(self.dtype.name, self.dim)
+        self.kernels = make_kernels(backend, "neighbors.search", self.dtype.name, self.dim)
 
     def call(self, name: str, values: dict[str, Any]) -> None:
         """One launch."""
@@ -133,7 +122,7 @@ def hash_pairs(
         pairs.resize((total, 2), refcheck=False)  # returns the rest to the system
         return pairs
 
-    found = each(shard, len(shards), threads)
+    found = map_threads(shard, range(len(shards)), threads)
     allowed(sum(map(len, found)))
     return found[0] if len(found) == 1 else np.concatenate([np.empty((0, 2), np.int32), *found])
 
@@ -169,7 +158,7 @@ def hash_lists(
         shard = {**values, "world_offset": first, "worlds": count}
         return hashed.fill("sweep_lists", "entry", number, (), shard)[0]  # lanes read the padding too
 
-    entries = each(sweep, len(shards), threads)
+    entries = map_threads(sweep, range(len(shards)), threads)
     start = np.zeros(len(queries) + 1, np.int64)
     np.cumsum(span[:, 1], out=start[1:])
     index = np.empty(allowed(int(start[-1])), np.int32)
@@ -181,5 +170,5 @@ def hash_lists(
         entry = kernel_arrays({"entry": entries[s]}, backend)
         hashed.call("order_lists", {**order, "query_offset": begin, "queries": end - begin, **entry})
 
-    each(arrange, len(shards), threads)
+    map_threads(arrange, range(len(shards)), threads)
     return start, index

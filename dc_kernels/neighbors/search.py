@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.model.arrays import kernel_arrays
-from dc_kernels.neighbors.cells import allowed, each, hash_lists, hash_pairs
-from dc_kernels.runtime.backends import bind, check_backend
+from dc_kernels.neighbors.cells import allowed, hash_lists, hash_pairs
+from dc_kernels.runtime.backends import bind, check_backend, make_kernels
 from dc_kernels.runtime.inputs import check_count, check_points, check_start
 from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.threads import map_threads
 
 METHODS = ("hash", "kdtree", "tree", "all")
 BLOCK = 1 << 20  # distances at a time in the method "all"
@@ -78,7 +79,7 @@ def neighbor_pairs(
         pairs += np.int32(first)
         return pairs
 
-    found = each(world, len(starts) - 1, threads)
+    found = map_threads(world, range(len(starts) - 1), threads)
     return np.concatenate(found) if found else np.empty((0, 2), np.int32)
 
 
@@ -134,7 +135,7 @@ def neighbor_lists(
         order = np.argsort(a.astype(np.int64) * (p1 - p0) + b)
         return np.bincount(a, minlength=q1 - q0), (b[order] + p0).astype(np.int32)
 
-    found = each(world, len(first_query) - 1, threads)
+    found = map_threads(world, range(len(first_query) - 1), threads)
     lists = np.zeros(len(queries) + 1, np.int64)
     np.cumsum(np.concatenate([count for count, _ in found]) if found else [], out=lists[1:])
     return Neighbors(lists, np.concatenate([index for _, index in found]) if found else np.empty(0, np.int32))
@@ -208,17 +209,17 @@ def _tree(queries: np.ndarray | None, points: np.ndarray, limit: Any) -> Found:
     """A hierarchy of boxes (Warp's); boxes are float32 and in 3D, rounded outwards."""
     import warp as wp
 
-    from dc_kernels._warp.neighbors.search import tree_kernels
-
     rows = points if queries is None else queries
     if not len(points) or not len(rows):
         return np.empty(0, int), np.empty(0, int)
     reach = np.sqrt(float(limit)) * (1.0 + 8.0 * float(np.finfo(limit).eps))
-    boxes = [wp.array(box, dtype=wp.vec3, device="cpu") for box in (*_boxes(points, 0.0), *_boxes(rows, reach))]
+    boxes = [
+        wp.array(box, dtype=wp.vec3, device="cpu", copy=False) for box in (*_boxes(points, 0.0), *_boxes(rows, reach))
+    ]
     tree = wp.Bvh(boxes[0], boxes[1], constructor="median")
     count, first = np.empty(len(rows), np.int64), np.zeros(len(rows) + 1, np.int64)
     index = np.empty(0, np.int32)
-    kernel = tree_kernels(points.dtype.name)["query_tree"]
+    kernel = make_kernels("warp", "neighbors.search", points.dtype.name, factory="tree_kernels")["query_tree"]
     for fill in (0, 1):
         if fill:
             np.cumsum(count, out=first[1:])

@@ -5,20 +5,16 @@ Kernels name their arguments after the arrays they take, so a launch is bound by
 
 from __future__ import annotations
 
-import functools
 import importlib
 import inspect
-import itertools
-import threading
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
+from dc_kernels.runtime.building import building
+from dc_kernels.runtime.capture import refuse_recording
 
 BACKENDS = ("warp", "numpy")
 Launch = Callable[[], None]
-_capturing = threading.Lock()
 
 
 def check_backend(backend: str) -> str:
@@ -41,6 +37,22 @@ def kernel_file(backend: str, path: str) -> Any:
     return importlib.import_module(f"dc_kernels._{check_backend(backend)}.{path}")
 
 
+def make_kernels(backend: str, path: str, *options: Any, factory: str = "kernels") -> dict[str, Any]:
+    """The kernels of a file by name (see ``kernel_file``); one thread at a time defines those of Warp.
+
+    Args:
+        backend: "warp" or "numpy".
+        path: of the file.
+        options: what they are made for, as the factory takes it.
+        factory: name of the function that makes them once.
+    """
+    make = getattr(kernel_file(backend, path), factory)
+    if backend == "numpy":
+        return make(*options)
+    with building():
+        return make(*options)
+
+
 def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool) -> dict[str, Any]:
     """All kernels of a simulation by name.
 
@@ -59,7 +71,7 @@ def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool) -> di
         ("solve.rows", variant),
         ("solve.schedules", variant),
     ):
-        table.update(kernel_file(backend, stage).kernels(dtype, *options))
+        table.update(make_kernels(backend, stage, dtype, *options))
     return table
 
 
@@ -71,14 +83,23 @@ def argument_names(kernel: Any) -> list[str]:
 
 
 def bind(kernel: Any, dim: int | tuple[int, int], values: Mapping[str, Any], device: str) -> Launch:
-    """A launch with its arguments taken by name and packed once; calling it costs 2-3 us on the warp backend."""
+    """A launch with its arguments taken by name and packed once; calling it costs 1 us on the warp backend.
+
+    In a recording of the calling thread (``capture.recording``) it becomes part of the graph.
+    """
     if dim == 0:
-        return lambda: None  # Warp records no launch of nothing
+        return _nothing  # Warp records no launch of nothing
     if hasattr(kernel, "adj"):
-        return command(kernel, dim, values, device).launch
+        recorded = command(kernel, dim, values, device)
+        if device != "cpu":
+            return recorded.launch
+        from dc_kernels.runtime.launches import Bound
+
+        return Bound(recorded)
     arguments = [values[name] for name in argument_names(kernel)]
 
     def run() -> None:
+        refuse_recording(kernel.__name__, "the numpy backend runs at once")
         extent = (dim,) if isinstance(dim, int) else dim
         if len(extent) == 1:
             for i in range(extent[0]):
@@ -92,51 +113,11 @@ def bind(kernel: Any, dim: int | tuple[int, int], values: Mapping[str, Any], dev
 
 
 def command(kernel: Any, dim: int | tuple[int, int], values: Mapping[str, Any], device: str) -> Any:
-    """A recorded launch of a Warp kernel, of which arguments can be changed."""
-    import warp as wp
+    """A launch of a Warp kernel as Warp records it (``wp.Launch``), its arguments taken by name."""
+    from dc_kernels.runtime.launches import record
 
-    arguments = [values[name] for name in argument_names(kernel)]
-    return wp.launch(kernel, dim=dim, inputs=arguments, device=device, record_cmd=True)
-
-
-def in_turn(launches: list[Launch]) -> Launch:
-    """One call that makes several."""
-
-    def run() -> None:
-        for launch in launches:
-            launch()
-
-    return run
+    return record(kernel, dim, [values[name] for name in argument_names(kernel)], device)
 
 
-def recorded(launches: list[Launch], backend: str, device: str = "cpu") -> Launch:
-    """Launches as one call; those of Warp on a CPU as a graph: 2 us for one of 20 arguments, by itself 7."""
-    if backend != "warp" or device != "cpu":
-        return in_turn(launches)
-    import warp as wp
-
-    # Warp has one capture at a time, whichever thread began it
-    with _capturing, wp.ScopedCapture(device="cpu") as capture:
-        for launch in launches:
-            launch()
-    return functools.partial(wp.capture_launch, capture.graph)
-
-
-@functools.cache
-def thread_pool(threads: int) -> ThreadPoolExecutor:
-    """The pool of so many threads that calls without a simulation of their own share."""
-    return ThreadPoolExecutor(threads)
-
-
-def run_shards(launches: Sequence[Launch], threads: int) -> None:
-    """Run launches that write disjoint memory, on a pool of threads if there are several of both."""
-    if threads == 1 or len(launches) < 2:
-        in_turn(list(launches))()
-    else:
-        list(thread_pool(threads).map(lambda launch: launch(), launches))
-
-
-def shard_worlds(worlds: int, threads: int) -> list[tuple[int, int]]:
-    """First world and number of worlds of each thread's share."""
-    edges = np.linspace(0, worlds, min(max(threads, 1), max(worlds, 1)) + 1).astype(int)
-    return [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
+def _nothing() -> None:
+    """A launch over nothing."""

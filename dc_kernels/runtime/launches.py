@@ -1,18 +1,20 @@
-"""Launches of Warp kernels on the CPU with other memory at each call: bound once, then fed addresses.
+"""Launches of Warp kernels on the CPU, bound once: a call costs what the compiled function does, or what has changed.
 
-The memory is read and written where it lies; only the caller keeps it alive.
+The memory that a launch is pointed at is read and written where it lies; only the caller keeps it alive.
 """
 
 from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import warp as wp
 
-from dc_kernels.runtime.backends import run_shards, shard_worlds
+from dc_kernels.runtime.building import building, load
+from dc_kernels.runtime.capture import recording
+from dc_kernels.runtime.threads import run_shards, shard_worlds
 
 # versions of Warp whose compiled functions are known to take bounds and a struct of the arguments
 PACKED = ("1.19.",)
@@ -32,31 +34,57 @@ def _template(shape: tuple[int, ...], element: Any) -> Any:
     return wp.array(ptr=0, dtype=element, shape=tuple(shape), device="cpu").__ctype__()
 
 
+@functools.lru_cache(1024)
+def _packed_type(fields: tuple[tuple[str, Any], ...]) -> Any:
+    """The struct in which a compiled function takes its arguments."""
+    return type("Packed", (ctypes.Structure,), {"_fields_": list(fields)})
+
+
 def element_types(kernel: Any) -> dict[str, Any]:
-    """Arguments of a kernel in order, each with the type of its elements; None for a scalar."""
+    """Arguments of a kernel in order, each with the type of its elements; None for a scalar or a group."""
     return {argument.label: getattr(argument.type, "dtype", None) for argument in kernel.adj.args}
+
+
+def record(kernel: Any, dim: int | tuple[int, ...], arguments: Sequence[Any], device: str) -> Any:
+    """A launch as Warp records it (``wp.Launch``), its kernel compiled and loaded."""
+    with building():
+        load(kernel, device)
+        return wp.launch(kernel, dim=dim, inputs=list(arguments), device=device, record_cmd=True)
 
 
 class Bound:
     """A recorded launch whose arguments stay packed, so that a call costs what has changed.
 
-    Warp packs them anew at each launch, 4 us for twenty; with a version that is not in ``PACKED`` it still does.
+    Warp packs them anew at each launch, 4 us for twenty; with a version that is not in ``PACKED`` it still does. While
+    the calling thread records a graph, a call becomes part of it.
     """
 
     def __init__(self, launch: Any) -> None:
-        """``launch``: as ``backend.command`` records it."""
+        """``launch``: as ``record`` makes it, on the CPU."""
         self.launch, self.elements = launch, element_types(launch.kernel)
         self._index = {name: i for i, name in enumerate(self.elements)}
         self._shapes: dict[str, tuple[int, ...]] = {}
+        self._moved = False
         self._packed: Any = None
         if wp.__version__.startswith(PACKED):
-            fields = [(name, type(value)) for name, value in zip(self.elements, launch.params[1:])]
-            self._packed = type("Packed", (ctypes.Structure,), {"_fields_": fields})(*launch.params[1:])
+            fields = tuple((name, type(value)) for name, value in zip(self.elements, launch.params[1:]))
+            self._packed = _packed_type(fields)(*launch.params[1:])
             self._pointer = ctypes.byref(self._packed)
+            self._bounds = ctypes.byref(launch.params[0])
+            self._forward = launch.hooks.forward
             self._views = {name: getattr(self._packed, name) for name, element in self.elements.items() if element}
+
+    @property
+    def addresses(self) -> tuple[int, int, int] | None:
+        """Addresses of the compiled function, its bounds and its packed arguments; None where Warp packs them."""
+        if self._packed is None:
+            return None
+        function = ctypes.cast(self._forward, ctypes.c_void_p).value
+        return function or 0, ctypes.addressof(self.launch.params[0]), ctypes.addressof(self._packed)
 
     def set(self, name: str, value: Any) -> None:
         """Set an argument to a number or a descriptor."""
+        self._moved = True
         if self._packed is None:
             self.launch.set_param_at_index_from_ctype(self._index[name], value)
         else:
@@ -74,13 +102,29 @@ class Bound:
         """Set the number of threads."""
         if dim != self.launch.bounds.size:
             self.launch.set_dim(dim)
+            self._bounds = ctypes.byref(self.launch.params[0])
 
     def __call__(self) -> None:
-        """Launch."""
+        """Launch, or become part of the graph that this thread records.
+
+        Raises:
+            RuntimeError: in a recording, for a launch that was pointed at other memory since it was bound.
+        """
+        if recording():
+            if self._moved:
+                raise RuntimeError(
+                    f"{self.launch.kernel.key} cannot be recorded in a graph: its memory is given at each call"
+                )
+            self.launch.launch()
+        else:
+            self.launch_now()
+
+    def launch_now(self) -> None:
+        """Launch where the calling thread is known to record no graph."""
         if self._packed is None:
             self.launch.launch()
         else:
-            self.launch.hooks.forward(ctypes.byref(self.launch.params[0]), self._pointer)
+            self._forward(self._bounds, self._pointer)
 
 
 class Calls:
@@ -122,4 +166,4 @@ class Calls:
             0 if element is None else _template((0,) * argument.type.ndim, element)
             for argument, element in zip(self.kernel.adj.args, self.elements.values())
         ]
-        return Bound(wp.launch(self.kernel, dim=1, inputs=inputs, device="cpu", record_cmd=True))
+        return Bound(record(self.kernel, 1, inputs, "cpu"))

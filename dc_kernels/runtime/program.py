@@ -1,4 +1,4 @@
-"""Kernels over all worlds as one call: shards of worlds on threads, the launches of a shard recorded as a graph."""
+"""Kernels over all worlds as one call: shards of worlds on threads, a shard's launches run as one."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from dc_kernels.grid.transfer import Splat
-from dc_kernels.model.arrays import to_numpy
-from dc_kernels.runtime.backends import Launch, bind, command, recorded, run_shards, shard_worlds
+from dc_kernels.model.arrays import kernel_array
+from dc_kernels.runtime.backends import Launch, bind
+from dc_kernels.runtime.capture import recording
+from dc_kernels.runtime.interop import host_view
+from dc_kernels.runtime.sequences import as_one
+from dc_kernels.runtime.threads import run_shards, shard_worlds
 
 
 class Kernel(NamedTuple):
@@ -46,7 +50,7 @@ class Program:
             backend: of the kernels.
             threads: shards of worlds, and what runs them.
         """
-        self.stages = list(stages)  # graphs do not keep arrays alive
+        self.stages = list(stages)
         self._steps: list[Launch] = []
         for kind, group in itertools.groupby(map(_as_kernel, stages), type):
             if kind is not Kernel:
@@ -54,7 +58,7 @@ class Program:
                 continue
             run = [stage for stage in group if isinstance(stage, Kernel)]
             shards = [
-                recorded([bind(k.kernel, n * k.chunks, {**k.values, "world_offset": w}, "cpu") for k in run], backend)
+                as_one([bind(k.kernel, n * k.chunks, {**k.values, "world_offset": w}, "cpu") for k in run])
                 for w, n in shard_worlds(worlds, threads)
             ]
             self._steps.append(shards[0] if len(shards) == 1 else functools.partial(run_shards, shards, threads))
@@ -81,23 +85,23 @@ class Fed:
         self.kernel, self.name, self.backend, self.threads = kernel, name, backend, threads
         self.shards = shard_worlds(worlds, threads)
         if backend == "warp":
-            from dc_kernels.runtime.launches import Bound
-
-            self._launches = [
-                Bound(command(kernel.kernel, n * kernel.chunks, {**kernel.values, "world_offset": w}, "cpu"))
-                for w, n in self.shards
-            ]
+            self._launches = self._bind(kernel.values)
 
     def __call__(self, array: Any, pointer: int) -> None:
-        """Run on an array that ``interop.address`` has checked; only the caller keeps it alive."""
-        if self.backend == "warp":
+        """Run on an array that ``interop.address`` has checked; only the caller keeps it alive, or a recorded graph."""
+        if self.backend == "warp" and not recording():
             for launch in self._launches:
                 launch.point(self.name, pointer, array.shape)
             run_shards(self._launches, self.threads)
             return
-        for w, n in self.shards:
-            values = {**self.kernel.values, "world_offset": w, self.name: to_numpy(array)}
-            bind(self.kernel.kernel, n * self.kernel.chunks, values, "cpu")()
+        given = kernel_array(host_view(self.name, array), self.backend)
+        for launch in self._bind({**self.kernel.values, self.name: given}):
+            launch()
+
+    def _bind(self, values: Mapping[str, Any]) -> list[Any]:
+        """A launch for each shard."""
+        kernel = self.kernel
+        return [bind(kernel.kernel, n * kernel.chunks, {**values, "world_offset": w}, "cpu") for w, n in self.shards]
 
 
 def _as_kernel(stage: Stage) -> Stage:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup
+from dc_kernels.model.arrays import ArrayGroup, kernel_array
 from dc_kernels.model.config import ACCELERATIONS, METHODS, STOPS, SolverConfig
 from dc_kernels.model.fields import STATS
 from dc_kernels.runtime.backends import Launch, bind
@@ -28,12 +28,13 @@ class SolveStats(ArrayGroup):
     def allocate_history(self, config: SolverConfig) -> None:
         """Room for ``history`` as a configuration wants it."""
         shape = (self.sizes["world"], config.max_sweeps if config.history else 0)
-        if self.backend == "numpy":
-            self.history = np.zeros(shape, self.dtype)
+        zeros = np.zeros(shape, self.dtype)
+        if self.device == "cpu":
+            self.history = kernel_array(zeros, self.backend)
         else:
             import warp as wp
 
-            self.history = wp.zeros(shape, dtype=wp.dtype_from_numpy(self.dtype), device=self.device)
+            self.history = wp.array(zeros, device=self.device)
 
 
 def solver_scalars(config: SolverConfig) -> dict[str, Any]:

@@ -18,8 +18,9 @@ import numpy as np
 
 from dc_kernels.model.arrays import kernel_arrays
 from dc_kernels.neighbors.search import Neighbors, neighbor_lists
-from dc_kernels.runtime.backends import bind, check_backend, run_shards
+from dc_kernels.runtime.backends import bind, check_backend, make_kernels
 from dc_kernels.runtime.inputs import check_array, check_count, check_points
+from dc_kernels.runtime.threads import run_shards
 from dc_kernels.sph.quantities import CHUNK, PUBLIC, Quantity
 from dc_kernels.sph.smoothing import KERNELS, scale
 
@@ -198,7 +199,7 @@ def _run(
     queries = arrays["query"]
     if not len(queries):
         return
-    table = _kernels(backend, queries.dtype.name)
+    table = make_kernels(backend, "sph.sums", queries.dtype.name)
     named = {**arrays, "neighbor_start": lists.start, "neighbor_index": lists.index}
     named = kernel_arrays(named, backend)
     chunks = -(-len(queries) // CHUNK)
@@ -208,14 +209,6 @@ def _run(
         for first, last in itertools.pairwise(bounds)
     ]
     run_shards(launches, threads)
-
-
-def _kernels(backend: str, dtype: str) -> dict[str, Any]:
-    if backend == "warp":
-        from dc_kernels._warp.sph import sums as sph
-    else:
-        from dc_kernels._numpy.sph import sums as sph  # type: ignore[no-redef]
-    return sph.kernels(dtype)
 
 
 # ------------------------------------------------------------------ checks

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from dc_kernels.runtime.backends import kernel_file
+from dc_kernels.runtime.backends import make_kernels
 from dc_kernels.runtime.launches import Calls
 from dc_kernels.runtime.optional import require
 
@@ -21,7 +21,7 @@ ROW = 16  # columns of a packed row
 
 def sweep_kernels(backend: str, dtype: str) -> dict[str, Any]:
     """Look up the kernels: pack_problem, push_impulses, pull_velocities, step_problem, sweep_problem, pull_problem."""
-    return kernel_file(backend, "learn.differentiable").kernels(dtype)
+    return make_kernels(backend, "learn.differentiable", dtype)
 
 
 # ------------------------------------------------------------------ calls

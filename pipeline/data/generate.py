@@ -30,8 +30,6 @@ from pipeline.files import write_bytes
 from pipeline.process import cores, interruptible, progress_bar
 
 TICK = 0.2  # between two looks at what is finished [s]
-# Warp records launches, and compiles them, for one thread of a process at a time
-RECORDING = threading.Lock()
 CONNECT = 10  # after which a scheduler counts as not there [s]
 
 
@@ -58,8 +56,7 @@ def make_shard(
     """
     seeds = recipe.options.seeds(number)
     builder, drawn, dt = _build(recipe, seeds)
-    with RECORDING:
-        recorder = Recorder(recipe, builder)
+    recorder = Recorder(recipe, builder)
     for step in range(recipe.options.steps):
         if stop is not None and stop.is_set():
             raise Stopped
@@ -111,9 +108,8 @@ class Recorder:
         model, state, joints = builder.finalize("float32")
         if model.joint_count:
             raise ValueError(f"scene {recipe.scene.name} has joints, whose impulses a data set does not hold")
-        self.sim = sim = dc.Simulation(model, state, joints, config=recipe.solver, on_overflow="raise")
+        self.sim = sim = dc.Simulation(model, state, joints, config=recipe.solver)
         self.recipe = recipe
-        self._recorded: Any = None
         self.label_config = recipe.label_config
         self.measure = "change" if recipe.solver.stop == "change" else "residual"
         self.flags = self.label_reached = 0
@@ -131,25 +127,8 @@ class Recorder:
 
     def step(self, dt: np.ndarray) -> None:
         """One step of dt [s] in each world, (worlds,)."""
-        if self._recorded is self.sim.values:
-            try:
-                self._step(dt)
-                return
-            except OverflowError:  # room is needed, and launches have to be recorded anew; nothing was kept
-                pass
-        with RECORDING:
-            self.sim.on_overflow = "grow"
-            self._step(dt)
-            self.sim.on_overflow = "raise"
-            self._recorded = self.sim.values
-
-    def _step(self, dt: np.ndarray) -> None:
         sim = self.sim
-        if (dt == dt[0]).all():
-            sim.collide(float(dt[0]))
-        else:
-            sim.motion.assign("step_dt", dt)
-            sim._collide()
+        sim.collide(dt)
         contacts = sim.contacts
         for name in shards.LAYOUT["motion"]:
             self._keep(f"motion/{name}", sim.state.numpy(name).copy())

@@ -15,7 +15,7 @@ from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES, 
 from dc_kernels.grid.transfer import Splat, Stencil, allocate_image, stencil_scalars, transfer_kernels
 from dc_kernels.model.arrays import kernel_array, kernel_vectors
 from dc_kernels.model.enums import BodyType
-from dc_kernels.runtime.backends import argument_names, bind
+from dc_kernels.runtime.backends import argument_names, bind, make_kernels
 from dc_kernels.runtime.inputs import check_count
 from dc_kernels.runtime.optional import require
 
@@ -126,12 +126,10 @@ class Splatter:
 
     def _features(self, name: str, values: Mapping[str, Any]) -> None:
         """Run the kernel that ``dc.Images`` runs."""
-        from dc_kernels._warp.grid import images as features
-
         states = len(values["seed"])
         if not len(values["point"]):
             return
-        kernel = features.kernels("float32")[name]
+        kernel = make_kernels("warp", "grid.images", "float32")[name]
         values = {**values, "world_offset": 0, "flags": np.zeros(states, np.int32)}
         wanted = {argument: values[argument] for argument in argument_names(kernel)}
         bind(kernel, states, {name: _kernel_array(name, value) for name, value in wanted.items()}, "cpu")()

@@ -267,7 +267,7 @@ model, state, joints = builder.finalize(backend="numpy")
 contacts = dc.Contacts({"world": 1, "world+1": 2, "contact": 0}, "float32", backend="numpy")
 sim = types.SimpleNamespace(model=model, state=state, joints=joints, contacts=contacts)
 sim.config, sim.schedule, sim.on_overflow = dc.SolverConfig(), "world", "grow"
-sim.specialize, sim._phase = True, "advance"
+sim.specialize, sim.phase = True, "advance"
 """
 needs_posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
 

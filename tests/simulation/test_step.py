@@ -9,6 +9,8 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels import measure
+from dc_kernels.runtime import stepping
+from dc_kernels.runtime.sequences import Rounds
 
 DT = 0.01
 GROUND = ((-2.0, 4.0), (-2.0, 0.0), (2.0, 0.0), (2.0, 4.0))
@@ -444,11 +446,12 @@ def test_a_foreign_array_is_refused(backend, change, message):
 def test_no_thread_is_left_at_work_after_an_interrupt(monkeypatch):
     """A shard fails while another is in the middle of its chunk: the error arrives only when that one has ended."""
     sim = simulation(threads=2)
-    take = sim._run_shard
+    sim.step(DT)
+    first, take = threading.current_thread(), Rounds.take
     begun, ended = threading.Event(), threading.Event()
 
-    def run_shard(shard, steps):
-        if shard == 0:
+    def take_slowly(shard, rounds):
+        if threading.current_thread() is first:
             assert begun.wait(10.0)
             raise KeyboardInterrupt
         begun.set()
@@ -457,11 +460,11 @@ def test_no_thread_is_left_at_work_after_an_interrupt(monkeypatch):
         ended.set()
         return done
 
-    monkeypatch.setattr(sim, "_run_shard", run_shard)
+    monkeypatch.setattr(Rounds, "take", take_slowly)
+    monkeypatch.setattr(stepping, "WORTH_THREADS", 0)
     with pytest.raises(KeyboardInterrupt):
         sim.run(100, DT)
     assert ended.is_set()
-    assert not sim._busy
     monkeypatch.undo()
     before = sim.state.numpy("time").copy()
     sim.run(3, DT)

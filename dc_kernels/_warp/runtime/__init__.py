@@ -1,0 +1,1 @@
+"""Kernels that launch kernels, on the CPU."""

@@ -1,0 +1,92 @@
+"""Launches of compiled kernels one after the other, without Python between them; on the CPU only.
+
+``launches`` holds three addresses for each: of the compiled function, of its bounds, and of its packed arguments.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+
+@wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+struct Launch { void (*kernel)(void*, void*); void* bounds; void* arguments; };
+const Launch* launch = (const Launch*)launches.data;
+for (int i = 0; i < count; ++i) launch[i].kernel(launch[i].bounds, launch[i].arguments);
+#endif
+""")
+def launch_all(launches: wp.array(dtype=wp.uint64), count: wp.int32): ...
+
+
+@wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+return __atomic_load_n(place.data, __ATOMIC_RELAXED);
+#else
+return 0;
+#endif
+""")
+def read_shared(place: wp.array(dtype=wp.int32)) -> wp.int32: ...
+
+
+@wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+__atomic_store_n(place.data, value, __ATOMIC_RELAXED);
+#endif
+""")
+def write_shared(place: wp.array(dtype=wp.int32), value: wp.int32): ...
+
+
+@wp.func_native("return ((const int*)addresses.data[k])[i];")
+def read_at(addresses: wp.array(dtype=wp.uint64), k: wp.int32, i: wp.int32) -> wp.int32: ...
+
+
+@cache
+def kernels() -> dict[str, Any]:
+    """``run_launches`` and ``repeat_launches``, of one thread each."""
+    module = wp.get_module("dc_kernels.sequences")
+    module.options.update({"enable_backward": False})
+
+    @wp.kernel(module=module, enable_backward=False)
+    def run_launches(launches: wp.array(dtype=wp.uint64), count: int):
+        """Each launch once."""
+        launch_all(launches, count)
+
+    @wp.kernel(module=module, enable_backward=False)
+    def repeat_launches(
+        launches: wp.array(dtype=wp.uint64),
+        count: int,
+        rounds: int,
+        first: int,
+        worlds: int,
+        stop_at: int,
+        flags: wp.array(dtype=wp.int32),
+        used: wp.array(dtype=wp.uint64),
+        # in, out:
+        peak: wp.array(dtype=wp.int32),
+        halt: wp.array(dtype=wp.int32),
+        # out:
+        done: wp.array(dtype=wp.int32),
+    ):
+        """Rounds of all launches, until a world's flags hold a bit of ``stop_at``: that halts whoever shares ``halt``.
+
+        ``used`` holds the address of an int32 for each world, for several kinds of room; ``peak`` is raised to the most
+        that a world used of each kind after any round.
+        """
+        taken = int(0)
+        while taken < rounds and read_shared(halt) == 0:
+            launch_all(launches, count)
+            taken += 1
+            full = int(0)
+            for w in range(first, first + worlds):
+                full = full | (flags[w] & stop_at)
+            for k in range(used.shape[0]):
+                most = peak[k]
+                for w in range(first, first + worlds):
+                    most = wp.max(most, read_at(used, k, w))
+                peak[k] = most
+            if full != 0:
+                write_shared(halt, 1)
+        done[0] = taken
+
+    return {"run_launches": run_launches, "repeat_launches": repeat_launches}

@@ -1,0 +1,43 @@
+"""Graphs that a user records with ``wp.ScopedCapture`` on the CPU: launches become part of them, the rest refuses.
+
+Warp records for one thread at a time, but lets every thread's launches believe that they are recorded. So a launch asks
+whether it is its own thread that records, and otherwise runs as always.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+from dc_kernels.runtime.building import start_warp
+
+
+def recording() -> bool:
+    """Whether this thread records a graph on the CPU, so that launches are noted and not run."""
+    device, own_thread = _recorder()
+    return device.is_capturing and own_thread()
+
+
+def refuse_recording(what: str, why: str) -> None:
+    """Raise, if this thread records a graph on the CPU, before anything is part of it.
+
+    Args:
+        what: the call that cannot be recorded.
+        why: the reason, or what to do instead.
+
+    Raises:
+        RuntimeError: naming the call.
+    """
+    if recording():
+        raise RuntimeError(f"{what} cannot be recorded in a graph: {why}")
+
+
+@functools.cache
+def _recorder() -> tuple[Any, Any]:
+    """Warp's CPU, and what tells whether the graph that it records is of the present thread."""
+    import warp as wp
+    from warp._src import context
+
+    start_warp()
+    own_thread = getattr(context.runtime.core, "wp_apic_get_recording_state", lambda: True)
+    return wp.get_device("cpu"), own_thread

@@ -1,0 +1,148 @@
+"""Several launches as one call: on the CPU without Python between them, as one compiled loop over their addresses.
+
+Warp's own graphs cost 0.7 us a launch more, and only one thread at a time may record one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dc_kernels.model.arrays import aligned_zeros, to_numpy
+from dc_kernels.runtime.backends import Launch, bind, make_kernels
+from dc_kernels.runtime.capture import recording
+
+CACHE_LINE = 16  # int32: what threads write, each for itself, lies so far apart
+
+
+def in_turn(launches: Sequence[Launch]) -> Launch:
+    """One call that makes several."""
+
+    def run() -> None:
+        for launch in launches:
+            launch()
+
+    return run
+
+
+def as_one(launches: Sequence[Launch]) -> Launch:
+    """Launches as one call, of no cost beyond the kernels' where they are bound on Warp's CPU."""
+    table = address_table(launches)
+    if table is None:
+        return in_turn(list(launches))
+    return _Run(list(launches), table)
+
+
+def address_table(launches: Sequence[Launch]) -> np.ndarray | None:
+    """The addresses that ``_warp/runtime/sequences.py`` runs, (n, 3) uint64; None where some launch has none."""
+    rows = [getattr(launch, "addresses", None) for launch in launches]
+    if not rows or any(row is None for row in rows):
+        return None
+    return np.array(rows, np.uint64)
+
+
+class _Run:
+    """Bound launches, which it keeps alive, by their addresses."""
+
+    def __init__(self, launches: list[Launch], table: np.ndarray) -> None:
+        self.launches = launches
+        self._run = _bind("run_launches", {"launches": table, "count": len(launches)})
+
+    def __call__(self) -> None:
+        if recording():
+            in_turn(self.launches)()
+        else:
+            self._run()
+
+
+class Watch(NamedTuple):
+    """What is looked at after each round: arrays of the backend with one int32 for each world."""
+
+    flags: Any
+    """Bits of each world."""
+    stop_at: int
+    """Bits that halt."""
+    used: tuple[Any, ...]
+    """How much of each kind of room a world uses."""
+
+
+class Rounds:
+    """Rounds of launches over a shard of worlds, many in one call, until one halts.
+
+    Attributes:
+        halt: an int32, not 0 once a round has halted; several shards may share it.
+    """
+
+    def __init__(
+        self, launches: Sequence[Launch], first: int, count: int, watch: Watch, peak: np.ndarray, halt: np.ndarray
+    ) -> None:
+        """Bind what is launched.
+
+        Args:
+            launches: one round.
+            first: world of the shard.
+            count: worlds of the shard.
+            watch: what is looked at after each round.
+            peak: an int32 for each kind of room, raised to the most that a world used after any round.
+            halt: of int32, of which the first is set when a flag says so, and looked at before each round.
+        """
+        self.launches, self.watch, self.peak, self.halt = list(launches), watch, peak, halt
+        self._worlds = slice(first, first + count)
+        self._done = aligned_zeros((CACHE_LINE,), np.dtype(np.int32))
+        self._run: Any = None
+        table = address_table(launches)
+        if table is None:
+            return
+        self._run = _bind(
+            "repeat_launches",
+            {
+                "launches": table,
+                "count": len(self.launches),
+                "rounds": 1,
+                "first": first,
+                "worlds": count,
+                "stop_at": watch.stop_at,
+                "flags": watch.flags,
+                "used": np.array([array.ptr for array in watch.used], np.uint64),
+                "peak": peak,
+                "halt": halt,
+                "done": self._done,
+            },
+        )
+
+    def take(self, rounds: int) -> int:
+        """Take so many rounds, or fewer if one halts; how many were taken, with the one that halts."""
+        if self._run is not None:
+            self._run.set("rounds", rounds)
+            self._run.launch_now()
+            return int(self._done[0])
+        for done in range(rounds):
+            if self.halt[0]:
+                return done
+            for launch in self.launches:
+                launch()
+            for k, used in enumerate(self.watch.used):
+                self.peak[k] = max(int(self.peak[k]), int(to_numpy(used)[self._worlds].max(initial=0)))
+            if (to_numpy(self.watch.flags)[self._worlds] & self.watch.stop_at).any():
+                self.halt[0] = 1
+        return rounds
+
+    def record(self, rounds: int) -> None:
+        """Make so many rounds part of the graph that this thread records."""
+        for _ in range(rounds):
+            for launch in self.launches:
+                launch()
+
+
+def _bind(name: str, values: dict[str, Any]) -> Any:
+    """A launch of a kernel of ``_warp/runtime/sequences.py`` on numpy arrays, which it keeps alive."""
+    import warp as wp
+
+    arrays = {
+        key: wp.array(value, dtype=wp.dtype_from_numpy(value.dtype), shape=(value.size,), device="cpu", copy=False)
+        for key, value in values.items()
+        if isinstance(value, np.ndarray)
+    }
+    return bind(make_kernels("warp", "runtime.sequences")[name], 1, {**values, **arrays}, "cpu")

@@ -1,0 +1,89 @@
+"""Work of several threads: one pool that all calls share, worlds divided among them.
+
+The thread that calls works too, so a task never waits for another one, and a call ends whatever else the pool does.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import Any, TypeVar
+
+import numpy as np
+
+from dc_kernels.runtime.capture import recording
+
+Given = TypeVar("Given")
+Result = TypeVar("Result")
+_pool: ThreadPoolExecutor | None = None
+_room = 0  # threads that the pool may have
+_making = threading.Lock()
+
+
+def thread_pool(threads: int) -> ThreadPoolExecutor:
+    """The pool that all calls share, with room for so many threads at once."""
+    global _pool, _room
+    with _making:
+        if _pool is None or _room < threads:
+            _room = max(threads, os.cpu_count() or 1)
+            # threads of a smaller one end with its last task
+            _pool = ThreadPoolExecutor(_room, thread_name_prefix="dc_kernels")
+        return _pool
+
+
+def _forget_pool() -> None:
+    """A forked child has none of its parent's threads."""
+    global _pool, _making
+    _pool, _making = None, threading.Lock()
+
+
+os.register_at_fork(after_in_child=_forget_pool)
+
+
+def run_together(work: Callable[[], Any], threads: int) -> None:
+    """Call ``work`` on so many threads at once, one of them the present one, and wait for all.
+
+    Raises:
+        BaseException: the first that a call raises, after all have ended.
+    """
+    others: list[Future[Any]] = []
+    try:
+        others = [thread_pool(threads - 1).submit(work) for _ in range(threads - 1)]
+        work()
+    finally:
+        for other in others:
+            other.cancel()  # what has not begun finds nothing left to do
+        wait(others)
+    for other in others:
+        if not other.cancelled():
+            other.result()
+
+
+def map_threads(function: Callable[[Given], Result], items: Iterable[Given], threads: int) -> list[Result]:
+    """Results of a function in the items' order, computed by so many threads; by the present one in a recording."""
+    given = list(items)
+    if threads == 1 or len(given) < 2 or recording():
+        return [function(item) for item in given]
+    results: list[Any] = [None] * len(given)
+    left = iter(range(len(given)))  # next() of a range is one step of the interpreter
+
+    def work() -> None:
+        for i in left:
+            results[i] = function(given[i])
+
+    run_together(work, min(threads, len(given)))
+    return results
+
+
+def run_shards(launches: Sequence[Callable[[], Any]], threads: int) -> None:
+    """Run launches that write disjoint memory, on several threads if there are several of both."""
+    map_threads(lambda launch: launch(), launches, threads)
+
+
+def shard_worlds(worlds: int, threads: int) -> list[tuple[int, int]]:
+    """First world and number of worlds of each thread's share."""
+    edges = np.linspace(0, worlds, min(max(threads, 1), max(worlds, 1)) + 1).astype(int)
+    return [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
