@@ -33,32 +33,32 @@ NAMES = tuple(MODULES)
 
 
 class Bench(Protocol):
-    """What the module of a bench holds."""
+    """Interface of a bench's module."""
 
     SUMMARY: str  # one line
     KEYS: tuple[str, ...]  # values that are always there
     THREADS: int  # the most threads that it uses
 
     def measure(self, quick: bool) -> dict[str, Any]:
-        """The values by key."""
+        """Measure and return the values by key."""
 
     def report(self, values: dict[str, Any]) -> str:
-        """The table for people."""
+        """Return the table for people."""
 
 
 def load(name: str) -> Bench:
-    """The module of a bench; nothing heavy is imported before it measures."""
+    """Import the module of a bench; nothing heavy is imported before it measures."""
     return importlib.import_module(f"bench.{MODULES[name]}")  # type: ignore[return-value]
 
 
 def listing() -> str:
-    """The names with one line each."""
+    """Return the names of the benches with a line each."""
     width = max(map(len, NAMES))
     return "\n".join(f"{name.ljust(width)}  {load(name).SUMMARY}" for name in NAMES)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one bench: table first, then the JSON line if asked for; 0, or 2 for a name that is not there."""
+    """Run one bench and print its table, and its JSON line if asked for; return 0, or 2 for an unknown name."""
     parser = argparse.ArgumentParser(prog="python -m bench", description="Benches of deep-contact.")
     parser.add_argument("name", nargs="?", help="which bench; without it they are listed")
     parser.add_argument("more", nargs="*", metavar="argument", help="what a bench takes beside: fc2d a folder")

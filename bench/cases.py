@@ -25,7 +25,7 @@ SWEEPS = 30  # at most in a step of a settled pile: enough to keep it at rest fr
 def simulation(
     scene: scenes.Scene, worlds: int = 1, seed: int = 0, *, dtype: str = "float32", **options: Any
 ) -> dc.Simulation:
-    """A simulation of one world for each of the seeds ``seed, seed + 1, ...``.
+    """Make a simulation of one world for each of the seeds ``seed, seed + 1, ...``.
 
     Args:
         scene: what stands in a world.
@@ -39,7 +39,7 @@ def simulation(
 
 
 def disc_worlds(scene: scenes.Thesis, worlds: int, seed: int = 0) -> list[DiscWorld]:
-    """The same worlds for the peers: positions, radii and walls as ``simulation`` has them."""
+    """Return the worlds of ``simulation`` as the peers take them: positions, radii and walls."""
     model, state, _ = scene.build(worlds, seed).finalize(dtype="float64")
     side = scene.side
     corners = np.array([(0.0, side), (0.0, 0.0), (side, 0.0), (side, side)])
@@ -58,7 +58,7 @@ def disc_worlds(scene: scenes.Thesis, worlds: int, seed: int = 0) -> list[DiscWo
 
 
 def disc_positions(model: dc.Model, state: dc.State) -> list[np.ndarray]:
-    """Positions (n, 2) [m] in float64 of the dynamic bodies of each world, its origin added."""
+    """Return the positions (n, 2) [m] in float64 of the dynamic bodies of each world, its origin added."""
     dynamic = model.numpy("body_type") == dc.BodyType.DYNAMIC
     positions, starts = state.numpy("position").astype(np.float64), model.numpy("body_start")
     found = []
@@ -69,24 +69,24 @@ def disc_positions(model: dc.Model, state: dc.State) -> list[np.ndarray]:
 
 
 def dynamic_count(sim: dc.Simulation) -> int:
-    """Dynamic bodies of all worlds."""
+    """Count the dynamic bodies of all worlds."""
     return int((sim.model.numpy("body_type") == dc.BodyType.DYNAMIC).sum())
 
 
 def contact_count(sim: dc.Simulation) -> int:
-    """Present contacts of all worlds."""
+    """Count the present contacts of all worlds."""
     return int(sim.contacts.numpy("contact_count").sum())
 
 
 def settled(bodies: int, worlds: int = 1) -> dc.Simulation:
-    """Thesis piles of so many discs, a key of ``SETTLING``, dropped and stepped until they rest."""
+    """Drop thesis piles of so many discs, a key of ``SETTLING``, and step until they rest."""
     sim = simulation(scenes.Thesis(bodies=bodies), worlds, config=dc.SolverConfig(max_sweeps=SWEEPS))
     sim.run(SETTLING[bodies], DT)
     return sim
 
 
 def side_by_side(sim: dc.Simulation, copies: int, *, shuffled: bool = False, **options: Any) -> dc.Simulation:
-    """One world with copies of a settled thesis pile next to each other, every second one mirrored, at rest again.
+    """Put copies of a settled thesis pile side by side in one world, every second one mirrored, and let them rest.
 
     It spares the fall of so large a pile.
 

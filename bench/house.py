@@ -48,7 +48,7 @@ class Figure(NamedTuple):
 
 @dataclass(frozen=True)
 class Module:
-    """A Python file: its dotted name, its path below the root, its text and syntax tree."""
+    """A Python file: its dotted name, path below the root, text and syntax tree."""
 
     name: str
     path: str
@@ -57,12 +57,12 @@ class Module:
 
     @property
     def package(self) -> str:
-        """The package that a relative import starts from."""
+        """Return the package that a relative import starts from."""
         return self.name if self.path.endswith("__init__.py") else self.name.rpartition(".")[0]
 
 
 def modules(root: Path) -> dict[str, Module]:
-    """All modules of the three packages below a folder, by dotted name."""
+    """Parse all modules of the three packages below a folder; return them by dotted name."""
     found = {}
     for package in PACKAGES:
         for file in sorted((root / package).rglob("*.py")):
@@ -74,7 +74,7 @@ def modules(root: Path) -> dict[str, Module]:
 
 
 def functions(module: Module) -> Iterator[tuple[str, bool, int]]:
-    """Each function of a module, nested ones and methods included: its place, whether it is a kernel, its parameters.
+    """Yield of each function, nested ones and methods included, its place, whether it is a kernel, and its parameters.
 
     Parameters are those that can be passed by position; ``self``, ``cls`` and keyword-only ones don't count.
     """
@@ -88,14 +88,14 @@ def functions(module: Module) -> Iterator[tuple[str, bool, int]]:
 
 
 def most_parameters(tree: dict[str, Module], kernels: bool) -> Figure:
-    """The longest parameter list of a kernel, or of any other function."""
+    """Find the longest parameter list of a kernel, or of any other function."""
     found = (item for module in tree.values() for item in functions(module))
     counts = [(count, place) for place, kernel, count in found if kernel == kernels]
     return Figure(*max(counts, key=lambda pair: pair[0], default=(0, "")))
 
 
 def imports(module: Module) -> Iterator[tuple[str, str]]:
-    """What a module imports when it runs, inside functions too: (module, name), the name empty for ``import module``.
+    """Yield what a module imports, inside functions too: (module, name), the name empty for ``import module``.
 
     Imports below ``if TYPE_CHECKING`` are left out, since they never run.
     """
@@ -121,7 +121,7 @@ def imports(module: Module) -> Iterator[tuple[str, str]]:
 
 
 def import_graph(tree: dict[str, Module]) -> dict[str, set[str]]:
-    """The modules of the tree that each one imports."""
+    """Return the modules of the tree that each one imports."""
     graph: dict[str, set[str]] = {}
     for module in tree.values():
         targets = set()
@@ -133,7 +133,7 @@ def import_graph(tree: dict[str, Module]) -> dict[str, set[str]]:
 
 
 def reached(graph: dict[str, set[str]], start: str) -> set[str]:
-    """All modules that importing one brings in, over any number of steps."""
+    """Return all modules that importing one brings in, over any number of steps."""
     found: set[str] = set()
     waiting = list(graph[start])
     while waiting:
@@ -145,7 +145,7 @@ def reached(graph: dict[str, set[str]], start: str) -> set[str]:
 
 
 def import_circles(tree: dict[str, Module]) -> Figure:
-    """Groups of modules of which each one imports every other, directly or not (strongly connected components)."""
+    """Find groups of modules that all import each other, directly or not (strongly connected components)."""
     graph = import_graph(tree)
     closure = {name: reached(graph, name) for name in graph}
     groups = {
@@ -156,7 +156,7 @@ def import_circles(tree: dict[str, Module]) -> Figure:
 
 
 def private_imports(tree: dict[str, Module], root: Path) -> Figure:
-    """Names with one leading underscore that a module takes from another one; the backends' folders don't count."""
+    """Find names with a leading underscore that a module takes from another; the backends' folders don't count."""
     found = []
     for module in tree.values():
         for base, name in imports(module):
@@ -168,14 +168,14 @@ def private_imports(tree: dict[str, Module], root: Path) -> Figure:
 
 
 def fullest_folder(tree: dict[str, Module]) -> Figure:
-    """The most Python files that one folder holds, those of its folders not counted."""
+    """Find the folder with the most Python files, those of its subfolders not counted."""
     counts = Counter(module.path.rpartition("/")[0] for module in tree.values())
     folder, count = max(counts.items(), key=lambda pair: pair[1], default=("", 0))
     return Figure(count, f"{folder}/")
 
 
 def longest_module(tree: dict[str, Module]) -> Figure:
-    """The lines of the longest file."""
+    """Find the file with the most lines."""
     path, lines = max(
         ((module.path, module.text.count("\n")) for module in tree.values()), key=lambda pair: pair[1], default=("", 0)
     )
@@ -183,7 +183,7 @@ def longest_module(tree: dict[str, Module]) -> Figure:
 
 
 def cpp_lines(module: Module) -> set[int]:
-    """The lines of a module that belong to strings of C++."""
+    """Return the lines of a module that belong to strings of C++."""
     lines = module.text.split("\n")
     found: set[int] = set()
     for node in ast.walk(module.tree):
@@ -196,14 +196,14 @@ def cpp_lines(module: Module) -> set[int]:
 
 
 def cpp_in_strings(tree: dict[str, Module]) -> Figure:
-    """All lines of C++ that stand in Python strings, and the module with most of them."""
+    """Count the lines of C++ that stand in Python strings, and find the module with most of them."""
     counts = {module.path: len(cpp_lines(module)) for module in tree.values()}
     path, most = max(counts.items(), key=lambda pair: pair[1], default=("", 0))
     return Figure(sum(counts.values()), f"{path}: {most}" if most else "")
 
 
 def count(root: Path = ROOT) -> dict[str, Figure]:
-    """Every figure of the tree below a folder, by key of ``BARS``."""
+    """Count every figure of the tree below a folder, by key of ``BARS``."""
     tree = modules(root)
     return {
         "max_kernel_parameters": most_parameters(tree, kernels=True),
@@ -218,7 +218,7 @@ def count(root: Path = ROOT) -> dict[str, Figure]:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """The figures by key, ``where`` each stands, and how many keys are above their bar; ``quick`` changes nothing."""
+    """Return the figures by key, ``where`` each stands, and how many are above their bar; ``quick`` changes nothing."""
     figures = count()
     return {
         **{key: figure.value for key, figure in figures.items()},
@@ -228,7 +228,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def report(values: dict[str, Any]) -> str:
-    """Table for people: figure and bar of each key, then the places of those above it."""
+    """Return a table of each figure and its bar, and the place of each figure."""
     table = timing.table(("", "figure", "at most"), [(key, values[key], bar) for key, bar in BARS.items()])
     places = [f"{key}: {where}" for key, where in values["where"].items() if where]
     return "\n".join((table, "", *places))

@@ -32,7 +32,7 @@ OURS, PEER = "#0b6e99", "#b8bfc6"
 
 
 def run_bench(name: str, quick: bool) -> dict[str, Any]:
-    """Run one bench in a process of its own; its table is passed on, its JSON line returned.
+    """Run one bench in a process of its own, pass its table on and return its JSON line.
 
     Raises:
         RuntimeError: when it fails.
@@ -57,14 +57,14 @@ def store(records: Sequence[dict[str, Any]], path: Path) -> None:
 
 
 def engine_values(record: dict[str, Any]) -> tuple[list[float], list[float]]:
-    """Worlds per second and mean overlap [mm] in the order of ``ENGINES``."""
+    """Return worlds per second and mean overlaps [mm] in the order of ``ENGINES``."""
     speed = [record["worlds_per_s" if name == "ours" else name] for name in ENGINES]
     overlap = [record["overlap_mean_mm" if name == "ours" else f"{name}_overlap_mm"] for name in ENGINES]
     return speed, overlap
 
 
 def draw(record: dict[str, Any], path: Path) -> None:
-    """The bench ``worlds`` as a figure: thesis worlds per second, and how far the settled discs overlap."""
+    """Draw the bench ``worlds``: thesis worlds per second, and how far the settled discs overlap."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -97,7 +97,7 @@ def draw(record: dict[str, Any], path: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the named benches (all without a name), store their lines, draw the figure."""
+    """Run the named benches, all without a name; store their lines, draw the figure, write the pages."""
     parser = argparse.ArgumentParser(prog="python -m bench.run", description="Run benches and store their results.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"which ones, of {', '.join(NAMES)}; none: all")
     parser.add_argument("--quick", action="store_true", help="the quick form of each")

@@ -16,7 +16,7 @@ PACKAGES = ("warp-lang", "numpy", "torch", "pymunk", "Box2D")
 
 
 def seconds(function: Callable[[], Any]) -> float:
-    """Wall time of one call [s]."""
+    """Measure the wall time of one call [s]."""
     begin = time.perf_counter()
     function()
     return time.perf_counter() - begin
@@ -25,7 +25,7 @@ def seconds(function: Callable[[], Any]) -> float:
 def interleave(
     functions: Mapping[str, Callable[[], Any]], rounds: int, *, warmup: int = 1, clock: Callable[..., float] = seconds
 ) -> dict[str, list[float]]:
-    """Wall times [s] of several functions, called in turn: a slow spell of the machine then meets all of them.
+    """Measure wall times [s] of several functions in turn, so that a slow spell of the machine meets all of them.
 
     Args:
         functions: what to call, by name.
@@ -49,12 +49,12 @@ def interleave(
 
 
 def medians(times: Mapping[str, Sequence[float]]) -> dict[str, float]:
-    """The median of each list."""
+    """Return the median of each list."""
     return {name: statistics.median(values) for name, values in times.items()}
 
 
 def cpu_model() -> str:
-    """The processor's name as the system gives it."""
+    """Return the processor's name as the system gives it."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as lines:
             for line in lines:
@@ -66,7 +66,7 @@ def cpu_model() -> str:
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of the packages that the figures depend on, those that are installed."""
+    """Return the versions of the installed packages that figures depend on."""
     found = {}
     for name in PACKAGES:
         try:
@@ -77,7 +77,7 @@ def package_versions() -> dict[str, str]:
 
 
 def machine(threads: int = 1) -> dict[str, Any]:
-    """What a figure has to be read with: processor, cores, threads used, what else runs, Python and packages."""
+    """Describe the machine: processor, cores, threads used, load by others, Python and packages."""
     return {
         "cpu": cpu_model(),
         "cores": os.cpu_count(),
@@ -90,7 +90,7 @@ def machine(threads: int = 1) -> dict[str, Any]:
 
 
 def machine_line(facts: Mapping[str, Any]) -> str:
-    """The machine in one line."""
+    """Describe the machine in one line."""
     packages = ", ".join(f"{name} {number}" for name, number in facts["packages"].items())
     return (
         f"{facts['cpu']}, {facts['cores']} cores, {facts['threads']} thread(s) used; "
@@ -99,7 +99,7 @@ def machine_line(facts: Mapping[str, Any]) -> str:
 
 
 def number(value: Any, digits: int = 3) -> str:
-    """A figure for people: about three digits, no exponent for ordinary sizes, - where there is none."""
+    """Write a figure for people: about three digits, no exponent for ordinary sizes, - where there is none."""
     if value is None:
         return "-"
     if isinstance(value, str):
@@ -114,7 +114,7 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Aligned columns, the first to the left and the others to the right."""
+    """Align columns, the first to the left and the others to the right."""
     cells = [list(header)] + [[number(value) for value in row] for row in rows]
     widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
     lines = []
@@ -129,7 +129,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 
 def json_line(name: str, values: Mapping[str, Any], keys: Sequence[str], *, quick: bool, threads: int = 1) -> str:
-    """One JSON object on one line: the bench, the machine and all values.
+    """Write the bench, the machine and all values as a JSON object on one line.
 
     Raises:
         ValueError: when a key that the bench promises is missing.
@@ -142,10 +142,10 @@ def json_line(name: str, values: Mapping[str, Any], keys: Sequence[str], *, quic
 
 
 def plain(value: Any) -> Any:
-    """A numpy scalar or array as plain Python, for JSON."""
+    """Turn a numpy scalar or array into plain Python, for JSON."""
     return value.tolist()
 
 
 def progress(text: str) -> None:
-    """One line on the error stream, so that a long bench is not silent and the output stays clean."""
+    """Print a line on the error stream, so that a long bench is not silent and its output stays clean."""
     print(f"  ... {text}", file=sys.stderr, flush=True)

@@ -19,18 +19,18 @@ from bench import timing
 
 @dataclass(frozen=True)
 class Check:
-    """One criterion: passed where ``value <= limit`` (NaN fails)."""
+    """A criterion, which passes where ``value <= limit`` (NaN fails)."""
 
     criterion: str
-    """What is held small, with its unit."""
+    """Says what is held small, with its unit."""
     value: float
     limit: float
     sim: dc.Simulation | None = None
-    """What is drawn where it fails."""
+    """Is drawn where the check fails."""
 
     @property
     def passed(self) -> bool:
-        """Whether the value lies within its limit."""
+        """Tell whether the value lies within its limit."""
         return math.isfinite(self.value) and self.value <= self.limit
 
     def __str__(self) -> str:
@@ -51,7 +51,7 @@ class Cases:
         self.slow: set[str] = set()
 
     def add(self, case: Case) -> Case:
-        """Register a case under the name of its function; it does all that it says with ``quick`` too, but shorter.
+        """Register a case under the name of its function; with ``quick`` it checks all that it says too, but shorter.
 
         Raises:
             ValueError: for a name that is taken, or a case without docstring.
@@ -68,7 +68,7 @@ class Cases:
         return self.add(case)
 
     def names(self, quick: bool) -> list[str]:
-        """The cases of a quick or a full run."""
+        """Return the names of the cases of a quick or a full run."""
         return [name for name in self.all if not (quick and name in self.slow)]
 
 
@@ -113,7 +113,7 @@ def judge(cases: Cases, quick: bool, pictures: Path) -> dict[str, Any]:
 
 
 def picture(check: Check, path: Path) -> None:
-    """The scene of a failed check, where it has one."""
+    """Draw the scene of a failed check, where it has one."""
     if check.sim is None:
         return
     from pipeline.plots import style
@@ -128,7 +128,7 @@ def picture(check: Check, path: Path) -> None:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Case, criterion, value, limit and verdict of each check."""
+    """Write case, criterion, value, limit and verdict of each check as a table."""
     header = ("case", "criterion", "value", "limit", "verdict", "s")
     cells = []
     before = None

@@ -17,12 +17,12 @@ NETWORKS = {
 
 
 def beside(ours: float, theirs: float | None, text: str) -> str:
-    """Our figure, and the study's in brackets where it gives one."""
+    """Write our figure, and the study's in brackets where it gives one."""
     return text.format(ours) if theirs is None else f"{text.format(ours)} ({text.format(theirs)})"
 
 
 def protocol(record: Record) -> str:
-    """Sweeps of starts beside the study of 2026."""
+    """Show the sweeps of starts beside those of the study of 2026."""
     rows = []
     for (start, acceleration), (mean, median, done) in STUDY.items():
         key = prefix(start, acceleration)
@@ -46,12 +46,12 @@ def protocol(record: Record) -> str:
 
 
 def start_name(start: str) -> str:
-    """A start as people know it."""
+    """Return the name that people know a start by."""
     return NETWORKS.get(start.lower(), start[:1].upper() + start[1:])
 
 
 def learning(record: Record) -> str:
-    """Sweeps from every start, with plain Gauss-Seidel and Aitken, and wall times."""
+    """Show the sweeps from every start, with plain Gauss-Seidel and Aitken, and wall times."""
     starts = dict.fromkeys(row["start"] for row in record["rows"])
 
     def cell(start: str, accelerated: bool) -> str:

@@ -13,30 +13,30 @@ Record = dict[str, Any]
 
 
 def figure(value: Any, digits: int = 3) -> str:
-    """A value for people: about three digits, no exponent from 1e-4 on, - where there is none."""
+    """Write a value for people: about three digits, no exponent from 1e-4 on, - where there is none."""
     if isinstance(value, float) and 1e-4 <= abs(value) < 1e-3:
         return f"{value:.{digits - 1}g}"
     return timing.number(value, digits)
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """A Markdown table; values that are no text become figures."""
+    """Write a Markdown table; values that are no text become figures."""
     lines = [header, ["---"] * len(header), *([figure(value) for value in row] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def span(values: Iterable[float]) -> str:
-    """The least and the largest of some values, as "1.0 to 1.3"; the value itself where they look alike."""
+    """Write the least and the largest of some values, as "1 to 1.3"; one value where they look alike."""
     kept = list(values)
     low, high = (f"{value:.2g}" if value < 10 else figure(value) for value in (min(kept), max(kept)))
     return low if low == high else f"{low} to {high}"
 
 
 def paragraphs(*parts: str) -> str:
-    """Parts of a section with an empty line between; prose is wrapped at 120 columns, empty parts are left out."""
+    """Join parts of a section by empty lines; prose is wrapped at 120 columns, empty parts are left out."""
     return "\n\n".join(part if part[0] in "|!-#<" or "\n\n" in part else wrapped(part) for part in parts if part)
 
 
 def wrapped(prose: str) -> str:
-    """A paragraph in lines of at most 120 columns; links and names stay whole."""
+    """Wrap a paragraph at 120 columns; links and names stay whole."""
     return textwrap.fill(prose, 120, break_long_words=False, break_on_hyphens=False)

@@ -37,12 +37,12 @@ SECTIONS = {
 
 
 def read(path: Path = RESULTS) -> dict[str, Record]:
-    """The records of a results file, by bench."""
+    """Read the records of a results file, by bench."""
     return {record["bench"]: record for record in map(json.loads, path.read_text(encoding="utf-8").splitlines())}
 
 
 def section(record: Record) -> str:
-    """The section of a bench: title, command, body; without a writer of its own it holds the promised keys."""
+    """Write the section of a bench: title, command, body; without a writer of its own it holds the promised keys."""
     name = record["bench"]
     bench = load(name)
     title, write = SECTIONS.get(name, (f"{name[0].upper()}{name[1:]}", None))
@@ -57,7 +57,7 @@ def section(record: Record) -> str:
 
 
 def machines(records: Mapping[str, Record]) -> str:
-    """The machine or machines that the records were taken on, and which benches on which."""
+    """Name the machine or machines that the records were taken on, and which benches on which."""
     found: dict[str, list[str]] = {}
     for name, record in records.items():
         facts = record["machine"]
@@ -70,7 +70,7 @@ def machines(records: Mapping[str, Record]) -> str:
 
 
 def measured(records: Mapping[str, Record]) -> str:
-    """The page with a section for each bench that has a record."""
+    """Write the page with a section for each bench that has a record."""
     order = [*SECTIONS, *(name for name in NAMES if name not in SECTIONS)]
     kept = {name: records[name] for name in order if name in records}
     return (
@@ -88,7 +88,7 @@ def measured(records: Mapping[str, Record]) -> str:
 
 
 def headlines(records: Mapping[str, Record]) -> str:
-    """The README's five figures beside the peers, and the time to a first step."""
+    """Write the README's five figures beside the peers, and the time to a first step."""
     worlds, transfers, near = records["worlds"], records["transfer"], records["neighbors"]
     pile = records["error_time"]["scenes"]["thesis_1000"]["runs"]["penetration"][solving.PENETRATION]
     solved = records["fc2d"]["solved"]["1e8"]
@@ -140,7 +140,7 @@ def headlines(records: Mapping[str, Record]) -> str:
 
 
 def with_headlines(text: str, records: Mapping[str, Record]) -> str:
-    """The README with its figures written anew between their marks.
+    """Return the README with its figures written anew between their marks.
 
     Raises:
         ValueError: where the marks are missing.
@@ -153,7 +153,7 @@ def with_headlines(text: str, records: Mapping[str, Record]) -> str:
 
 
 def write(results: Path = RESULTS, page: Path = MEASURED, readme: Path = README) -> Sequence[Path]:
-    """Write the page and the README's figures from a results file; the paths of both."""
+    """Write the page and the README's figures from a results file; return the paths of both."""
     records = read(results)
     text = with_headlines(readme.read_text(encoding="utf-8"), records)
     page.parent.mkdir(parents=True, exist_ok=True)

@@ -24,26 +24,26 @@ FIGURES = ("thesis_100", "thesis_1000", "thesis_10000", "mixed", "pyramid", "mix
 
 
 def setting(entry: dict[str, Any] | None) -> str:
-    """Milliseconds to a level, and in brackets how many states were missed."""
+    """Write the milliseconds to a level, and in brackets how many states were missed."""
     return f"{figure(1e3 * entry['seconds'])} ({entry['missed']})" if entry else "-"
 
 
 def resting(run: dict[str, Any] | float | None) -> str:
-    """Seconds per simulated second, with the setting where there is one; "never" where none keeps the level."""
+    """Write seconds per simulated second, with the setting where there is one; "never" where none keeps the level."""
     if run is None:
         return "never"
     return figure(run) if isinstance(run, float) else f"{figure(run['seconds'])} ({run['setting']})"
 
 
 def over_front(record: Record, label: str) -> list[float]:
-    """The time of a setting over the fastest setting's, for each scene where it gets to the level."""
+    """Return the time of a setting over the fastest setting's, for each scene where it gets to the level."""
     races = [scene["residual"][LEVEL] for scene in record["scenes"].values()]
     ratios = [race[label]["over_front"] for race in races if label in race]
     return [ratio for ratio in ratios if ratio is not None]
 
 
 def error_time(record: Record) -> str:
-    """Times to a level of one solve and of a pile at rest, and of motions, beside the peers."""
+    """Show times to a level of one solve, of a pile at rest and of motions, beside the peers."""
     solves, piles = [], []
     for scene in record["scenes"].values():
         race = scene["residual"][LEVEL]
@@ -93,7 +93,7 @@ def error_time(record: Record) -> str:
 
 
 def fc2d(record: Record) -> str:
-    """Problems solved to 1e-4 and 1e-8 by each solver, and the largest file."""
+    """Show the problems solved to 1e-4 and 1e-8 by each solver, and its times on the largest file."""
     total = len({row["file"] for row in record["rows"]}) + record["states"]
     counts = record["solved"]
     largest = max(record["rows"], key=lambda row: row["contacts"])["file"]
@@ -124,19 +124,19 @@ def fc2d(record: Record) -> str:
 
 
 def failures(record: Record) -> str:
-    """How many cases failed, and which."""
+    """Say how many cases failed, and which."""
     return f"{record['failed']} failed: {', '.join(record['failures'])}" if record["failures"] else "none failed"
 
 
 def closest(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The check that came closest to its limit."""
+    """Find the check that came closest to its limit."""
     return max(
         rows, key=lambda row: row["value"] / row["limit"] if row["limit"] and row["value"] is not None else -math.inf
     )
 
 
 def accuracy(record: Record) -> str:
-    """Closed forms: how many, and of each the check that came closest to its limit."""
+    """Show how many closed forms were checked, and of each the check that came closest to its limit."""
     cases = dict.fromkeys(row["case"] for row in record["rows"])
     rows = []
     for case in cases:
@@ -155,7 +155,7 @@ def accuracy(record: Record) -> str:
 
 
 def stability(record: Record) -> str:
-    """Scenes that break solvers: how many, and of each the check that came closest to its limit."""
+    """Show how many scenes that break solvers were checked, and of each the check closest to its limit."""
     cases = dict.fromkeys(row["case"] for row in record["rows"])
     rows = []
     for case in cases:

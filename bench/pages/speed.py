@@ -8,7 +8,7 @@ from bench.peers.peers import PEER_TEXT
 
 
 def worlds(record: Record) -> str:
-    """Worlds per second and overlaps beside the peers."""
+    """Show worlds per second and overlaps beside the peers."""
     ours = record["worlds_per_s"]
     rows = [("**deep-contact**, to 1e-4 N s", ours, 1.0, record["ours_overlap_mm"], record["ours_overlap_max_mm"])]
     for name, text in PEER_TEXT.items():
@@ -27,7 +27,7 @@ def worlds(record: Record) -> str:
 
 
 def sweep(record: Record) -> str:
-    """Cost of a contact in a sweep."""
+    """Show the cost of a contact in a sweep."""
     rows = [
         (
             record[f"contacts_{target}"],
@@ -45,7 +45,7 @@ def sweep(record: Record) -> str:
 
 
 def scaling(record: Record) -> str:
-    """Time and memory of a step beside the solve."""
+    """Show time and memory of all of a step but its solve."""
     columns = ("collide_ns", "advance_ns", "ns_per_body", "bytes_per_body", "bytes_per_contact")
     rows = [
         (f"{number} x {figure(bodies)}", *(record[f"{column}_{bodies}"] for column in columns))
@@ -62,7 +62,7 @@ def scaling(record: Record) -> str:
 
 
 def neighbors(record: Record) -> str:
-    """Nanoseconds a point of each method."""
+    """Show the nanoseconds per point of each method of search."""
     clouds = [key.removeprefix("pairs ") for key in record if key.startswith("pairs ")]
     methods = ("hash", "ckdtree", "tree", "all", "hashgrid", "lists")
     rows = [
@@ -81,7 +81,7 @@ def neighbors(record: Record) -> str:
 
 
 def generate(record: Record) -> str:
-    """Making of a data set."""
+    """Show time and size of a data set."""
     rows = [
         (f"{record['worlds']} thesis worlds, {figure(record['states'])} states [s]", record["seconds"]),
         ("bytes of a state, file and index", record["bytes_per_step"]),
@@ -98,7 +98,7 @@ def generate(record: Record) -> str:
 
 
 def train(record: Record) -> str:
-    """Minutes to a ContactNet."""
+    """Show the minutes that training ContactNet takes."""
     how = "; the minutes are extrapolated from one round" if record["extrapolated"] else ""
     rows = [("minutes", record["minutes"]), ("steps", record["steps"]), ("a step [s]", record["step_s"])]
     return paragraphs(
@@ -107,7 +107,7 @@ def train(record: Record) -> str:
 
 
 def startup(record: Record) -> str:
-    """From the start of a process to a first step."""
+    """Show the time from the start of a process to the end of a first step."""
     rows = [
         (f"{name} kernel cache", record[f"{key}_s"], min(record[f"{key}_all_s"]), max(record[f"{key}_all_s"]))
         for name, key in (("full", "warm"), ("empty", "cold"))

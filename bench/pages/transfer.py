@@ -7,7 +7,7 @@ from bench.pages.markdown import Record, figure, paragraphs, table
 
 
 def transfer(record: Record) -> str:
-    """Nanoseconds per particle beside torch, microseconds of a thesis world beside the theses' way."""
+    """Show nanoseconds per particle beside torch, and microseconds of a thesis world beside the theses' way."""
     labels = {
         "splat": "**splat**, random order",
         "splat_placed": "**splat**, by place",
@@ -56,7 +56,7 @@ def transfer(record: Record) -> str:
 
 
 def roundtrip(record: Record) -> str:
-    """Engedal's table 1 beside ours."""
+    """Show the entries of Engedal's table 1 (2018) beside ours."""
     rows = []
     for (spacing, h), printed in TABLE.items():
         cells = (f"{record[f'{name}_{place(spacing, h)}']:.4f}" for name in ("mass", "impulse"))
