@@ -22,7 +22,7 @@ PARTS = {"contact": "contacts", "motion": "bodies", "step": "solver"}
 
 def measure(quick: bool) -> dict[str, Any]:
     """One run; ``--quick`` multiplies the time of a tenth of the worlds."""
-    from pipeline.data import shards
+    from pipeline.data import layout, shards
     from pipeline.data.generate import generate
     from pipeline.data.recipe import GenerateOptions, Recipe
 
@@ -36,10 +36,10 @@ def measure(quick: bool) -> dict[str, Any]:
         made = generate(recipe, out / "whole", threads=THREADS, progress=False)
         parts: dict[str, int] = {}
         for number in range(recipe.options.shard_count):
-            with shards.opened(shards.shard_path(out / "whole", number)) as file:
+            with shards.opened(layout.shard_path(out / "whole", number)) as file:
                 for name, data in shards.datasets(file):
                     parts[name] = parts.get(name, 0) + data.id.get_storage_size()
-        with shards.opened(out / "whole" / shards.INDEX) as file:
+        with shards.opened(out / "whole" / layout.INDEX) as file:
             sweeps, further = file["step/sweeps"][...].mean(), file["step/label_sweeps"][...].mean()
     states = made["states"]
     return {

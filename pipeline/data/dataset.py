@@ -10,10 +10,8 @@ or spawned. Images are made by the kernels that make them in a simulation, from 
 
 from __future__ import annotations
 
-import itertools
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,7 +19,9 @@ import numpy as np
 
 from dc_kernels.model.enums import BodyType
 from dc_kernels.runtime.optional import require
-from pipeline.data import shards
+from pipeline.data.batch import BODY, CONTACT, MOTION, SHAPE, Batch, World
+from pipeline.data.layout import INDEX, offsets
+from pipeline.data.shards import config_of, opened
 from pipeline.seeds import HELD_OUT_SEED
 
 torch = require("torch", "pipeline")
@@ -30,111 +30,8 @@ DataLoader: Any = torch.utils.data.DataLoader
 Sampler: Any = torch.utils.data.Sampler
 
 Split = Literal["train", "validation"]
-CACHE_BYTES = 2**28  # of the worlds that a process keeps, about
-_STAGE_FIELDS = ("start", "impulse", "label")
-
-
-@dataclass(frozen=True)
-class Batch:
-    """B states one after the other, N bodies and M contacts in all, as tensors; SI units.
-
-    Bodies are those before the step. ``start`` is what the solver started from, ``impulse`` its solution at the run's
-    tolerance, ``label`` the one at the label's tolerance: normal and tangential [N s].
-    """
-
-    body_start: Any  # (B + 1,) int64, first body of each state
-    contact_start: Any  # (B + 1,) int64, first contact of each state
-    position: Any  # (N, 2), as all that is not said to be of another dtype float32
-    angle: Any  # (N,)
-    velocity: Any  # (N, 2)
-    angular_velocity: Any  # (N,)
-    mass: Any  # (N,), 0 where infinite
-    inertia: Any  # (N,), 0 where infinite
-    body_type: Any  # (N,) int32, dc.BodyType
-    body_a: Any  # (M,) int64, into the N bodies
-    body_b: Any  # (M,) int64
-    point: Any  # (M, 2)
-    normal: Any  # (M, 2), from A to B
-    gap: Any  # (M,)
-    friction: Any  # (M,)
-    restitution: Any  # (M,)
-    age: Any  # (M,) int32, 0 where the contact is new
-    color: Any  # (M,) int32
-    start: Any  # (M, 2)
-    impulse: Any  # (M, 2)
-    label: Any  # (M, 2)
-    dt: Any  # (B,)
-    gravity: Any  # (B, 2)
-    seed: Any  # (B,) int64, of the world
-    step: Any  # (B,) int64, steps before this one
-    # static shapes, which the images show as walls
-    shape_start: Any  # (B + 1,) int64, first static shape of each state
-    shape_body: Any  # (S,) int64, into the N bodies
-    shape_type: Any  # (S,) int32, dc.ShapeType
-    shape_radius: Any  # (S,)
-    vertex_start: Any  # (S + 1,) int64
-    vertices: Any  # (V, 2), in the body's frame
-
-    def __len__(self) -> int:
-        """B."""
-        return len(self.seed)
-
-    def to(self, *target: Any, **options: Any) -> Batch:
-        """The batch on another device, as ``Tensor.to``."""
-        return replace(self, **{f.name: getattr(self, f.name).to(*target, **options) for f in fields(self)})
-
-
-# axis of what is put together: fields of a world's record
-_MOTION = ("position", "angle", "velocity", "angular_velocity")
-_BODY = ("mass", "inertia", "body_type")
-_CONTACT = ("point", "normal", "gap", "friction", "restitution", "age", "color", *_STAGE_FIELDS)
-_SHAPE = ("shape_type", "shape_radius")
-_DTYPES = {"color": np.int32}
-
-
-class _World:
-    """All states of a world in memory."""
-
-    def __init__(self, file: Any, row: int) -> None:
-        """Read the world of a shard."""
-
-        def rows(axis: str, name: str, first: int, last: int) -> np.ndarray:
-            return file[f"{axis}/{name}"][first:last]
-
-        def start(name: str) -> tuple[int, int]:
-            return tuple(int(n) for n in file[f"world/{name}"][row : row + 2])  # type: ignore[return-value]
-
-        self.seed, self.dt = int(file["world/seed"][row]), file["world/dt"][row]
-        self.gravity = file["world/gravity"][row]
-        bodies, shapes, steps = start("body_start"), start("shape_start"), start("step_start")
-        motion = file["step/motion_start"][steps[0] : steps[1] + 1]
-        contact = file["step/contact_start"][steps[0] : steps[1] + 1]
-        self.motion_start, self.contact_start = motion - motion[0], contact - contact[0]
-        self.arrays: dict[str, np.ndarray] = {}
-        for name in _MOTION:
-            self.arrays[name] = rows("motion", name, motion[0], motion[-1])
-        for name in _BODY:
-            self.arrays[name] = rows("body", name, *bodies)
-        for name in ("body_a", "body_b", *_CONTACT[: -len(_STAGE_FIELDS)]):
-            values = rows("contact", name, contact[0], contact[-1])
-            self.arrays[name] = values.astype(_DTYPES.get(name, values.dtype), copy=False)
-        stages = file["contact/impulse"][:, contact[0] : contact[-1]]
-        self.arrays.update(zip(shards.STAGES, stages))
-        self._read_static(file, shapes)
-
-    def _read_static(self, file: Any, shapes: tuple[int, int]) -> None:
-        first, last = shapes
-        body = file["shape/shape_body"][first:last]
-        static = self.arrays["body_type"][body] == BodyType.STATIC
-        vertex = file["shape/vertex_start"][first : last + 1]
-        vertices = file["vertex/vertices"][vertex[0] : vertex[-1]]
-        kept = [vertices[a - vertex[0] : b - vertex[0]] for a, b in itertools.pairwise(vertex)]
-        kept = [part for part, keep in zip(kept, static) if keep]
-        self.arrays["shape_body"] = body[static]
-        for name in _SHAPE:
-            self.arrays[name] = file[f"shape/{name}"][first:last][static]
-        self.arrays["vertices"] = np.concatenate([np.zeros((0, 2), np.float32), *kept])
-        self.vertex_count = np.array([len(part) for part in kept], np.int64)
+CACHE_BYTES = 2**28
+"""Size of the worlds that a process keeps in memory, about [B]."""
 
 
 class States(Dataset):
@@ -182,8 +79,8 @@ class States(Dataset):
         ):
             if value < low:
                 raise ValueError(f"{name} is {value}; it must be >= {low}")
-        with shards.opened(index) as file:
-            self.config = shards.config_of(file)
+        with opened(index) as file:
+            self.config = config_of(file)
             self.seeds = file["world/seed"][...]
             self.step_start = file["world/step_start"][...]
             self.contact_count = np.diff(file["step/contact_start"][...])
@@ -207,7 +104,7 @@ class States(Dataset):
 
     def _forget(self) -> None:
         self._files: dict[int, Any] = {}
-        self._known: OrderedDict[int, _World] = OrderedDict()
+        self._known: OrderedDict[int, World] = OrderedDict()
 
     def __getstate__(self) -> dict[str, Any]:
         """For workers: without what is open and read."""
@@ -232,13 +129,13 @@ class States(Dataset):
     def _world_of(self, rows: np.ndarray) -> np.ndarray:
         return np.searchsorted(self.step_start, rows, "right") - 1
 
-    def _world(self, number: int) -> _World:
+    def _world(self, number: int) -> World:
         if number in self._known:
             self._known.move_to_end(number)
             return self._known[number]
         shard = int(np.searchsorted(self.shard_start, number, "right") - 1)
-        with shards.opened(self.folder / self.shard_names[shard]) as file:
-            world = _World(file, number - int(self.shard_start[shard]))
+        with opened(self.folder / self.shard_names[shard]) as file:
+            world = World(file, number - int(self.shard_start[shard]))
         if world.seed != self.seeds[number]:
             raise ValueError(f"{self.folder / self.shard_names[shard]} is not that of the index: make the index anew")
         self._known[number] = world
@@ -268,12 +165,12 @@ class States(Dataset):
         bodies = np.array([part.stop - part.start for part in motion])
         contacts = np.array([part.stop - part.start for part in contact])
         shapes = np.array([len(w.vertex_count) for w in worlds])
-        body_start = _offsets(bodies)
+        body_start = offsets(bodies)
         arrays: dict[str, np.ndarray] = {
             "body_start": body_start,
-            "contact_start": _offsets(contacts),
-            "shape_start": _offsets(shapes),
-            "vertex_start": _offsets(np.concatenate([w.vertex_count for w in worlds])),
+            "contact_start": offsets(contacts),
+            "shape_start": offsets(shapes),
+            "vertex_start": offsets(np.concatenate([w.vertex_count for w in worlds])),
             "body_a": cut("body_a", contact) + np.repeat(body_start[:-1], contacts),
             "body_b": cut("body_b", contact) + np.repeat(body_start[:-1], contacts),
             "shape_body": whole("shape_body") + np.repeat(body_start[:-1], shapes),
@@ -281,23 +178,19 @@ class States(Dataset):
             "gravity": np.stack([w.gravity for w in worlds]),
             "seed": self.seeds[numbers],
             "step": np.array(steps, np.int64),
-            **{name: cut(name, motion) for name in _MOTION},
-            **{name: cut(name, contact) for name in _CONTACT},
-            **{name: whole(name) for name in (*_BODY, *_SHAPE, "vertices")},
+            **{name: cut(name, motion) for name in MOTION},
+            **{name: cut(name, contact) for name in CONTACT},
+            **{name: whole(name) for name in (*BODY, *SHAPE, "vertices")},
         }
         return Batch(**{name: torch.from_numpy(values) for name, values in arrays.items()})
 
 
 def _index(path: str | Path) -> Path:
     """Path of an index, given it or its folder."""
-    index = Path(path) if Path(path).name == shards.INDEX else Path(path) / shards.INDEX
+    index = Path(path) if Path(path).name == INDEX else Path(path) / INDEX
     if not index.exists():
         raise ValueError(f"{index.parent} has no {index.name}: it is no data set, or one that is not finished")
     return index
-
-
-def _offsets(sizes: np.ndarray) -> np.ndarray:
-    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
 
 
 def _split(worlds: int, split: Split | None, validation: float, seed: int) -> np.ndarray:
@@ -430,8 +323,8 @@ def describe(path: str | Path) -> dict[str, Any]:
     Raises:
         ValueError, OSError: see ``States``.
     """
-    with shards.opened(_index(path)) as file:
-        config = shards.config_of(file)
+    with opened(_index(path)) as file:
+        config = config_of(file)
         seeds, step_start = file["world/seed"][...], file["world/step_start"][...]
         body_start, shape_start = file["world/body_start"][...], file["world/shape_start"][...]
         # of each shape, then of each vertex, the body's row in motion at its world's first step

@@ -14,9 +14,10 @@ import pytest
 distributed = pytest.importorskip("distributed")
 
 from pipeline.data import generate as generation  # noqa: E402
-from pipeline.data import shards  # noqa: E402
-from pipeline.data.generate import generate, make_shard  # noqa: E402
+from pipeline.data import layout  # noqa: E402
+from pipeline.data.generate import generate  # noqa: E402
 from pipeline.data.recipe import GenerateOptions, Recipe  # noqa: E402
+from pipeline.data.recorder import make_shard  # noqa: E402
 from pipeline.scenes import Thesis  # noqa: E402
 
 SHARDS = 8
@@ -55,14 +56,14 @@ def test_a_killed_worker_loses_and_doubles_nothing(tmp_path):
         assert killed and killed[0] not in client.run(os.getpid).values()
     assert summary["complete"] and summary["worlds_made"] == 3 * SHARDS
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        shards.INDEX,
-        *(shards.shard_path(tmp_path, n).name for n in range(SHARDS)),
+        layout.INDEX,
+        *(layout.shard_path(tmp_path, n).name for n in range(SHARDS)),
     ]
-    with h5py.File(tmp_path / shards.INDEX) as file:
+    with h5py.File(tmp_path / layout.INDEX) as file:
         assert file["world/seed"][...].tolist() == list(range(5, 5 + 3 * SHARDS))
         assert file["motion/angle"].shape == (3 * SHARDS * 150 * 41,)
     for number in range(SHARDS):
-        image = shards.shard_path(tmp_path, number).read_bytes()
+        image = layout.shard_path(tmp_path, number).read_bytes()
         assert image == bytes(make_shard(RECIPE, number)), "a worker's shard differs from that of a thread"
 
 

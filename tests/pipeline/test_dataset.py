@@ -13,7 +13,7 @@ from dc_kernels.measure import contact_slots
 
 torch = pytest.importorskip("torch")
 
-from pipeline.data import shards  # noqa: E402
+from pipeline.data import layout  # noqa: E402
 from pipeline.data.dataset import Batch, BatchOrder, States, describe, loader  # noqa: E402
 from pipeline.data.generate import generate  # noqa: E402
 from pipeline.data.recipe import SOLVER, GenerateOptions, Recipe  # noqa: E402
@@ -240,6 +240,6 @@ def test_bad_arguments_and_folders_are_named(folder, tmp_path):
         loader(folder, batch_size=4, min_contacts=10_000)
     with pytest.raises(ValueError, match=r"has no index\.h5"):
         States(tmp_path)
-    (tmp_path / shards.INDEX).write_bytes(b"no data set")
+    (tmp_path / layout.INDEX).write_bytes(b"no data set")
     with pytest.raises(ValueError, match="not an HDF5 file"):
         States(tmp_path)

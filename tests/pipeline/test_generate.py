@@ -24,9 +24,10 @@ import dc_kernels as dc
 from dc_kernels.measure import contact_slots
 from pipeline.cli import main, parse
 from pipeline.data import generate as generation
-from pipeline.data import shards
-from pipeline.data.generate import generate, make_shard
+from pipeline.data import layout, packing, shards
+from pipeline.data.generate import generate
 from pipeline.data.recipe import GenerateOptions, Recipe, load_recipe, parse_recipe
+from pipeline.data.recorder import make_shard
 from pipeline.scenes import Chain, Mixed, Stack, Thesis
 
 SMALL = Recipe(scene=Thesis(bodies=6), options=GenerateOptions(worlds=5, seed=7, steps=70, dt=0.02, shard_worlds=2))
@@ -45,7 +46,7 @@ def make(recipe: Recipe, folder: Path, **options) -> dict:
 
 def contents(folder: Path) -> dict[str, bytes]:
     """Every file of a folder but the index, in which HDF5 leaves bytes of no meaning."""
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.name != shards.INDEX}
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.name != layout.INDEX}
 
 
 @pytest.fixture(scope="module")
@@ -69,8 +70,8 @@ def copy(whole, tmp_path) -> Path:
 
 def written(values: np.ndarray, axis: int, rows: int) -> h5py.File:
     """A file of one dataset, packed by us."""
-    column = shards.Column(values.dtype, "1", "a test", values.shape[axis + 1 :], values.shape[:axis])
-    image = shards.file_image({"group/data": shards.pack(values, axis, rows)}, {"group/data": column}, {})
+    column = layout.DatasetSpec(values.dtype, "1", "a test", values.shape[axis + 1 :], values.shape[:axis])
+    image = packing.file_image({"group/data": packing.pack(values, axis, rows)}, {"group/data": column}, {})
     return h5py.File(io.BytesIO(image), "r")
 
 
@@ -99,7 +100,7 @@ def test_checksum_is_that_of_hdf5(data):
         found = file.create_dataset("data", data=values, chunks=values.shape, fletcher32=True)
         file.flush()
         chunk = bytes(found.id.read_direct_chunk((0,))[1])
-    assert chunk == data + shards.fletcher32(data)
+    assert chunk == data + packing.fletcher32(data)
 
 
 def test_checksum_of_multiples_of_the_modulus():
@@ -113,33 +114,33 @@ def test_checksum_of_multiples_of_the_modulus():
 
 def test_layout_is_as_documented(whole):
     config = SMALL.config()
-    for name in (*SHARDS, shards.INDEX):
+    for name in (*SHARDS, layout.INDEX):
         with h5py.File(whole / name) as file:
             assert (file.attrs["schema"], file.attrs["version"]) == ("deep-contact.dataset", 1)
             assert json.loads(file.attrs["config"]) == config
             assert json.loads(file.attrs["versions"])["warp-lang"]
             assert file.attrs["flags"] == 0 and 0.9 < file.attrs["label_reached"] <= 1.0
             index = file.attrs["kind"] == "index"
-            worlds = {"shard-00002.h5": 1, shards.INDEX: 5}.get(name, 2)
+            worlds = {"shard-00002.h5": 1, layout.INDEX: 5}.get(name, 2)
             assert (file.attrs["worlds"], file.attrs["steps"]) == (worlds, 70)
             assert file["world/seed"][0] == file.attrs["seed"]
-            for axis, columns in shards.LAYOUT.items():
+            for axis, columns in layout.LAYOUT.items():
                 for key, column in columns.items():
                     data = file[axis][key]
                     assert (data.attrs["unit"], data.attrs["meaning"]) == (column.unit, column.meaning)
                     assert data.dtype == column.dtype
-                    if index and f"{axis}/{key}" not in shards.STARTS:
+                    if index and f"{axis}/{key}" not in layout.STARTS:
                         assert data.is_virtual
                     else:
                         assert (data.compression, data.shuffle, data.fletcher32) == ("gzip", True, True)
-            for start, rows in shards.STARTS.items():
+            for start, rows in layout.STARTS.items():
                 offsets = file[start][...]
-                count = next(d for k, d in file[rows].items() if f"{rows}/{k}" not in shards.STARTS).shape[0]
+                count = next(d for k, d in file[rows].items() if f"{rows}/{k}" not in layout.STARTS).shape[0]
                 if rows == "contact":
                     count = file["contact/gap"].shape[0]
                 assert offsets[0] == 0 and offsets[-1] == count and (np.diff(offsets) >= 0).all(), start
             assert list(file["contact/impulse"].attrs["stages"]) == ["start", "impulse", "label"]
-    assert sorted(path.name for path in whole.iterdir()) == [shards.INDEX, *SHARDS]
+    assert sorted(path.name for path in whole.iterdir()) == [layout.INDEX, *SHARDS]
 
 
 def test_readers_without_our_code_find_a_state(whole):
@@ -171,11 +172,11 @@ def test_readers_without_our_code_find_a_state(whole):
 
 
 def test_index_shows_the_shards_as_one(whole):
-    with h5py.File(whole / shards.INDEX) as index:
+    with h5py.File(whole / layout.INDEX) as index:
         parts = [h5py.File(whole / name) for name in SHARDS]
         for name, data in shards.datasets(parts[0]):
             axis = 1 if name == "contact/impulse" else 0
-            if name not in shards.STARTS:
+            if name not in layout.STARTS:
                 np.testing.assert_array_equal(index[name], np.concatenate([part[name] for part in parts], axis))
             else:
                 sizes = np.concatenate([np.diff(part[name]) for part in parts])
@@ -189,7 +190,7 @@ def test_threads_and_shards_change_no_bit(whole, tmp_path):
     make(SMALL, tmp_path / "threads", threads=2)
     assert contents(tmp_path / "threads") == contents(whole)
     make(changed(SMALL, shard_worlds=5), tmp_path / "one")
-    with h5py.File(tmp_path / "one" / shards.INDEX) as one, h5py.File(whole / shards.INDEX) as three:
+    with h5py.File(tmp_path / "one" / layout.INDEX) as one, h5py.File(whole / layout.INDEX) as three:
         for name, data in shards.datasets(three):
             if not name.startswith("shard/"):
                 np.testing.assert_array_equal(one[name], data, name)
@@ -202,7 +203,7 @@ def test_growth_within_a_shard_changes_no_bit(whole, monkeypatch):
 
 
 def test_labels_are_tighter_than_the_run(whole):
-    with h5py.File(whole / shards.INDEX) as file:
+    with h5py.File(whole / layout.INDEX) as file:
         busy = np.diff(file["step/contact_start"]) > 0
         change, label = file["step/change"][...][busy], file["step/label_change"][...][busy]
         reached = file["step/label_reached"][...][busy] == 1
@@ -225,7 +226,7 @@ def test_a_world_that_stops_is_marked(tmp_path):
     recipe = Recipe(scene=Thesis(bodies=2, gravity=1e37), options=GenerateOptions(worlds=1, steps=30, dt=1.0))
     summary = make(recipe, tmp_path)
     assert dc.Flag(summary["flags"]) == dc.Flag.NONFINITE
-    with h5py.File(tmp_path / shards.INDEX) as file:
+    with h5py.File(tmp_path / layout.INDEX) as file:
         flags = file["step/flags"][...]
         assert flags[-1] and file.attrs["flags"] == flags[-1]
         first = int(np.argmax(flags != 0))
@@ -241,7 +242,7 @@ def test_ranges_are_drawn_from_each_worlds_seed(tmp_path):
     ranges = (("radius", 0.2, 0.4), ("bodies", 3, 8), ("dt", 0.01, 0.03))
     recipe = changed(SMALL, worlds=6, ranges=ranges, steps=3)
     make(recipe, tmp_path)
-    with h5py.File(tmp_path / shards.INDEX) as file:
+    with h5py.File(tmp_path / layout.INDEX) as file:
         drawn = {name: file[f"drawn/{name}"][...] for name, _, _ in ranges}
         for name, low, high in ranges:
             assert len(set(drawn[name].tolist())) > 2 and low <= drawn[name].min() and drawn[name].max() <= high
@@ -311,7 +312,7 @@ def test_stored_grids_are_those_made_from_the_states(tmp_path):
     make(recipe, tmp_path)
     states = dataset.States(tmp_path, min_contacts=0)
     image, label = splatter.Splatter(recipe.options.grid)(states.batch(range(len(states))))
-    with h5py.File(tmp_path / shards.INDEX) as file:
+    with h5py.File(tmp_path / layout.INDEX) as file:
         np.testing.assert_array_equal(file["grid/input"], image)
         np.testing.assert_array_equal(file["grid/label"], label)
         assert label.any() and file["grid/input"].is_virtual
@@ -349,9 +350,9 @@ def test_a_killed_run_goes_on(whole, tmp_path):
     (tmp_path / ".shard-00007.1.partial.h5").write_bytes(b"half a shard")
     summary = make(recipe, tmp_path)
     assert summary["shards_kept"] == len(finished)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [shards.INDEX, *(f"shard-0000{n}.h5" for n in range(10))]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [layout.INDEX, *(f"shard-0000{n}.h5" for n in range(10))]
     assert all((tmp_path / name).stat().st_ino == inode for name, inode in finished.items())
-    with h5py.File(tmp_path / shards.INDEX) as file:
+    with h5py.File(tmp_path / layout.INDEX) as file:
         assert file["world/seed"][...].tolist() == list(range(7, 47))
         assert file["step/step"].shape == (40 * 150,)
     assert (tmp_path / "shard-00005.h5").read_bytes() == bytes(make_shard(recipe, 5))
@@ -369,7 +370,7 @@ def test_interrupt_keeps_what_is_finished(whole, tmp_path, monkeypatch):
     monkeypatch.setattr(generation, "make_shard", one_then_interrupt)
     before = signal.getsignal(signal.SIGINT)
     summary = make(SMALL, tmp_path)
-    assert not summary["complete"] and not (tmp_path / shards.INDEX).exists()
+    assert not summary["complete"] and not (tmp_path / layout.INDEX).exists()
     assert signal.getsignal(signal.SIGINT) is before
     assert "the same command goes on" in generation.describe(summary)
     monkeypatch.undo()

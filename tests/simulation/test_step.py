@@ -162,6 +162,27 @@ def test_time_steps_that_make_no_sense(dt):
     assert all_worlds(sim) == before
 
 
+@pytest.mark.parametrize("dt", [[DT, 0.0], [DT, np.nan], [DT], [[DT, DT]]])
+def test_time_steps_of_worlds_that_make_no_sense(dt):
+    sim = simulation(seeds=(0, 1))
+    before = all_worlds(sim)
+    with pytest.raises(ValueError, match=r"dt\[1\] is|dt has shape"):
+        sim.collide(np.array(dt))
+    assert all_worlds(sim) == before
+
+
+def test_each_world_may_have_a_time_step_of_its_own():
+    steps = np.array([DT, 0.5 * DT])
+    both, alone = simulation(seeds=(0, 1)), [simulation(seeds=(seed,)) for seed in (0, 1)]
+    for _ in range(80):
+        both.collide(steps)
+        both.solve()
+        both.advance()
+    for sim, dt in zip(alone, steps.tolist(), strict=True):
+        sim.run(80, dt)
+    assert [of_world(both, w) for w in (0, 1)] == [of_world(sim, 0) for sim in alone]
+
+
 def test_negative_number_of_steps():
     with pytest.raises(ValueError, match="steps is -1"):
         simulation(seeds=(0,)).run(-1, DT)

@@ -1,0 +1,116 @@
+"""States of a data set in memory: whole worlds as they are read, and batches as networks are given them."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.model.enums import BodyType
+from pipeline.data.layout import STAGES
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Holds B states one after the other, N bodies and M contacts in all, as tensors in SI units.
+
+    Bodies are those before the step. ``start`` is what the solver started from, ``impulse`` its solution at the run's
+    tolerance, ``label`` the one at the label's tolerance: normal and tangential [N s].
+    """
+
+    body_start: Any  # (B + 1,) int64, first body of each state
+    contact_start: Any  # (B + 1,) int64, first contact of each state
+    position: Any  # (N, 2), as all that is not said to be of another dtype float32
+    angle: Any  # (N,)
+    velocity: Any  # (N, 2)
+    angular_velocity: Any  # (N,)
+    mass: Any  # (N,), 0 where infinite
+    inertia: Any  # (N,), 0 where infinite
+    body_type: Any  # (N,) int32, dc.BodyType
+    body_a: Any  # (M,) int64, into the N bodies
+    body_b: Any  # (M,) int64
+    point: Any  # (M, 2)
+    normal: Any  # (M, 2), from A to B
+    gap: Any  # (M,)
+    friction: Any  # (M,)
+    restitution: Any  # (M,)
+    age: Any  # (M,) int32, 0 where the contact is new
+    color: Any  # (M,) int32
+    start: Any  # (M, 2)
+    impulse: Any  # (M, 2)
+    label: Any  # (M, 2)
+    dt: Any  # (B,)
+    gravity: Any  # (B, 2)
+    seed: Any  # (B,) int64, of the world
+    step: Any  # (B,) int64, steps before this one
+    # static shapes, which the images show as walls
+    shape_start: Any  # (B + 1,) int64, first static shape of each state
+    shape_body: Any  # (S,) int64, into the N bodies
+    shape_type: Any  # (S,) int32, dc.ShapeType
+    shape_radius: Any  # (S,)
+    vertex_start: Any  # (S + 1,) int64
+    vertices: Any  # (V, 2), in the body's frame
+
+    def __len__(self) -> int:
+        """Return B, the number of states."""
+        return len(self.seed)
+
+    def to(self, *target: Any, **options: Any) -> Batch:
+        """Move the tensors as ``Tensor.to`` does."""
+        return replace(self, **{f.name: getattr(self, f.name).to(*target, **options) for f in fields(self)})
+
+
+# fields of a batch by the axis along which states are put together
+MOTION = ("position", "angle", "velocity", "angular_velocity")
+BODY = ("mass", "inertia", "body_type")
+CONTACT = ("point", "normal", "gap", "friction", "restitution", "age", "color", *STAGES)
+SHAPE = ("shape_type", "shape_radius")
+_DTYPES = {"color": np.int32}
+
+
+class World:
+    """Holds all states of a world in memory."""
+
+    def __init__(self, file: Any, row: int) -> None:
+        """Read a world of an open shard; ``row`` is its place there."""
+
+        def rows(axis: str, name: str, first: int, last: int) -> np.ndarray:
+            return file[f"{axis}/{name}"][first:last]
+
+        def start(name: str) -> tuple[int, int]:
+            return tuple(int(n) for n in file[f"world/{name}"][row : row + 2])  # type: ignore[return-value]
+
+        self.seed, self.dt = int(file["world/seed"][row]), file["world/dt"][row]
+        self.gravity = file["world/gravity"][row]
+        bodies, shapes, steps = start("body_start"), start("shape_start"), start("step_start")
+        motion = file["step/motion_start"][steps[0] : steps[1] + 1]
+        contact = file["step/contact_start"][steps[0] : steps[1] + 1]
+        self.motion_start, self.contact_start = motion - motion[0], contact - contact[0]
+        self.arrays: dict[str, np.ndarray] = {}
+        for name in MOTION:
+            self.arrays[name] = rows("motion", name, motion[0], motion[-1])
+        for name in BODY:
+            self.arrays[name] = rows("body", name, *bodies)
+        for name in ("body_a", "body_b", *CONTACT[: -len(STAGES)]):
+            values = rows("contact", name, contact[0], contact[-1])
+            self.arrays[name] = values.astype(_DTYPES.get(name, values.dtype), copy=False)
+        stages = file["contact/impulse"][:, contact[0] : contact[-1]]
+        self.arrays.update(zip(STAGES, stages))
+        self._read_static(file, shapes)
+
+    def _read_static(self, file: Any, shapes: tuple[int, int]) -> None:
+        """Read those of the shapes first, ..., last - 1 that are static."""
+        first, last = shapes
+        body = file["shape/shape_body"][first:last]
+        static = self.arrays["body_type"][body] == BodyType.STATIC
+        vertex = file["shape/vertex_start"][first : last + 1]
+        vertices = file["vertex/vertices"][vertex[0] : vertex[-1]]
+        kept = [vertices[a - vertex[0] : b - vertex[0]] for a, b in itertools.pairwise(vertex)]
+        kept = [part for part, keep in zip(kept, static) if keep]
+        self.arrays["shape_body"] = body[static]
+        for name in SHAPE:
+            self.arrays[name] = file[f"shape/{name}"][first:last][static]
+        self.arrays["vertices"] = np.concatenate([np.zeros((0, 2), np.float32), *kept])
+        self.vertex_count = np.array([len(part) for part in kept], np.int64)
