@@ -420,6 +420,8 @@ class Simulation:
 
     def _check_dt(self, dt: float | np.ndarray) -> None:
         value = np.asarray(dt, np.float64)
+        if value.ndim and value.shape != self._step_dt.shape:
+            raise ValueError(f"dt has shape {value.shape}; it must be a number or have shape {self._step_dt.shape}")
         if not ((value > 0.0) & (value < float("inf"))).all():
             raise ValueError(f"dt is {dt!r}; it must be finite and > 0 [s]")
         if not value.astype(self.dtype).all():
