@@ -96,44 +96,45 @@ def headlines(records: Mapping[str, Record]) -> str:
     problems = len({row["file"] for row in records["fc2d"]["rows"]}) + records["fc2d"]["states"]
 
     def times(theirs: float, ours: float) -> str:
-        return f"{figure(theirs / ours)} x"
+        return figure(theirs / ours)
 
     rows = [
         (
             "worlds of 100 discs per second, each step to 1e-4 N s; mean overlap left",
             f"{figure(worlds['worlds_per_s'])}; {figure(worlds['overlap_mean_mm'])} mm",
-            f"pymunk {figure(worlds['pymunk_10'])}; {figure(worlds['pymunk_10_overlap_mm'])} mm",
-            f"{times(worlds['worlds_per_s'], worlds['pymunk_10'])} the speed",
+            f"pymunk, 10 iterations {figure(worlds['pymunk_10'])}; {figure(worlds['pymunk_10_overlap_mm'])} mm",
+            f"{times(worlds['worlds_per_s'], worlds['pymunk_10'])} times its speed, "
+            f"1 / {figure(round(worlds['pymunk_10_overlap_mm'] / worlds['overlap_mean_mm'], -3))} of its overlap",
         ),
         (
-            "1 000 discs at rest, wall time per simulated second, overlap below 1 mm",
+            "1 000 discs at rest, overlap below 1 mm, per simulated second",
             f"{figure(1e3 * pile['default'])} ms",
             f"pymunk {figure(1e3 * pile['pymunk']['seconds'])}, pybox2d {figure(1e3 * pile['pybox2d']['seconds'])} ms",
-            f"{times(pile['pymunk']['seconds'], pile['default'])}, "
-            f"{times(pile['pybox2d']['seconds'], pile['default'])}",
+            f"{times(pile['pymunk']['seconds'], pile['default'])} and "
+            f"{times(pile['pybox2d']['seconds'], pile['default'])} times faster",
         ),
         (
-            "splat of 1e5 particles in random order",
-            f"{figure(transfers['splat_100000_ns'])} ns each",
+            "splat of 1e5 particles in random order, each",
+            f"{figure(transfers['splat_100000_ns'])} ns",
             f"torch `index_add_` {figure(transfers['index_add_100000_ns'])} ns",
-            times(transfers["index_add_100000_ns"], transfers["splat_100000_ns"]),
+            f"{times(transfers['index_add_100000_ns'], transfers['splat_100000_ns'])} times faster",
         ),
         (
-            "neighbours of 1e5 points, about 6 each",
-            f"{figure(near['hash_ns 2D 100000'])} ns each",
+            "pairs of 1e5 points with 6 neighbours, each",
+            f"{figure(near['hash_ns 2D 100000'])} ns",
             f"SciPy's k-d tree {figure(near['ckdtree_ns 2D 100000'])} ns",
-            times(near["ckdtree_ns 2D 100000"], near["hash_ns 2D 100000"]),
+            f"{times(near['ckdtree_ns 2D 100000'], near['hash_ns 2D 100000'])} times faster",
         ),
         (
             f"contact problems solved to 1e-8, of {problems}",
             figure(solved["auto"]),
             f"best first-order method {first_order}",
-            times(solved["auto"], first_order),
+            f"{times(solved['auto'], first_order)} times as many",
         ),
     ]
     cold, warm = records["startup"]["cold_s"], records["startup"]["warm_s"]
     return paragraphs(
-        table(("one thread", "deep-contact", "beside", "ratio"), rows),
+        table(("one thread", "deep-contact", "peer", "ratio"), rows),
         f"From the start of a process to the end of its first step it takes {figure(cold)} s with an empty kernel "
         f"cache, {figure(warm)} s afterwards.",
     )
