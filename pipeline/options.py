@@ -19,7 +19,7 @@ class SolverOptions:
     method: Literal["pgs", "jacobi"] = DEFAULT.method
     """Gauss-Seidel in colour order, or Jacobi with mass splitting."""
     acceleration: Literal["none", "sor", "aitken", "nncg", "adaptive"] = DEFAULT.acceleration
-    """Acceleration of the method."""
+    """How the method is accelerated."""
     tolerance: float = DEFAULT.tolerance
     """Impulse change of a sweep, or residual, at which a solve ends [N s or 1]."""
     relative_tolerance: float = DEFAULT.relative_tolerance
@@ -31,7 +31,7 @@ class SolverOptions:
     min_sweeps: int = DEFAULT.min_sweeps
     """Least number of sweeps of a solve [1]."""
     position_correction: Literal["ngs", "baumgarte", "none"] = DEFAULT.position_correction
-    """A phase of its own after the velocities, a velocity bias, or nothing."""
+    """How overlaps are mended: in a phase of its own after the velocities, by a velocity bias, or not at all."""
 
     def config(self, history: bool = False) -> dc.SolverConfig:
         """Make the settings of the kernels; with ``history`` they keep the impulse change of every sweep."""
@@ -53,7 +53,7 @@ class RunOptions:
     dtype: Literal["float32", "float64"] = "float32"
     """Scalar type of all arrays."""
     backend: Literal["warp", "numpy"] = "warp"
-    """Kernels: Warp, or the slow NumPy oracle."""
+    """Whose kernels are run: Warp's, or those of the slow NumPy oracle."""
     device: str = "cpu"
     """Device of the Warp kernels: cpu, or cuda:0, ..."""
 

@@ -41,7 +41,7 @@ def measure(quick: bool) -> dict[str, Any]:
     from bench.learning import thesis_networks
     from pipeline.evaluate.options import EvaluationOptions
     from pipeline.evaluate.runs import against
-    from pipeline.evaluate.strategy import run_strategy
+    from pipeline.evaluate.worlds import run_worlds
 
     torch.set_num_threads(THREADS)
     options = EvaluationOptions(worlds=3 if quick else 10, history=False)
@@ -55,11 +55,11 @@ def measure(quick: bool) -> dict[str, Any]:
         for name in (*STARTS, *networks, *DRIVERS):
             timing.progress(f"{name}, plain PGS")
             start = f"{name}={networks[name].path}" if name in networks else name
-            plain[name] = run_strategy(options, start, "none", make=make.get(name))
+            plain[name] = run_worlds(options, start, "none", make=make.get(name))
     fast = {}
     for name in ("builtin", *DRIVERS):
         timing.progress(f"{name}, Aitken")
-        fast[name] = run_strategy(options, name, "aitken", make=make.get(name))
+        fast[name] = run_worlds(options, name, "aitken", make=make.get(name))
     for runs in (plain, fast):
         base = runs["builtin"]
         values["rows"] += [{**run.summary(), "start": name, **against(run, base)} for name, run in runs.items()]

@@ -13,7 +13,7 @@ except ImportError:  # cli.parse() says what is missing
 
 @dataclass(frozen=True, kw_only=True)
 class Common:
-    """What every command takes."""
+    """Options of every command."""
 
     json: bool = False
     """Print one line of JSON last, and no progress bar."""

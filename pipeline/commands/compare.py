@@ -25,7 +25,7 @@ from pipeline.scenes import Thesis
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(Common):
-    """The thesis protocol: None, Builtin, Copy and ContactNet, then accelerated; a table, its plots, and a world."""
+    """Run the thesis protocol, plain and accelerated, and one of its worlds; print the table, draw it all."""
 
     out: Path = Path("out/demo")
     """Folder of demo.png, protocol.png, protocol.json, grids.png and, in world/, the files of the world shown."""
@@ -34,7 +34,7 @@ class Demo(Common):
     bodies: int = 100
     """Discs in each world [1]."""
     steps: int = 250
-    """Steps [1]."""
+    """Steps of each world [1]."""
     threads: int = 1
     """Threads that share the worlds [1]."""
 
@@ -64,7 +64,7 @@ class Demo(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class Protocol(Common):
-    """Run the thesis protocol: compare start strategies, print the table, draw the theses' plots."""
+    """Run the thesis protocol: compare starts, print the table, draw the theses' plots."""
 
     protocol: ProtocolOptions = field(default_factory=ProtocolOptions)
     out: Path = Path("out/protocol")
@@ -76,7 +76,7 @@ class Protocol(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(Common):
-    """Compare start strategies and trained networks on held-out worlds: tables, all plots of the theses."""
+    """Compare starts and trained networks on held-out worlds: tables, all plots of the theses."""
 
     evaluation: EvaluationOptions = field(default_factory=EvaluationOptions)
     out: Path = Path("out/evaluate")

@@ -42,7 +42,7 @@ class Solve:
 
 @dataclass(frozen=True, kw_only=True)
 class Fclib(Common):
-    """Contact problems in FCLIB's HDF5 layout: export those of a scene, solve those of others."""
+    """Export contact problems of a scene in FCLIB's HDF5 layout, or solve those of others."""
 
     action: Export | Solve
     """What to do."""

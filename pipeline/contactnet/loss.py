@@ -19,8 +19,10 @@ from pipeline.contactnet.network import EvenShare
 
 torch = require("torch", "pipeline")
 
-LEAK = 0.1  # share of the gradient that passes what the friction cone cuts off
-FLOOR = 1e-5  # error of an impulse below which nothing is gained [N s]
+LEAK = 0.1
+"""Share of the gradient that passes what the friction cone cuts off [1]."""
+FLOOR = 1e-5
+"""Error of an impulse below which nothing is gained [N s]."""
 CONTACT_FIELDS = ("normal", "arm_a", "arm_b", "friction", "bias", "effective_mass")
 BODY_FIELDS = ("inv_mass", "inv_inertia", "velocity")
 CALL_FIELDS = ("local", "image_value", "impulse", "step", "rate")
@@ -29,33 +31,34 @@ ERRORS = ("velocity", "impulse", "step")
 
 @dataclass(frozen=True)
 class CallBatch:
-    """Calls of a network in B solves, one after the other, in the order of a sweep."""
+    """Holds calls of a network in B solves, one after the other; their M contacts are in the order of a sweep."""
 
     problem: ContactProblem
+    """What the sweeps after a call solve."""
     local: Any
-    """(M, len(LOCAL))."""
+    """Features of each contact, (M, len(LOCAL))."""
     image_value: Any
-    """(M, len(IMAGE))."""
+    """What each contact adds to the images, (M, len(IMAGE))."""
     places: Sequence[Any]
     """Contact points and centres of the bodies A and B [m], (M, 2) each."""
     impulse: Any
-    """(M, 2) [N s]."""
+    """Impulses that the contacts carry at the call, (M, 2) [N s]."""
     step: Any
-    """Of the last sweep, (M, 2) [N s]."""
+    """Change of the impulses in the last sweep, (M, 2) [N s]."""
     rate: Any
-    """A near each contact, (M,)."""
+    """Amplification A of Aitken's step near each contact, (M,) [1]."""
     scale: Any
-    """See ``SolveReader.scale``, (B, 4)."""
+    """Scales of each world, those of ``SolveReader.scale``, (B, 4)."""
     label: Any
-    """Solution, (M, 2) [N s]."""
+    """Impulses of the solution, (M, 2) [N s]."""
     world: Any
-    """Of each contact, (M,) int64."""
+    """World of each contact, (M,) int64."""
     start: Any
-    """First contact of each world and their number, (B + 1,) int32."""
+    """First contact of each world and, last, the number of contacts, (B + 1,) int32."""
 
     @classmethod
     def of(cls, calls: Sequence[dict[str, Any]]) -> CallBatch:
-        """A batch of calls as ``rollouts.Recorder`` keeps them."""
+        """Put calls that ``rollouts.Recorder`` has kept together as a batch."""
 
         def stack(values: Sequence[np.ndarray]) -> Any:
             return torch.from_numpy(np.ascontiguousarray(np.concatenate(values)))
@@ -89,7 +92,7 @@ class CallBatch:
 
     @property
     def count(self) -> int:
-        """Solves in the batch."""
+        """Number of solves in the batch, B."""
         return len(self.scale)
 
     def total(self, values: Any) -> Any:
@@ -97,12 +100,12 @@ class CallBatch:
         return values.new_zeros(self.count).index_add(0, self.world, values)
 
     def squares(self, values: Any) -> Any:
-        """Squared norm of values (M, 2) in each world, (B,)."""
+        """Return the squared norm of values (M, 2) in each world, (B,)."""
         return self.total(values.square().sum(dim=1))
 
 
 def on_cone(impulse: Any, friction: Any) -> Any:
-    """Impulses on the friction cone; what it cuts off passes ``LEAK`` of the gradient."""
+    """Put impulses (M, 2) on the friction cone [N s]; what it cuts off passes ``LEAK`` of the gradient."""
 
     def leaky(free: Any, cut: Any) -> Any:
         rest = LEAK * (free - cut)
@@ -115,14 +118,14 @@ def on_cone(impulse: Any, friction: Any) -> Any:
 
 
 def corrected(output: Any, impulse: Any, step: Any, rate: Any, scale: Any) -> Any:
-    """What ``correct_impulses`` makes of an answer, before the cone; scale of each contact (M, 4)."""
+    """Correct impulses (M, 2) by an answer as ``correct_impulses`` does before the cone; the scale is (M, 4)."""
     _, size, _, expected = scale[:, :, None].unbind(1)
     by_step = (1.0 + rate)[:, None] * output[:, 0:2] * step
     return impulse + by_step + expected * (output[:, 2:4] + output[:, 4:6] * impulse / size)
 
 
 def predicted(batch: CallBatch, model: Any, grid: Grid) -> Any:
-    """Impulses after a call, on their cones, (M, 2) [N s]."""
+    """Return the impulses after a call, on their cones, (M, 2) [N s]."""
     if isinstance(model, EvenShare):
         output = model.head(batch.local, ())
     else:
@@ -133,7 +136,7 @@ def predicted(batch: CallBatch, model: Any, grid: Grid) -> Any:
 
 
 def errors_left(batch: CallBatch, model: Any, grid: Grid, sweeps: int) -> dict[str, Any]:
-    """Errors that a call and some sweeps after it leave; log of the norms, (B,) each.
+    """Measure the errors that a call and some sweeps after it leave, as the log of their norms, (B,) each.
 
     Args:
         batch: of calls.
@@ -153,5 +156,5 @@ def errors_left(batch: CallBatch, model: Any, grid: Grid, sweeps: int) -> dict[s
 
 
 def gather_all(batch: CallBatch, image: Any, grid: Grid) -> list[Any]:
-    """An image at the contacts and at both their bodies, differentiable."""
+    """Gather an image at the contacts and at the centres of bodies A and B, (M, channels) each, differentiably."""
     return [gather_torch(image.contiguous(), place, grid, start=batch.start) for place in batch.places]

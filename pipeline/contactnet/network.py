@@ -22,16 +22,17 @@ nn = torch.nn
 F = torch.nn.functional
 Module: Any = nn.Module  # a name that mypy takes as a base
 
-SHARE = 1.0  # of Aitken's step that the network begins with
+SHARE = 1.0
+"""Share of Aitken's step with which the network begins [1]."""
 BEGIN, ACCELERATED = LOCAL.index("begin"), LOCAL.index("accelerated")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactNetConfig:
-    """Sizes of a ContactNet."""
+    """Sizes of the layers of a ContactNet, and of the grid that it reads."""
 
     spacing: float = 2.0
-    """Distance of the grid's nodes [typical diameters]: it shows what is far, the features of a contact are exact."""
+    """Distance of the grid's nodes; it need not be fine, as contacts bring exact features [typical diameters]."""
     channels: tuple[int, ...] = (8, 16, 16)
     """Channels of the trunk at each scale; each scale halves the grid [1]."""
     near: int = 8
@@ -52,10 +53,10 @@ class ContactNetConfig:
 
 @register("contactnet", ContactNetConfig)
 class ContactNet(Module):
-    """Features of contacts and images of worlds -> corrections (contacts, len(OUTPUT))."""
+    """Maps features of contacts and images of worlds to corrections (contacts, len(OUTPUT))."""
 
     def __init__(self, config: ContactNetConfig | None = None) -> None:
-        """Random weights that begin with the same share of Aitken's step for every contact (``SHARE``)."""
+        """Draw random weights; the answer begins as a share of Aitken's step, ``SHARE`` for every contact."""
         super().__init__()
         self.config = config = config or ContactNetConfig()
         widths = config.channels
@@ -78,7 +79,7 @@ class ContactNet(Module):
         self.to(memory_format=torch.channels_last)  # half the time of a convolution on a CPU
 
     def trunk(self, images: Any) -> Any:
-        """(K, len(IMAGE), rows, columns) -> (K, near, rows, columns)."""
+        """Map images (K, len(IMAGE), rows, columns) to what contacts read of them, (K, near, rows, columns)."""
         kept = []
         x = images
         for i, layer in enumerate(self.down):
@@ -92,7 +93,7 @@ class ContactNet(Module):
         return self.near(x)
 
     def head(self, local: Any, near: Any) -> Any:
-        """Features (n, len(LOCAL)) and the trunk at three places, (n, near) each -> (n, len(OUTPUT))."""
+        """Map features (n, len(LOCAL)) and the trunk at three places (n, near) to corrections (n, len(OUTPUT))."""
         x = self.own(local)
         for layer, value in zip(self.places, near):
             x = x + layer(value)
@@ -105,28 +106,28 @@ class ContactNet(Module):
         return answer
 
     def forward(self, local: Any, images: Any, gather: Callable[[Any], Any]) -> Any:
-        """Corrections; ``gather`` brings an image of the worlds to the contacts and both their bodies."""
+        """Return corrections (n, len(OUTPUT)); ``gather`` reads an image at the contacts and at their bodies."""
         return self.head(local, gather(self.trunk(images)))
 
 
 class EvenShare(Module):
-    """No network: the answer that a ContactNet begins with, for every contact alike. What a network has to beat."""
+    """Answers with an equal share of Aitken's step for all contacts: what a network has to beat."""
 
     def __init__(self) -> None:
         super().__init__()
         self.config = ContactNetConfig()
 
     def trunk(self, images: Any) -> Any:
-        """Nothing, (K, 1, rows, columns)."""
+        """Return zeros, (K, 1, rows, columns), of which the head reads nothing."""
         return images.new_zeros(len(images), 1, *images.shape[2:])
 
     def head(self, local: Any, near: Any) -> Any:
-        """The same share of the step of the last sweep, (n, len(OUTPUT))."""
+        """Return an equal share of the step of the last sweep for all contacts, (n, len(OUTPUT))."""
         output = local.new_zeros(len(local), len(OUTPUT))
         output[:, :2] = even_share(local)[:, None]
         return output
 
 
 def even_share(local: Any) -> Any:
-    """Share of Aitken's step while solving, (n,), none of the contacts' own before the first sweep."""
+    """Return the share of Aitken's step for each contact, (n,): ``SHARE`` while solving, 0 before the first sweep."""
     return SHARE * (1.0 - local[:, BEGIN])

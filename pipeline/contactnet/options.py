@@ -10,7 +10,7 @@ from pipeline.checks import check_finite, check_least
 
 @dataclass(frozen=True, kw_only=True)
 class ContactTrainOptions:
-    """How a ContactNet is trained; the defaults are those of the weights in the package."""
+    """Options of a training of ContactNet; the defaults are those of the weights in the package."""
 
     out: Path = Path("out/contactnet")
     """Folder of the files, made if missing; files of an earlier training are replaced."""
@@ -21,21 +21,21 @@ class ContactTrainOptions:
     steps: int = 500
     """Steps of a round [1]."""
     contacts: int = 5000
-    """Contacts of a step's batch, about [1]."""
+    """Number of contacts of a step's batch, about [1]."""
     rate: float = 1e-3
     """Highest learning rate, of AdamW in one cycle."""
     weight_decay: float = 1e-4
-    """Of the optimiser."""
+    """Weight decay of the optimiser [1]."""
     clip: float = 1.0
     """Longest gradient, to which longer ones are cut [1]."""
     seed: int = 0
-    """Of the weights, of what is recorded, and of the first world [1]."""
+    """Seed of the weights, of what is recorded, and of the first world [1]."""
     spacing: float = 2.0
     """Distance of the grid's nodes [typical diameters]."""
     channels: tuple[int, ...] = (8, 16, 16)
     """Channels of the trunk at each scale [1]."""
     near: int = 8
-    """Channels gathered at the contacts [1]."""
+    """Channels that are gathered at the contacts [1]."""
     hidden: tuple[int, ...] = (48, 32)
     """Widths of the head's hidden layers [1]."""
     worlds: float = 1.0

@@ -20,23 +20,30 @@ from pipeline.starts.learned import CallOptions, LearnedSolve
 
 THESES_SETTINGS = {"slop": 5e-3, "speculative": 0.0, "speculative_max": 0.0}
 LABEL = {"tolerance": 2e-6, "max_sweeps": 4000, "acceleration": "aitken"}
-LABEL_CHANGE = 1e-5  # of a solution that counts as one [N s]
-FALL = 0.4  # time in which discs fall before many touch [s]
+LABEL_CHANGE = 1e-5
+"""Impulse change below which a solve counts as a solution [N s]."""
+FALL = 0.4
+"""Time in which discs fall before many of them touch [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """A batch of worlds that calls are recorded in."""
+    """Worlds of one kind in which calls are recorded."""
 
     bodies: int
+    """Discs in each world [1]."""
     worlds: int
+    """Number of worlds [1]."""
     acceleration: str
+    """Acceleration of the solver."""
     solves: int
-    """Solves of each world in which calls are recorded."""
+    """Solves of each world in which calls are recorded [1]."""
     calls: int
-    """Calls kept of each of these solves, in the mean over the worlds."""
+    """Calls that are kept of each of these solves, in the mean over the worlds [1]."""
     steps: int = 250
+    """Steps of each world [1]."""
     max_sweeps: int = 1000
+    """Sweeps after which a solve ends unconverged [1]."""
 
 
 SETTINGS = (
@@ -48,12 +55,12 @@ SETTINGS = (
 
 
 def seeds_of(settings: tuple[Setting, ...]) -> int:
-    """Worlds, and so seeds, of a round of all settings."""
+    """Count the worlds, and so the seeds, of a round of all settings."""
     return sum(setting.worlds for setting in settings)
 
 
 def record(model: Any, setting: Setting, seed: int, generator: np.random.Generator) -> list[dict[str, Any]]:
-    """Calls of the network in some solves of worlds of the seeds from ``seed`` on.
+    """Record calls of the network in some solves of worlds of the seeds from ``seed`` on.
 
     Solves between them run without it. A third of the batches has the solver's own margins, the others the theses'.
 
@@ -93,7 +100,7 @@ def record(model: Any, setting: Setting, seed: int, generator: np.random.Generat
 
 
 class Recorder:
-    """Keeps what the network reads, until the solve is over and its solution known."""
+    """Keeps what the network reads until the solve is over and its solution known."""
 
     def __init__(self, solve: LearnedSolve, generator: np.random.Generator) -> None:
         self.solve, self.generator = solve, generator
@@ -120,7 +127,7 @@ class Recorder:
             )
 
     def take(self, most: int) -> list[dict[str, Any]]:
-        """Calls of the solve that is over, up to so many, with their problems; the solve's result is left as it is."""
+        """Return up to ``most`` calls of the solve that is over, with their problems; its result stays as it is."""
         pending, self.pending = self.pending, []
         if not pending:
             return []

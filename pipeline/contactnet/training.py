@@ -39,15 +39,20 @@ from pipeline.training.processes import Processes, processes, seed_everything
 torch = require("torch", "pipeline")
 
 NETWORK, STATE = "contactnet.safetensors", "training.safetensors"
-VALIDATION_CALLS = 100  # of each kind of world
-Recorded = tuple[tuple[int, str], dict[str, Any]]  # discs and acceleration of the world, and a call in it
-WEIGHTS = {"velocity": 0.3, "impulse": 0.2, "step": 0.5}  # of the errors in the loss
-AFTER = (20, 40, 80)  # sweeps after which the error of a call counts, in turn
-SLOW = 0.5  # power of 1 + A in the weight of a world: the sweeps that an error costs
+VALIDATION_CALLS = 100
+"""Calls of validation of each kind of world [1]."""
+Recorded = tuple[tuple[int, str], dict[str, Any]]
+"""Discs and acceleration of a world, and a call in it."""
+WEIGHTS = {"velocity": 0.3, "impulse": 0.2, "step": 0.5}
+"""Weights of the errors in the loss [1]."""
+AFTER = (20, 40, 80)
+"""Sweeps after which the error of a call counts; steps take them in turn [1]."""
+SLOW = 0.5
+"""Power of 1 + A in the weight of a world, as an error there costs more sweeps [1]."""
 
 
 def settings_of(options: ContactTrainOptions) -> tuple[Setting, ...]:
-    """What is recorded in a round."""
+    """Return what is recorded in a round."""
     return tuple(replace(setting, worlds=max(1, round(options.worlds * setting.worlds))) for setting in SETTINGS)
 
 
@@ -75,7 +80,7 @@ def train_contactnet(options: ContactTrainOptions | None = None, progress: bool 
 
 
 class ContactTraining:
-    """A training under way."""
+    """A training under way: its network, its optimiser, and the rounds that are done."""
 
     def __init__(self, options: ContactTrainOptions, group: Processes) -> None:
         """Make network and optimiser, and continue where an earlier run stopped.
@@ -109,7 +114,7 @@ class ContactTraining:
         self.grids: dict[int, Any] = {}
 
     def run(self, stop: Any, progress: bool) -> dict[str, Any]:
-        """All rounds that are left."""
+        """Run the rounds that are left, and return the summary."""
         options = self.options
         self.validation = self.record(-1)
         total = options.rounds * options.steps
@@ -144,7 +149,7 @@ class ContactTraining:
         return self.finish() if self.group.first else {}
 
     def record(self, round_: int) -> list[Recorded]:
-        """Calls of a round, -1 for those of validation."""
+        """Record the calls of a round; round -1 are those of validation."""
         options, rank = self.options, self.group.rank
         validation = round_ < 0
         generator = np.random.default_rng([options.seed, round_ + 1, rank])
@@ -164,7 +169,7 @@ class ContactTraining:
         return calls
 
     def batch(self, calls: Sequence[Recorded], generator: np.random.Generator) -> list[tuple[Any, CallBatch]]:
-        """Calls drawn until there are contacts enough, as one batch for each kind of world."""
+        """Draw calls until there are contacts enough; returns grid and batch for each kind of world."""
         drawn: list[Recorded] = []
         contacts = 0
         while contacts < self.options.contacts:
@@ -173,7 +178,7 @@ class ContactTraining:
         return [(grid, batch) for grid, batch, _ in self.batches(drawn)]
 
     def batches(self, calls: Sequence[Recorded]) -> list[tuple[Any, CallBatch, str]]:
-        """Calls as one batch for each kind of world, with its grid and name."""
+        """Put calls together as one batch for each kind of world, with its grid and name."""
         kinds = sorted({kind for kind, _ in calls})
         return [
             (
@@ -185,7 +190,7 @@ class ContactTraining:
         ]
 
     def step(self, batches: Sequence[tuple[Any, CallBatch]], step: int) -> float:
-        """One step of the optimiser; mean log of the error over that of an even share of Aitken's step."""
+        """Make a step of the optimiser; returns the mean log of the error over that of an even share."""
         after = AFTER[step % len(AFTER)]
         total: Any = 0.0
         weights = gain = 0.0
@@ -213,7 +218,7 @@ class ContactTraining:
         return sum(WEIGHTS[name] * (found[name] - even[name]) for name in ERRORS)
 
     def validate(self) -> dict[str, float]:
-        """Mean log of the errors over those of an even share, by sweeps after the call and kind of world."""
+        """Return mean logs of the errors over those of an even share, by sweeps after the call and by kind of world."""
         self.model.eval()
         values: dict[str, list[float]] = {}
         with torch.no_grad():
@@ -227,7 +232,7 @@ class ContactTraining:
         return {f"validation/{key}": float(np.mean(value)) for key, value in values.items()}
 
     def predictions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Impulses before a call of validation, after it, and the true ones, (M, 2) each [N s]."""
+        """Return impulses before the calls of validation, after them, and the true ones, (M, 2) each [N s]."""
         self.model.eval()
         found = []
         with torch.no_grad():
@@ -238,14 +243,14 @@ class ContactTraining:
         return before, after, label
 
     def save(self) -> None:
-        """Network and state, each in one go."""
+        """Write network and state, each in one go."""
         options = self.options
         progress = {"round": self.round, "seconds": self.seconds, "tuned": self.tuned}
         save_checkpoint(options.out / NETWORK, self.model, self.manifest())
         save_training(options.out / STATE, self.model, self.optimizer, self.schedule, progress, self.identity)
 
     def manifest(self) -> dict[str, Any]:
-        """What the network was trained on."""
+        """Return what the network was trained on, for its file."""
         options = self.options
         last = self.log.rows[-1] if self.log.rows else {}
         return plain(
@@ -264,7 +269,7 @@ class ContactTraining:
         )
 
     def finish(self) -> dict[str, Any]:
-        """Pictures and summary."""
+        """Draw the pictures, and write and return the summary."""
         options = self.options
         summary = {
             "network": "contactnet",
@@ -283,7 +288,7 @@ class ContactTraining:
 
 
 def describe_contact_training(summary: dict[str, Any]) -> str:
-    """What a training did, in a few lines."""
+    """Say what a training did, in a few lines."""
     tuning, metrics = summary["tuning"], summary["metrics"]
     lines = [
         f"contactnet: {summary['parameters']:,} weights, {summary['steps']} steps, {summary['minutes']:.1f} minutes"

@@ -1,4 +1,4 @@
-"""How much of a ContactNet's answer is used, chosen by what counts: the sweeps of whole solves with it in the loop.
+"""Choice of the gain of a ContactNet's answer by the sweeps of whole solves with it in the loop.
 
 Training lowers the error after one call. What that does to the calls and extrapolations that follow is not in its loss
 (a gradient through several calls is useless, as each extrapolation multiplies it by up to 200): with plain sweeps the
@@ -21,6 +21,7 @@ from pipeline.seeds import check_training_seeds
 from pipeline.starts.learned import CallOptions, LearnedSolve
 
 GAINS = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.4)
+"""Gains that are tried, of which the first and the last are there for their neighbours [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,10 +29,15 @@ class Crowd:
     """Worlds of one kind, at several steps of their fall."""
 
     bodies: int
+    """Discs in each world [1]."""
     worlds: int
+    """Worlds at each step [1]."""
     acceleration: str
+    """Acceleration of the solver."""
     steps: tuple[int, ...]
+    """Steps at which a solve is repeated with each gain [1]."""
     max_sweeps: int = 1000
+    """Sweeps after which a solve ends unconverged [1]."""
 
 
 CROWDS = (
@@ -42,7 +48,7 @@ CROWDS = (
 
 
 def seeds_of(crowds: Sequence[Crowd]) -> int:
-    """Worlds, and so seeds, of some crowds."""
+    """Count the worlds, and so the seeds, of some crowds."""
     return sum(len(crowd.steps) * crowd.worlds for crowd in crowds)
 
 
@@ -71,7 +77,7 @@ class Snapshot:
         self.solve = LearnedSolve(self.sim, model, CallOptions())
 
     def cost(self) -> np.ndarray:
-        """Log of the sweeps over those from the cache, of the worlds that need more than a few."""
+        """Return the log of the sweeps over those from the cache, of the worlds that need more than a few."""
         self.sim.contacts.numpy("impulse")[...] = self.start
         self.solve.solve()
         counted = self.base > self.solve.every
@@ -79,7 +85,7 @@ class Snapshot:
 
 
 def best_gain(costs: np.ndarray) -> float:
-    """The gain of the least cost, of costs (len(GAINS),) that are smoothed by (1, 2, 1): solves are chaotic.
+    """Choose the gain of the least cost, of costs (len(GAINS),) that are smoothed by (1, 2, 1), as solves are chaotic.
 
     The first and the last of ``GAINS`` are there for their neighbours.
     """

@@ -1,7 +1,7 @@
-"""Data sets for torch: states of ``shards`` in batches, shuffled across worlds, and their images.
+"""Data sets for torch: states of a data set in batches, shuffled across worlds.
 
     for batch in loader("out/data", batch_size=64, split="train", shuffle=True, seed=0):
-        image, label = splatter(batch)
+        image, label = splatter(batch)  # of ``data.splatter``
 
 A state is one world at one step. Worlds are read whole and kept while a pool of them lasts; states are shuffled within
 a pool, pools are drawn across all worlds. Nothing is open before the first state is asked for, so workers may be forked
@@ -107,23 +107,23 @@ class States(Dataset):
         self._known: OrderedDict[int, World] = OrderedDict()
 
     def __getstate__(self) -> dict[str, Any]:
-        """For workers: without what is open and read."""
+        """Return what workers are given: nothing that is open or read."""
         return {**self.__dict__, "_files": {}, "_known": OrderedDict()}
 
     def __len__(self) -> int:
-        """States."""
+        """Count the states."""
         return len(self.rows)
 
     def __getitem__(self, index: int) -> Batch:
-        """One state."""
+        """Return one state, as a batch."""
         return self.batch([index])
 
     def __getitems__(self, indices: Sequence[int]) -> Batch:
-        """A batch, for torch's loaders."""
+        """Return a batch, for torch's loaders."""
         return self.batch(indices)
 
     def world_of(self, indices: Any) -> np.ndarray:
-        """Which world each state is of, counted through the data set."""
+        """Return the world of each state, counted through the data set."""
         return self._world_of(self.rows[np.asarray(indices, np.int64)])
 
     def _world_of(self, rows: np.ndarray) -> np.ndarray:
@@ -144,7 +144,7 @@ class States(Dataset):
         return world
 
     def batch(self, indices: Sequence[int]) -> Batch:
-        """States as one batch, in the order given.
+        """Put states together as a batch, in the order given.
 
         Raises:
             IndexError: for an index out of range.
@@ -186,7 +186,7 @@ class States(Dataset):
 
 
 def _index(path: str | Path) -> Path:
-    """Path of an index, given it or its folder."""
+    """Return the path of an index, given it or its folder."""
     index = Path(path) if Path(path).name == INDEX else Path(path) / INDEX
     if not index.exists():
         raise ValueError(f"{index.parent} has no {index.name}: it is no data set, or one that is not finished")
@@ -194,7 +194,7 @@ def _index(path: str | Path) -> Path:
 
 
 def _split(worlds: int, split: Split | None, validation: float, seed: int) -> np.ndarray:
-    """Worlds of a split, sorted."""
+    """Draw the worlds of a split, sorted."""
     if split is None:
         return np.arange(worlds)
     order = np.random.Generator(np.random.PCG64(seed)).permutation(worlds)
@@ -219,7 +219,7 @@ class BatchOrder(Sampler):
         rank: int = 0,
         world_size: int = 1,
     ) -> None:
-        """Arguments as of ``loader``."""
+        """Choose the batches of a rank; the arguments are those of ``loader``."""
         for name, value, low in (("batch_size", batch_size, 1), ("seed", seed, 0), ("world_size", world_size, 1)):
             if value < low:
                 raise ValueError(f"{name} is {value}; it must be >= {low}")
@@ -235,7 +235,7 @@ class BatchOrder(Sampler):
         self.epoch = epoch
 
     def order(self) -> np.ndarray:
-        """Indices of all states in the order of this epoch."""
+        """Return the indices of all states in the order of this epoch."""
         count = len(self.states)
         if not self.shuffle:
             return np.arange(count)
@@ -247,13 +247,13 @@ class BatchOrder(Sampler):
         return np.lexsort((stream.random(count), pool))
 
     def __len__(self) -> int:
-        """Batches of this rank."""
+        """Count the batches of this rank."""
         count = len(self.states)
         batches = count // self.batch_size if self.drop_last else -(-count // self.batch_size)
         return batches // self.world_size if self.drop_last else -(-batches // self.world_size)
 
     def __iter__(self) -> Iterator[list[int]]:
-        """The batches of this rank."""
+        """Go through the batches of this rank, each a list of indices."""
         order = self.order()
         batches = [order[i : i + self.batch_size] for i in range(0, len(order), self.batch_size)]
         for i in range(len(self)):
@@ -285,7 +285,7 @@ def loader(
     drop_last: bool = False,
     **options: Any,
 ) -> Loader:
-    """A ``DataLoader`` of batches; its ``set_epoch(n)`` chooses the order of each pass.
+    """Make a ``DataLoader`` of batches; its ``set_epoch(n)`` chooses the order of each pass.
 
     Args:
         path: folder of the data set, or its index.
@@ -311,7 +311,7 @@ def loader(
 
 
 def describe(path: str | Path) -> dict[str, Any]:
-    """What a data set holds, without its states.
+    """Describe what a data set holds, without its states.
 
     Args:
         path: folder of the data set, or its index.

@@ -18,14 +18,17 @@ from pipeline.checks import check_finite, check_least
 from pipeline.scenes import Scene, Thesis
 from pipeline.scenes import scene as named_scene
 
-IMAGE_CHANNELS = 6  # of stored images, those that ``dc.Images`` has by default
-SOLVER = dc.SolverConfig(min_sweeps=1)  # the sweeps of a state are those to its tolerance
-DRAW_STREAM = 2  # of a world's seed, beside those of its bodies and of random starts
+IMAGE_CHANNELS = 6
+"""Channels of stored images, those that ``dc.Images`` has by default [1]."""
+SOLVER = dc.SolverConfig(min_sweeps=1)
+"""Settings of the solver unless told otherwise: the sweeps of a state are those to its tolerance."""
+DRAW_STREAM = 2
+"""Number of the random stream of a world's seed that draws parameters; others place bodies and make random starts."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GenerateOptions:
-    """What a data set holds, beside its scene."""
+    """Options of a data set beside its scene and solver."""
 
     worlds: int = 1000
     """Worlds, of the seeds seed, seed + 1, ... [1]."""
@@ -38,9 +41,9 @@ class GenerateOptions:
     ranges: tuple[tuple[str, float, float], ...] = ()
     """Parameters of the scene, or dt, drawn uniformly for each world from its own seed: name, low, high."""
     label_tolerance: float = 1e-5
-    """As the solver's tolerance, for the label, which is solved on from the solution [N s or 1]."""
+    """Tolerance of the label, which is solved on from the solution; its kind is that of the solver's [N s or 1]."""
     label_sweeps: int = 1000
-    """Further sweeps after which a label is kept as it is, marked [1]."""
+    """Further sweeps after which a label is kept as it is, and marked [1]."""
     shard_worlds: int = 25
     """Worlds of a shard [1]."""
     grids: bool = False
@@ -48,7 +51,7 @@ class GenerateOptions:
     grid_size: tuple[float, float] = (15.0, 15.0)
     """Width and height of the region that stored images show, from (0, 0) [m]."""
     grid_spacing: float = 0.25
-    """Distance of their nodes; the kernel reaches two of them [m]."""
+    """Distance of the nodes of stored images, of which the kernel reaches two [m]."""
 
     def check(self) -> None:
         """Raise a ``ValueError`` that names the option which is out of its range."""
@@ -57,30 +60,30 @@ class GenerateOptions:
 
     @property
     def shard_count(self) -> int:
-        """How many shards there are."""
+        """Number of shards [1]."""
         return -(-self.worlds // self.shard_worlds)
 
     def seeds(self, number: int) -> range:
-        """Seeds of a shard's worlds."""
+        """Return the seeds of a shard's worlds."""
         first = self.seed + number * self.shard_worlds
         return range(first, min(first + self.shard_worlds, self.seed + self.worlds))
 
     @property
     def grid(self) -> dc.Grid:
-        """Of the stored images."""
+        """Grid of the stored images."""
         return dc.Grid.from_box((0.0, 0.0), self.grid_size, self.grid_spacing)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """All that a data set depends on: scene, options, solver."""
+    """All that a data set depends on."""
 
     scene: Scene = field(default_factory=Thesis)
     options: GenerateOptions = field(default_factory=GenerateOptions)
     solver: dc.SolverConfig = SOLVER
 
     def config(self) -> dict[str, Any]:
-        """As it stands in TOML and in the files."""
+        """Return the configuration as it stands in TOML and in the files."""
         scene = {"name": self.scene.name, **asdict(self.scene)}
         ranges = {name: [low, high] for name, low, high in self.options.ranges}
         whole = {**asdict(self.options), "ranges": ranges, "scene": scene, "solver": self.solver.to_dict()}
@@ -88,7 +91,7 @@ class Recipe:
 
     @property
     def label_config(self) -> dc.SolverConfig:
-        """Settings of the solves to the label."""
+        """Settings of the solver for the solves to the label."""
         options = self.options
         return replace(self.solver, tolerance=options.label_tolerance, max_sweeps=options.label_sweeps)
 
@@ -129,7 +132,7 @@ class Recipe:
                 )
 
     def draw(self, seed: int) -> dict[str, float | int]:
-        """What is drawn for the world of a seed, by name."""
+        """Draw the parameters of the world of a seed; returns them by name."""
         drawn: dict[str, float | int] = {}
         for name, low, high in self.options.ranges:
             # a stream for each, so that another range changes nothing in those that were there
@@ -139,7 +142,7 @@ class Recipe:
         return drawn
 
     def is_whole(self, name: str) -> bool:
-        """Whether a parameter that is drawn is an integer."""
+        """Tell whether a parameter that is drawn is an integer."""
         return name != "dt" and isinstance(getattr(self.scene, name), int)
 
     def _typed(self, name: str, value: float) -> float | int:
@@ -147,7 +150,7 @@ class Recipe:
 
 
 def load_recipe(path: Path) -> Recipe:
-    """The recipe that a TOML file describes: options at the top, tables scene, ranges and solver; the rest by default.
+    """Load a recipe from TOML: options at the top, tables scene, ranges and solver; what is missing has its default.
 
     Raises:
         ValueError: naming file and setting, for one that is unknown or of another type.
@@ -165,7 +168,7 @@ def load_recipe(path: Path) -> Recipe:
 
 
 def parse_recipe(config: Mapping[str, Any]) -> Recipe:
-    """The recipe of a configuration, as ``Recipe.config`` gives it, or of a part of it.
+    """Make the recipe of a configuration, as ``Recipe.config`` gives it, or of a part of it.
 
     Raises:
         ValueError: naming a setting that is unknown or of another type.
@@ -187,7 +190,7 @@ def parse_recipe(config: Mapping[str, Any]) -> Recipe:
 
 
 def _updated(default: Any, values: Mapping[str, Any], prefix: str) -> Any:
-    """A dataclass with some fields replaced by those of a file, of the types that they have there."""
+    """Replace fields of a dataclass by values of a file, which must be of the types of the fields."""
     known = {f.name: getattr(default, f.name) for f in fields(default)}
     changed = {}
     for name, value in values.items():

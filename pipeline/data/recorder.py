@@ -17,7 +17,7 @@ from pipeline.data.shards import shard_image
 
 
 class Stopped(Exception):
-    """A shard was given up because the run is to end."""
+    """Tells that a shard was given up because the run is to end."""
 
 
 def make_shard(

@@ -8,7 +8,7 @@ from typing import Any
 
 from pipeline.evaluate.options import Acceleration, EvaluationOptions, Loop, ProtocolOptions
 from pipeline.evaluate.runs import Run, summaries
-from pipeline.evaluate.strategy import run_strategy, split_label
+from pipeline.evaluate.worlds import run_worlds, split_label
 from pipeline.process import progress_bar, torch_threads
 from pipeline.starts.registry import is_network, maker
 
@@ -75,7 +75,7 @@ def _run_all(
         for loop in loops:
             for start, acceleration in pairs:
                 bar.set_description(f"{split_label(start)[0]}, {acceleration}, {loop} loop")
-                runs.append(run_strategy(options, start, acceleration, bar, loop=loop, make=makers[start]))
+                runs.append(run_worlds(options, start, acceleration, bar, loop=loop, make=makers[start]))
     return runs
 
 

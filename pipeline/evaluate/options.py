@@ -25,11 +25,11 @@ class ProtocolOptions:
     """Options of the thesis protocol; the defaults are the theses'."""
 
     starts: tuple[str, ...] = ("none", "builtin", "copy")
-    """Start strategies: none, builtin, random, bad, copy, copyN (rounded to N decimals), grid, grid-bilinear (copy
+    """Starts: none, builtin, random, bad, copy, copyN (rounded to N decimals), grid, grid-bilinear (copy
     through splat and gather); cnn, cnn-start (the pretrained network, in mid-solve too or at the start only), or a
     trained network: PATH.safetensors or LABEL=PATH.safetensors."""
     accelerations: tuple[Acceleration, ...] = ("none",)
-    """Accelerations of the solver; each runs with every start strategy."""
+    """Accelerations of the solver; each runs with every start."""
     method: Literal["pgs", "jacobi"] = "pgs"
     """Gauss-Seidel in colour order, or Jacobi with mass splitting."""
     worlds: int = 10
@@ -49,7 +49,7 @@ class ProtocolOptions:
     slop: float = 5e-3
     """Overlap that is left alone [diameters]."""
     speculative: float = 0.0
-    """Gaps below this are contacts though they do not close within the step [diameters]."""
+    """Gap below which there is a contact though it does not close within the step [diameters]."""
     threads: int = 1
     """Threads that share the worlds [1]."""
     dtype: Literal["float32", "float64"] = "float32"
@@ -89,11 +89,11 @@ class EvaluationOptions(ProtocolOptions):
     """Options of the comparison of all starts and networks on the same held-out worlds."""
 
     starts: tuple[str, ...] = ("none", "builtin", "copy", "copy2", "copy0", "grid", "grid-bilinear", "random", "bad")
-    """Start strategies: none, builtin, random, bad, copy, copyN (rounded to N decimals), grid, grid-bilinear (copy
+    """Starts: none, builtin, random, bad, copy, copyN (rounded to N decimals), grid, grid-bilinear (copy
     through splat and gather); cnn, cnn-start (the pretrained network, in mid-solve too or at the start only), or a
     trained network: PATH.safetensors or LABEL=PATH.safetensors."""
     loops: tuple[Loop, ...] = ("closed", "open")
-    """Each strategy on a trajectory of its own, or all on that of Builtin."""
+    """Whose trajectory the states are of: each start's own (closed), or that of Builtin (open)."""
 
     def check(self) -> None:
         """Raise a ``ValueError`` that names the option which is out of its range."""

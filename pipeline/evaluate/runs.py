@@ -23,36 +23,42 @@ PATHS = {"closed": "each on a trajectory of its own", "open": "all on the trajec
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """What one strategy did, in arrays (steps, worlds)."""
+    """What one start did."""
 
     start: str
+    """Label of the start."""
     solver: str
+    """Name of the solver."""
     max_sweeps: int
+    """Sweeps after which a solve ends unconverged [1]."""
     tolerance: float
+    """Impulse change of a sweep at which a solve ends [N s]."""
     sweeps: np.ndarray
+    """Sweeps of each solve, (steps, worlds) [1]."""
     change: np.ndarray
+    """Largest impulse change of the last sweep, (steps, worlds) [N s]."""
     contacts: np.ndarray
-    """Contacts that press or overlap."""
+    """Number of contacts that press or overlap, (steps, worlds) [1]."""
     start_error: tuple[float, float]
     """Mean squared difference of start and final impulse over all contacts, normal and tangential [N^2 s^2]."""
     wall_s: float
-    """Wall time of all steps, without that of a strategy which is no part of the method [s]."""
+    """Wall time of all steps, without that of a start which is no part of the method [s]."""
     strategy_s: float
-    """Wall time in the strategy, for Copy that of the solve in advance [s]."""
+    """Wall time in the start, for Copy that of the solve in advance [s]."""
     decay: np.ndarray | None = field(default=None, repr=False)
     """Largest impulse change of sweep n, median over the states with contacts, (max_sweeps,) [N s]."""
     loop: str = "closed"
-    """A key of ``PATHS``."""
+    """Loop of the run, a key of ``PATHS``."""
     errors: np.ndarray | None = field(default=None, repr=False)
     """Mean squared difference of start and final impulse, (steps, worlds, 2) [N^2 s^2]; NaN without contacts."""
     parts: Mapping[str, float] = field(default_factory=dict)
     """Wall time by part (``PARTS``) [s]."""
     counts: Mapping[str, float] = field(default_factory=dict)
-    """Of a network, worlds times steps: "calls", "skipped" (not needed), "dropped" (worse than the cache, or NaN)."""
+    """Numbers of a network, in worlds times steps; those of ``starts.start.Report.counts``."""
 
     @property
     def label(self) -> str:
-        """For legends and tables."""
+        """Name of the run in legends and tables."""
         return f"{self.start.capitalize()}, {self.solver}"
 
     @property
@@ -72,7 +78,7 @@ class Run:
         return np.where(states, self.sweeps, 0).sum(axis=0) / np.maximum(states.sum(axis=0), 1)
 
     def summary(self) -> dict[str, Any]:
-        """The row of the table, over the states with contacts."""
+        """Return the row of the table, over the states with contacts."""
         states = self.with_contacts
         sweeps, converged = self.sweeps[states], self.converged[states]
         count = max(len(sweeps), 1)
@@ -97,7 +103,7 @@ class Run:
 
 
 def against(run: Run, base: Run) -> dict[str, Any]:
-    """What a run needs over another one on the same worlds: ratios, and in how many worlds it needs fewer sweeps."""
+    """Compare a run with another one on equal worlds: ratios, and in how many worlds it needs fewer sweeps."""
     mine, other = run.summary(), base.summary()
     return {
         "sweeps_ratio": _ratio(mine["mean_sweeps"], other["mean_sweeps"]),
@@ -112,7 +118,7 @@ def _ratio(a: float, b: float) -> float | None:
 
 
 def summaries(runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """The row of each run; "over_builtin" compares it with Builtin of the same solver and loop, if that has run."""
+    """Return the row of each run; "over_builtin" compares it with Builtin of its solver and loop, if that has run."""
     bases = {(run.solver, run.loop): run for run in runs if run.start == BASE}
     rows = []
     for run in runs:

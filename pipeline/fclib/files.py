@@ -33,31 +33,32 @@ LAYOUTS = {-1: "columns", -2: "rows"}
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FclibProblem:
-    """What a file holds."""
+    """A contact problem, and what else a file holds."""
 
     problem: DelassusProblem
-    """The contacts, then equations as bilateral rows."""
+    """The problem: first its contacts, then equations as bilateral rows."""
     info: Mapping[str, str] = field(default_factory=dict)
-    """title, description, math_info; those that there are."""
+    """Those of title, description and math_info that there are."""
     attributes: Mapping[str, str] = field(default_factory=dict)
     """Attributes of the file that are text."""
     solution: np.ndarray | None = None
-    """Impulses, (n, 2) [N s]; equations have theirs in the first column."""
+    """Impulses that solve it, (n, 2) [N s]; equations have theirs in the first column."""
     guesses: Sequence[np.ndarray] = ()
     """Start impulses, (n, 2) [N s] each."""
 
 
 class _Reader:
-    """Datasets of an open file; what is wrong with them is said with the file and the dataset."""
+    """Reads datasets of an open file; an error names the file and the dataset."""
 
     def __init__(self, path: Path, file: Any) -> None:
         self.path, self.file = path, file
 
     def fail(self, name: str, text: str) -> ValueError:
+        """Make an error that names the file and a dataset."""
         return ValueError(f"{self.path}: {name} {text}")
 
     def array(self, name: str, kinds: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        """A dataset of these kinds of dtype and this shape, None for any length."""
+        """Read a dataset of these kinds of dtype and this shape, in which None stands for any length."""
         h5py = require("h5py", "pipeline")
         data = self.file.get(name)
         if not isinstance(data, h5py.Dataset):
@@ -73,7 +74,7 @@ class _Reader:
             raise self.fail(name, f"cannot be read: the file is damaged or cut short ({error})") from None
 
     def vector(self, name: str, length: int) -> np.ndarray:
-        """Finite numbers, (length,) float64."""
+        """Read finite numbers, (length,) float64."""
         values = self.array(name, "fiu", (length,)).astype(np.float64)
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
@@ -81,12 +82,12 @@ class _Reader:
         return values
 
     def integer(self, name: str) -> int:
-        """An integer, as a scalar or an array of one element."""
+        """Read an integer, which is a scalar or an array of one element."""
         data = self.file.get(name)
         return int(self.array(name, "iu", (1,) if getattr(data, "shape", None) == (1,) else ()).ravel()[0])
 
     def matrix(self, name: str, shape: tuple[int | None, int | None]) -> tuple[tuple[int, int], np.ndarray, Any, Any]:
-        """A matrix: shape; rows, columns and values of its entries."""
+        """Read a matrix; returns its shape, and rows, columns and values of its entries."""
         size = (self.integer(f"{name}/m"), self.integer(f"{name}/n"))
         for what, have, want in zip("mn", size, shape, strict=True):
             if have < 0 or want not in (None, have):
@@ -127,7 +128,7 @@ class _Reader:
         return size, rows, columns, values
 
     def text(self, name: str) -> str | None:
-        """A string, None where there is none."""
+        """Read a string; None where there is none."""
         data = self.file.get(name)
         value = data[()] if hasattr(data, "shape") and data.shape == () else None
         if isinstance(value, bytes):
@@ -136,7 +137,7 @@ class _Reader:
 
 
 def read_fclib(path: Path) -> FclibProblem:
-    """A 2D local problem.
+    """Read a 2D local problem.
 
     Raises:
         ValueError: naming file, dataset and limit: not HDF5 or cut short, another kind of problem or dimension, a field
@@ -278,7 +279,7 @@ def write_fclib(path: Path, content: FclibProblem) -> None:
 def _write_matrix(
     file: Any, name: str, shape: tuple[int, ...], rows: np.ndarray, columns: np.ndarray, values: np.ndarray
 ) -> None:
-    """A matrix in compressed columns."""
+    """Write a matrix in compressed columns."""
     order = np.lexsort((rows, columns))
     pointer = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=shape[1]))])
     for what, number in (("nzmax", len(values)), ("m", shape[0]), ("n", shape[1]), ("nz", -1)):
@@ -289,7 +290,7 @@ def _write_matrix(
 
 
 def problem_files(path: Path) -> list[Path]:
-    """The file, or the .hdf5 and .h5 files of a folder by name.
+    """Return the file, or the .hdf5 and .h5 files of a folder by name.
 
     Raises:
         ValueError: where there is none.

@@ -20,7 +20,7 @@ SUFFIXES = (".hdf5", ".h5")
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """Which contact problems are written, and where to."""
+    """Options of an export: which contact problems are written, and where to."""
 
     step: tuple[str, ...] = ("100",)
     """Steps whose problems are written, counted from 1: numbers, or FIRST:LAST:STRIDE with both ends."""
@@ -30,7 +30,7 @@ class ExportOptions:
     """Files; {scene}, {step} and {world} are replaced, and needed where there are several."""
 
     def steps(self) -> list[int]:
-        """The steps in order.
+        """Return the steps in order.
 
         Raises:
             ValueError: naming what is no step or range.
@@ -49,7 +49,7 @@ class ExportOptions:
         return sorted(found)
 
     def path(self, scene: str, step: int, world: int) -> Path:
-        """The file of a problem.
+        """Return the path of a problem's file.
 
         Raises:
             ValueError: for a pattern with other fields.
@@ -119,20 +119,20 @@ def export(
 
 @dataclass(frozen=True, kw_only=True)
 class SolveOptions:
-    """How FCLIB problems are solved."""
+    """Options of the solves of FCLIB problems."""
 
     method: Method = "auto"
-    """Sweeps and, where they stall, pivots and Newton: auto; or one of them."""
+    """Method: auto takes sweeps and, where they stall, pivots and Newton steps; or one of them."""
     tolerance: float = 1e-8
     """Relative natural map at which a solve ends [1]."""
     max_sweeps: int = 100_000
-    """Sweeps at most [1]."""
+    """Largest number of sweeps [1]."""
     scaled: bool = True
-    """Hold the natural map to the tolerance in scaled impulses too, so that units do not matter."""
+    """Hold the natural map of scaled impulses to the tolerance, too, so that units do not matter."""
     start: str = "zero"
     """Start: zero, guess (the file's first) or solution (the file's)."""
     out: Path | None = None
-    """Folder, or a file for one problem: the problems with their solutions; None: nothing is written."""
+    """Folder, or file of a single problem, of the problems with their solutions; None: nothing is written."""
 
 
 def solve_files(path: Path, options: SolveOptions, progress: bool = True) -> dict[str, Any]:
@@ -192,13 +192,13 @@ def solve_files(path: Path, options: SolveOptions, progress: bool = True) -> dic
 
 
 def describe_export(result: dict[str, Any]) -> str:
-    """Files with their contacts, and what was not written."""
+    """Name the files with their contacts, and what was not written."""
     lines = [f"{row['path']}: {row['contacts']} contacts, residual {row['residual']:.2e}" for row in result["files"]]
     return "\n".join([*lines, *(f"step {step}, world {world}: no contacts" for step, world in result["empty"])])
 
 
 def describe_solve(result: dict[str, Any]) -> str:
-    """A line for each file."""
+    """Write a line for each file."""
     width = max(map(len, result["files"]))
     lines = [f"{'file'.ljust(width)}  contacts  sweeps  pivotings   LU  natural map   scaled       ms"]
     for name, row in result["files"].items():

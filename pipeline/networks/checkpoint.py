@@ -39,7 +39,7 @@ def all_versions() -> dict[str, str]:
 
 
 def commit() -> str | None:
-    """The commit of the checkout that this package runs from, with a + where it was changed; None elsewhere."""
+    """Return the commit of the checkout that this package runs from, with a + where it was changed; None elsewhere."""
     git = ["git", "-C", str(Path(__file__).resolve().parent)]
     try:
         found = [
@@ -69,7 +69,7 @@ def save_checkpoint(path: Path | str, model: Any, manifest: Mapping[str, Any]) -
 def load_checkpoint(
     path: Path | str, *, network: str | None = None, grid: Grid | None = None
 ) -> tuple[Any, dict[str, Any]]:
-    """A network and its manifest.
+    """Load a network and its manifest.
 
     Args:
         path: of the file.
@@ -97,7 +97,7 @@ def load_checkpoint(
 
 
 def grid_dict(grid: Grid) -> dict[str, Any]:
-    """A grid as a manifest holds it."""
+    """Return a grid as a manifest holds it."""
     return {
         "rows": int(grid.rows),
         "columns": int(grid.columns),
@@ -207,7 +207,7 @@ def _parsed(path: Path | str, described: Mapping[str, str], name: str) -> Any:
 
 
 def _as_given(saved: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    """A group of an optimiser as it was: JSON knows no tuples, such as Adam's betas."""
+    """Return a group of an optimiser with its tuples, such as Adam's betas, which JSON does not know."""
     return {name: tuple(value) if isinstance(own.get(name), tuple) else value for name, value in saved.items()}
 
 
@@ -217,7 +217,7 @@ def _write(path: Path, tensors: Mapping[str, Any], described: dict[str, str]) ->
 
 
 def _read(path: Path, schema: str, version: int) -> tuple[dict[str, str], dict[str, Any]]:
-    """Metadata and tensors of a file.
+    """Read metadata and tensors of a file.
 
     Raises:
         OSError: it cannot be read.

@@ -38,16 +38,17 @@ Module: Any = nn.Module  # a name that mypy takes as a base
 
 
 class Entry(NamedTuple):
-    """A network as ``build`` knows it."""
+    """What ``build`` makes a network from."""
 
     config: type
-    """A frozen dataclass whose values are plain: numbers, strings, booleans, tuples of them."""
+    """Frozen dataclass of its sizes, whose values are plain: numbers, strings, booleans, tuples of them."""
     module: Callable[[Any], Any]
-    """Config -> ``torch.nn.Module``."""
+    """Makes the ``torch.nn.Module`` of a configuration."""
 
 
 NETWORKS: dict[str, Entry] = {}
-ELSEWHERE = {"contactnet": "pipeline.contactnet.network"}  # name: module that registers it when imported
+ELSEWHERE = {"contactnet": "pipeline.contactnet.network"}
+"""Modules that register further networks when they are imported, by name of the network."""
 
 
 def register(name: str, config: type) -> Callable[[Any], Any]:
@@ -61,7 +62,7 @@ def register(name: str, config: type) -> Callable[[Any], Any]:
 
 
 def entry(name: str) -> Entry:
-    """The network of a name.
+    """Return the entry of a network by name.
 
     Raises:
         ValueError: for an unknown name.
@@ -74,7 +75,7 @@ def entry(name: str) -> Entry:
 
 
 def build(name: str, config: Any = None) -> Any:
-    """A network with fresh weights, drawn from torch's global generator.
+    """Build a network with fresh weights, drawn from torch's global generator.
 
     Args:
         name: convfc, pressure, peak, unet, or another one that is registered.
@@ -106,7 +107,7 @@ def build(name: str, config: Any = None) -> Any:
 
 
 def config_dict(network: Any) -> dict[str, Any]:
-    """The configuration of a network that ``build`` made, by field.
+    """Return the configuration of a network that ``build`` made, by field.
 
     Raises:
         ValueError: for a module that ``build`` did not make.
@@ -118,7 +119,7 @@ def config_dict(network: Any) -> dict[str, Any]:
 
 
 def parameter_count(network: Any) -> int:
-    """Weights that training changes."""
+    """Count the weights that training changes."""
     return sum(p.numel() for p in network.parameters() if p.requires_grad)
 
 
@@ -150,17 +151,17 @@ class GridConfig:
             raise ValueError(f"GridConfig.dropout is {self.dropout!r}; it must lie in [0, 1)")
 
     def filters(self, count: int) -> int:
-        """A number of filters or units, scaled."""
+        """Scale a number of filters or units by the width."""
         return max(1, round(self.width * count))
 
     @property
     def nodes(self) -> int:
-        """Nodes of the grid."""
+        """Number of nodes of the grid [1]."""
         return self.rows * self.columns
 
 
 class GridNetwork(Module):
-    """What the theses' networks have in common: the check of the input, and the scales of channels and answers."""
+    """Checks images, scales their channels and the answer: what the theses' networks have in common."""
 
     def __init__(self, config: GridConfig) -> None:
         super().__init__()
@@ -194,7 +195,7 @@ class GridNetwork(Module):
         self.input_bound.fill_(bound)
 
     def forward(self, images: Any) -> Any:
-        """Impulse images (B, outputs, rows, columns) of input images (B, channels, rows, columns).
+        """Answer input images (B, channels, rows, columns) with impulse images (B, outputs, rows, columns).
 
         Raises:
             ValueError: for images of another shape.
@@ -207,13 +208,13 @@ class GridNetwork(Module):
         return (self.answer(scaled) * self.output_scale).contiguous()
 
     def answer(self, x: Any) -> Any:
-        """The answer to scaled images, in units of its scale."""
+        """Answer scaled images, in units of the answer's scale."""
         raise NotImplementedError
 
 
 @register("convfc", GridConfig)
 class ConvFC(GridNetwork):
-    """Wu 2018: convolutions, then two dense layers, the last one as wide as the image."""
+    """Convolutions, then two dense layers, of which the last one is as wide as the image (Wu 2018)."""
 
     def __init__(self, config: GridConfig) -> None:
         super().__init__(config)
@@ -242,7 +243,7 @@ class ConvFC(GridNetwork):
 
 @register("pressure", GridConfig)
 class Pressure(GridNetwork):
-    """Engedal 2018, after the pressure solver of Tompson et al. 2016: three scales, summed."""
+    """Convolutions at three scales, summed (Engedal 2018, after the pressure solver of Tompson et al. 2016)."""
 
     SCALES = 3
 
@@ -267,7 +268,7 @@ class Pressure(GridNetwork):
 
 @register("peak", GridConfig)
 class Peak(GridNetwork):
-    """Engedal 2018: four scales and the input, summed, then dense layers over the whole image."""
+    """Four scales and the input, summed, then dense layers over the whole image (Engedal 2018)."""
 
     REDUCED = 6  # channels that each scale is reduced to, at any width
 
@@ -297,7 +298,7 @@ class Peak(GridNetwork):
 
 @register("unet", GridConfig)
 class UNet(GridNetwork):
-    """Tirca 2018: encoder and decoder with skip connections, dilated convolutions at the bottom."""
+    """Encoder and decoder with skip connections, and dilated convolutions at the bottom (Tirca 2018)."""
 
     DILATIONS = (1, 2, 4)
 
@@ -328,28 +329,28 @@ class UNet(GridNetwork):
 
 
 def conv3_pair(before: int, after: int) -> Any:
-    """Two 3x3 convolutions, each with its ReLU."""
+    """Make two 3x3 convolutions, each with its ReLU."""
     convolutions = nn.Conv2d(before, after, 3, padding=1), nn.Conv2d(after, after, 3, padding=1)
     return nn.Sequential(convolutions[0], nn.ReLU(), convolutions[1], nn.ReLU())
 
 
 def conv4(before: int, after: int) -> Any:
-    """4x4 convolution to the same size, and ReLU."""
+    """Make a 4x4 convolution that keeps the size of the image, and its ReLU."""
     return nn.Sequential(nn.ZeroPad2d((1, 2, 1, 2)), nn.Conv2d(before, after, 4), nn.ReLU())
 
 
 def halved(x: Any) -> Any:
-    """Means of 2x2 nodes; at the end of an odd side, of those that there are."""
+    """Average 2x2 nodes; at the end of an odd side, those that there are."""
     return functional.avg_pool2d(x, 2, ceil_mode=True, count_include_pad=False)
 
 
 def enlarged(x: Any, factor: int, like: Any) -> Any:
-    """Bilinearly enlarged by a factor and cut to the size of another image, node 0 over the first ``factor`` nodes."""
+    """Enlarge bilinearly, node 0 over the first ``factor`` nodes, and cut to the size of another image."""
     if factor == 1:
         return x
     return cut(functional.interpolate(x, scale_factor=factor, mode="bilinear", align_corners=False), like)
 
 
 def cut(x: Any, like: Any) -> Any:
-    """The first rows and columns of an image, as many as another has."""
+    """Cut an image to its first rows and columns, as many as another has."""
     return x[..., : like.shape[-2], : like.shape[-1]]

@@ -10,11 +10,12 @@ import numpy as np
 from dc_kernels.runtime.optional import require
 from pipeline.plots.style import CYCLE, MUTED, figure
 
-SHOWN = 0.995  # quantile of the true corrections that the axes reach to
+SHOWN = 0.995
+"""Quantile of the true corrections to which the axes reach [1]."""
 
 
 def curve_label(name: str) -> str:
-    """A name of validation in words: "validation/after_20", "validation/aitken_100", "validation/gain"."""
+    """Say a name of validation in words: "validation/after_20", "validation/aitken_100", "validation/gain"."""
     kind, _, number = name.removeprefix("validation/").partition("_")
     if kind == "after":
         return f"all, {number} sweeps after the call"
@@ -24,7 +25,7 @@ def curve_label(name: str) -> str:
 
 
 def contact_curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> Any:
-    """Error left over that of an even share of Aitken's step, by step.
+    """Draw the error left over that of an even share of Aitken's step, by step.
 
     Args:
         rows: of ``training.Log``.
@@ -50,7 +51,7 @@ def contact_curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> An
 
 
 def contact_predictions_figure(before: np.ndarray, after: np.ndarray, label: np.ndarray, title: str) -> Any:
-    """Corrections of one call against the true ones; a perfect answer lies on the diagonal.
+    """Draw corrections of one call against the true ones; a perfect answer lies on the diagonal.
 
     Args:
         before: impulses before the call, (M, 2) [N s].

@@ -15,8 +15,10 @@ from pipeline.plots.style import INK, figure
 from pipeline.plots.world import Forces, WorldDrawing, WorldShapes, arrays
 
 POSITIVE_MAP, SIGNED_MAP = "Oranges", "RdBu_r"
-LINEAR = 0.1  # share of the largest value up to which the colours are about linear, logarithmic beyond
-TICKS = (1.0, 3.0)  # times powers of ten
+LINEAR = 0.1
+"""Share of the largest value up to which the colours are about linear, logarithmic beyond [1]."""
+TICKS = (1.0, 3.0)
+"""Values of ticks, in units of powers of ten [1]."""
 BODIES = ("mass", "omega", "velocity_x", "velocity_y")
 CONTACTS = ("normal_x", "normal_y")
 CHANNELS = {**BODY_CHANNELS, **CONTACT_CHANNELS}
@@ -30,13 +32,16 @@ TITLES = {
     "impulse_n": "the answer: normal impulse of the contacts",
     "impulse_t": "the answer: tangential impulse of the contacts",
 }
-POSITIVE = ("mass", "impulse_n")  # the other channels have signs
-EVEN = ("mass", "normal_x", "normal_y")  # without a few large values that would leave all others pale
-PANEL = 6.6  # width [inch]
+POSITIVE = ("mass", "impulse_n")
+"""Channels without negative values."""
+EVEN = ("mass", "normal_x", "normal_y")
+"""Channels without a few large values that would leave all others pale."""
+PANEL = 6.6
+"""Width of a panel [inch]."""
 
 
 def draw_grid(axes: Any, name: str, image: np.ndarray, grid: Grid) -> None:
-    """One channel (rows, columns) as a square for each node, white where it is zero, with its colour bar.
+    """Draw a channel (rows, columns) as a square for each node, white where it is zero, with its colour bar.
 
     The colours of a channel with signs are symmetric about zero; those of one with a few large values follow the
     inverse hyperbolic sine.
@@ -67,14 +72,14 @@ def draw_grid(axes: Any, name: str, image: np.ndarray, grid: Grid) -> None:
 
 
 def ticks(most: float) -> np.ndarray:
-    """The last three of 1, 3, 10, 30, ... up to a value."""
+    """Return the last three of 1, 3, 10, 30, ... up to a value."""
     exponents = np.floor(np.log10(most)) + np.arange(-2.0, 1.0)
     values = np.outer(10.0**exponents, TICKS).ravel()
     return values[values <= most][-3:]
 
 
 def outline_bodies(axes: Any, shapes: WorldShapes, position: np.ndarray, angle: np.ndarray) -> None:
-    """The outlines of a world's bodies and its walls, nothing filled."""
+    """Draw the outlines of a world's bodies and its walls, nothing filled."""
     drawing = WorldDrawing(axes, shapes, position, angle)
     for fill in drawing.fills:
         fill.set(facecolor="none", edgecolor=INK, alpha=0.45, linewidth=0.6)
@@ -83,7 +88,7 @@ def outline_bodies(axes: Any, shapes: WorldShapes, position: np.ndarray, angle: 
 
 
 def grids_figure(sim: Any, grid: Grid, world: int = 0) -> Any:
-    """The six input grids and the two of the impulses of one world, bodies as outlines and contacts as dots.
+    """Draw the six input grids and the two of the impulses of one world, bodies as outlines and contacts as dots.
 
     Args:
         sim: the simulation after a step.
@@ -118,6 +123,6 @@ def grids_figure(sim: Any, grid: Grid, world: int = 0) -> Any:
 
 
 def _top(images: Images, grid: Grid) -> float:
-    """Height of the highest node that anything reaches [m]."""
+    """Find the height of the highest node that anything reaches [m]."""
     rows = np.flatnonzero(images.numpy().any(axis=(0, 1, 3)))
     return grid.origin[1] + grid.spacing * float(rows[-1] if len(rows) else grid.rows - 1)

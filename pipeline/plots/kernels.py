@@ -19,11 +19,12 @@ LABELS = {
 }
 COLORS = {"poly6": CYCLE[0], "spiky": CYCLE[1], "gaussian": CYCLE[5], "cubic": CYCLE[2], "wendland": CYCLE[3]}
 DASHES = {"poly6": "-", "spiky": "-", "gaussian": (0, (1, 1.2)), "cubic": "-", "wendland": (0, (5, 1.5))}
-SAMPLES = 1001  # points of a curve; an odd number, so that one of them is r = 0
+SAMPLES = 1001
+"""Points of a curve; the number is odd, so that one of them is r = 0 [1]."""
 
 
 def kernel_curves(kernel: str, dim: int, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """W, the component of grad W along an axis, and lap W at r on that axis, for h = 1 m; NaN where singular."""
+    """Return W, the component of grad W along an axis, and lap W at r on it, for h = 1 m; NaN where singular."""
     offset = np.zeros((len(r), dim))
     offset[:, 0] = r
     value = smoothing(kernel, r, 1.0, dim)
@@ -35,7 +36,7 @@ def kernel_curves(kernel: str, dim: int, r: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def kernels_figure() -> Any:
-    """All smoothing kernels with h = 1 m along a line through the centre: W, its slope, its Laplacian, 2D and 3D."""
+    """Draw all smoothing kernels with h = 1 m along a line through the centre: W, slope, Laplacian, in 2D and 3D."""
     r = np.linspace(-1.0, 1.0, SAMPLES)
     with figure(14.0, 8.4, "Smoothing kernels, support radius h = 1 m") as fig:
         axes = fig.subplots(2, 3, sharex=True)

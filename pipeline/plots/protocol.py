@@ -1,4 +1,4 @@
-"""Pictures of what strategies did on the thesis worlds: the plots of the theses, the table, where the time went."""
+"""Pictures of what starts did on the thesis worlds: the plots of the theses, the table, where the time went."""
 
 from __future__ import annotations
 
@@ -17,16 +17,18 @@ COLORS = (
     *("#c2410c", "#1d4ed8", "#0f766e", "#7c3aed", "#d4a017", "#475569"),
     *("#be185d", "#65a30d", "#0ea5e9", "#111827", "#f472b6", "#92400e"),
 )
-"""Of the starts, in their order."""
-WINDOW = 9  # steps that the noise of many lines is averaged over [1]
-ERROR_FLOOR = 1e-10  # [N^2 s^2]: below it lies the error of a start at the solution
+"""Colours of the starts, in their order."""
+WINDOW = 9
+"""Steps over which the noise of many lines is averaged [1]."""
+ERROR_FLOOR = 1e-10
+"""Squared error below which a start is as good as the solution [N^2 s^2]."""
 PART_COLORS = dict(
     zip(PARTS, ("#cbd5df", "#475569", "#7c3aed", "#1d4ed8", "#c2410c", "#0f766e", "#e3b341", "#9fb0c0"), strict=True)
 )
 
 
 def line_styles(runs: Sequence[Run]) -> list[dict[str, str]]:
-    """A colour for each start strategy, a line style for each solver, and the label.
+    """Choose a colour for each start, a line style for each solver, and the label, for each run.
 
     More starts than there are colours take the next line style too.
     """
@@ -40,14 +42,14 @@ def line_styles(runs: Sequence[Run]) -> list[dict[str, str]]:
 
 
 def _count_axis(axes: Any, runs: Sequence[Run]) -> None:
-    """Sweeps on a logarithmic x axis."""
+    """Show sweeps on a logarithmic x axis."""
     axes.set_xscale("log")
     axes.set_xlim(1, max(run.max_sweeps for run in runs))
     axes.xaxis.set_major_formatter(require("matplotlib.ticker", "pipeline").FormatStrFormatter("%d"))
 
 
 def draw_steps_left(axes: Any, runs: Sequence[Run], legend: bool = True) -> None:
-    """Share of steps still iterating after n sweeps, one line for each run."""
+    """Draw the share of steps still iterating after n sweeps, one line for each run."""
     for run, style in zip(runs, line_styles(runs), strict=True):
         sweeps = np.arange(1, run.max_sweeps + 1)
         taken = np.sort(np.where(run.converged, run.sweeps, run.max_sweeps + 1)[run.with_contacts])
@@ -60,7 +62,7 @@ def draw_steps_left(axes: Any, runs: Sequence[Run], legend: bool = True) -> None
 
 
 def draw_change(axes: Any, runs: Sequence[Run]) -> None:
-    """Largest impulse change of sweep n, median over the steps with contacts."""
+    """Draw the largest impulse change of sweep n, its median over the steps with contacts."""
     for run, style in zip(runs, line_styles(runs), strict=True):
         if run.decay is not None:
             axes.plot(np.arange(1, len(run.decay) + 1), run.decay, **style)
@@ -71,7 +73,7 @@ def draw_change(axes: Any, runs: Sequence[Run]) -> None:
 
 
 def draw_over_steps(axes: Any, runs: Sequence[Run], name: str, title: str, window: int = 1) -> None:
-    """A quantity (steps, worlds) of each run over the steps, median over the worlds, mean over a window of steps."""
+    """Draw a quantity (steps, worlds) of each run over the steps: median over worlds, mean over a window of steps."""
     for run, style in zip(runs, line_styles(runs), strict=True):
         values = np.median(getattr(run, name), axis=1)
         steps = np.arange(1, len(values) + 1)
@@ -85,7 +87,7 @@ def draw_over_steps(axes: Any, runs: Sequence[Run], name: str, title: str, windo
 
 
 def protocol_figure(runs: Sequence[Run], title: str) -> Any:
-    """The theses' plots: steps left and impulse change per sweep, contacts and sweeps per step."""
+    """Draw the theses' plots: steps left and impulse change per sweep, contacts and sweeps per step."""
     with figure(12.0, 8.0, title) as fig:
         axes = fig.subplots(2, 2)
         draw_steps_left(axes[0, 0], runs)
@@ -118,7 +120,7 @@ def draw_table(axes: Any, runs: Sequence[Run], columns: Sequence[Column] = PROTO
 
 
 def demo_figure(sim: Any, runs: Sequence[Run], title: str) -> Any:
-    """One picture of it all: a world at its end with its forces, sweeps per step, steps left per sweep, the table."""
+    """Draw a world at its end with its forces, sweeps per step, steps left per sweep, and the table, as one picture."""
     with figure(15.0, 8.4, title) as fig:
         grid = fig.add_gridspec(2, 2, height_ratios=(1.75, 1.0))
         axes = fig.add_subplot(grid[0, 0])
@@ -133,7 +135,7 @@ def demo_figure(sim: Any, runs: Sequence[Run], title: str) -> Any:
 
 
 def draw_errors(axes: Any, runs: Sequence[Run], component: int) -> None:
-    """Mean squared difference of start and final impulse over the steps, median over the worlds with contacts."""
+    """Draw the mean squared difference of start and final impulse by step, its median over worlds with contacts."""
     for run, style in zip(runs, line_styles(runs), strict=True):
         if run.errors is not None:
             values = [row[np.isfinite(row) & (row > 0.0)] for row in run.errors[..., component]]  # shown by their log
@@ -147,7 +149,7 @@ def draw_errors(axes: Any, runs: Sequence[Run], component: int) -> None:
 
 
 def _rows(axes: Any, runs: Sequence[Run]) -> None:
-    """One row a run, the first on top, its label in its colour."""
+    """Give each run a row, the first on top, with its label in its colour."""
     axes.set_yticks(range(len(runs)), [run.start.capitalize() for run in runs])
     for label, style in zip(axes.get_yticklabels(), line_styles(runs), strict=True):
         label.set_color(style["color"])
@@ -156,7 +158,7 @@ def _rows(axes: Any, runs: Sequence[Run]) -> None:
 
 
 def draw_worlds(axes: Any, runs: Sequence[Run]) -> None:
-    """Mean sweeps of each world, a dot, and of all, a bar."""
+    """Draw the mean sweeps of each world, a dot, and of all, a bar."""
     for i, (run, style) in enumerate(zip(runs, line_styles(runs), strict=True)):
         means = run.world_means
         axes.plot(means, np.full(len(means), i), "o", color=style["color"], markersize=4, alpha=0.55, markeredgewidth=0)
@@ -167,7 +169,7 @@ def draw_worlds(axes: Any, runs: Sequence[Run]) -> None:
 
 
 def draw_wall(axes: Any, runs: Sequence[Run]) -> None:
-    """Wall time of a step of one world by part; oracles are given their solve in advance."""
+    """Draw the wall time of a world's step by part; the solve in advance of an oracle is left out."""
     scale = 1e6 / runs[0].sweeps.size
     left = np.zeros(len(runs))
     for part in PARTS:
@@ -184,7 +186,7 @@ def draw_wall(axes: Any, runs: Sequence[Run]) -> None:
 
 
 def evaluation_figure(runs: Sequence[Run], title: str) -> Any:
-    """All plots of the theses for runs of one solver and loop, with spread, wall time and the table."""
+    """Draw all plots of the theses for runs of one solver and loop, with spread, wall time and the table."""
     with figure(17.0, 12.0 + 0.25 * len(runs), title) as fig:
         grid = fig.add_gridspec(4, 3, height_ratios=(1, 1, 1, 0.09 * (len(runs) + 1.5)))
         panels = [[fig.add_subplot(grid[row, column]) for column in range(3)] for row in range(2)]

@@ -18,9 +18,12 @@ if TYPE_CHECKING:
     from pipeline.training.rate import RateSearch
 
 NAMES = {"impulse_n": "normal", "impulse_t": "tangential"}
-BINS = 90  # of the histograms, along each axis
-KNEE = 0.02  # share of the largest impulse up to which the axes are about linear, logarithmic beyond
-FAINT = 0.01  # share of the largest impulse below which a node is left white
+BINS = 90
+"""Bins of a histogram along each axis [1]."""
+KNEE = 0.02
+"""Share of the largest impulse up to which the axes are about linear, logarithmic beyond [1]."""
+FAINT = 0.01
+"""Share of the largest impulse below which a node is left white [1]."""
 TINY = 1e-12
 MARKED: dict[str, Any] = {"marker": "o", "markersize": 3.5}
 # what a network's figures are compared with
@@ -34,27 +37,28 @@ DENSITY_MAP = "viridis"
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a network answers to a batch, at the contacts, and the grids of one world."""
+    """What a network answers at the contacts of a batch, and on the grid of one world."""
 
     impulse: np.ndarray
-    """Predicted, (M, 2) [N s]."""
+    """Predicted impulses, (M, 2) [N s]."""
     label: np.ndarray
-    """True, (M, 2) [N s]."""
+    """True impulses, (M, 2) [N s]."""
     floor: np.ndarray
-    """The true ones sent to the grid and back, (M, 2) [N s]."""
+    """True impulses sent to the grid and back, (M, 2) [N s]."""
     grid: Grid
+    """Where the nodes lie."""
     answer: np.ndarray
-    """Predicted image of one world, its bins summed, (2, rows, columns)."""
+    """Predicted image of one world, its bins summed, (2, rows, columns) [N s]."""
     target: np.ndarray
-    """Image of its labels, (2, rows, columns)."""
+    """Image of the labels of that world, (2, rows, columns) [N s]."""
     points: np.ndarray
-    """Its contacts, (m, 2) [m]."""
+    """Contact points of that world, (m, 2) [m]."""
     title: str
-    """Which world this is."""
+    """Seed and step of that world, in words."""
 
 
 def curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> Any:
-    """Loss, error at the contacts, and rate over the steps.
+    """Draw loss, error at the contacts, and rate over the steps.
 
     Args:
         rows: of ``training.Log``: "step" and the names "train/loss", "train/rate", "validation/...".
@@ -88,7 +92,7 @@ def curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> Any:
 
 
 def rates_figure(search: RateSearch) -> Any:
-    """The smoothed loss of the rate finder over the rate, and the one it chose."""
+    """Draw the smoothed loss of the rate finder over the rate, and the rate that it chose."""
     with figure(6.5, 4.2) as fig:
         axes = fig.subplots()
         axes.plot(search.rates, search.losses, color=CYCLE[1])
@@ -99,7 +103,7 @@ def rates_figure(search: RateSearch) -> Any:
 
 
 def predictions_figure(shown: Prediction, title: str) -> Any:
-    """Predicted over true impulses at the contacts, and the grids of one world, true and predicted."""
+    """Draw predicted over true impulses at the contacts, and the grids of one world, true and predicted."""
     top = float(shown.points[:, 1].max(initial=shown.grid.origin[1])) + 4.0 * shown.grid.spacing
     with figure(14.0, 8.2, title) as fig:
         axes = fig.subplots(2, 3, width_ratios=(1.1, 1.0, 1.0))
@@ -121,7 +125,7 @@ def predictions_figure(shown: Prediction, title: str) -> Any:
 
 
 def draw_density(axes: Any, shown: Prediction, i: int) -> None:
-    """How many contacts have which true and predicted impulse; a perfect answer lies on the diagonal."""
+    """Draw how many contacts have which true and predicted impulse; a perfect answer lies on the diagonal."""
     colors = require("matplotlib.colors", "pipeline")
     true, found = shown.label[:, i], shown.impulse[:, i]
     both = np.concatenate([true, found, [0.0]])
@@ -153,7 +157,7 @@ def draw_density(axes: Any, shown: Prediction, i: int) -> None:
 
 
 def set_ticks(where: Any, axis: Any, most: float, signed: bool) -> None:
-    """A few ticks for an axis that is logarithmic away from zero, with short labels."""
+    """Set a few ticks, with short labels, on an axis that is logarithmic away from zero."""
     positive = ticks(most)
     where.set_ticks([*(-positive[::-1] if signed else ()), 0.0, *positive])
     axis.set_major_formatter(lambda value, _: f"{value:g}")
@@ -161,7 +165,7 @@ def set_ticks(where: Any, axis: Any, most: float, signed: bool) -> None:
 
 
 def draw_image(axes: Any, image: np.ndarray, grid: Grid, most: float, signed: bool) -> Any:
-    """An impulse image, white where it is near zero, in colours up to ``most``."""
+    """Draw an impulse image, white where it is near zero, in colours up to ``most``."""
     colors = require("matplotlib.colors", "pipeline")
     half = 0.5 * grid.spacing
     (left, low), (right, top) = grid.origin, grid.upper

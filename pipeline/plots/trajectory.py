@@ -14,14 +14,14 @@ from pipeline.plots.world import WorldDrawing, WorldShapes, draw_world
 
 
 def _over_worlds(axes: Any, time: np.ndarray, values: np.ndarray, color: str, label: str | None = None) -> None:
-    """Median over the worlds of (steps, worlds), with the band that holds 80 % of them."""
+    """Draw the median over the worlds of values (steps, worlds), with the band that holds 80 % of them."""
     if values.shape[1] > 2:
         axes.fill_between(time, *np.percentile(values, (10, 90), axis=1), color=color, alpha=0.15, linewidth=0)
     axes.plot(time, np.median(values, axis=1), color=color, label=label, linewidth=1.4)
 
 
 def summary_figure(sim: Any, series: Mapping[str, np.ndarray], dt: float, title: str) -> Any:
-    """The final state of world 0 beside sweeps, contacts, energy and overlap over time.
+    """Draw the final state of world 0 beside sweeps, contacts, energy and overlap over time.
 
     Args:
         sim: the simulation at its end.

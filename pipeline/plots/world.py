@@ -23,22 +23,23 @@ FINE_SHAPES = 4000
 
 @dataclass(frozen=True)
 class WorldShapes:
-    """Outlines of one world's shapes in their bodies' frames."""
+    """Outlines of the shapes of one world, in the frames of their bodies."""
 
     bodies: slice
-    """The world's bodies among those of all worlds."""
+    """Place of the world's bodies among those of all worlds."""
     outlines: list[tuple[np.ndarray, np.ndarray]]
-    """Of equally many points each: bodies (n,), within the world, and points (n, points, 2) [m]."""
+    """Outlines, put together where they have equally many points: bodies (n,), counted within the world, and points
+    (n, points, 2) [m]."""
     segments: tuple[np.ndarray, np.ndarray]
     """Static segments: bodies (n,) and ends (n, 2, 2) [m]."""
     joints: list[tuple[np.ndarray, np.ndarray]]
     """The two ends of distance joints: bodies (n,) and anchors (n, 1, 2) [m]."""
     dynamic: np.ndarray
-    """Which bodies are dynamic (bodies,)."""
+    """Whether each body is dynamic, bool (bodies,)."""
 
     @classmethod
     def of(cls, model: Mapping[str, np.ndarray], world: int) -> WorldShapes:
-        """From the arrays of a model and its joints by name (``model.fields.MODEL``, ``model.fields.JOINTS``)."""
+        """Take the shapes from the arrays of a model and its joints by name (``model.fields.MODEL``, ``JOINTS``)."""
         bodies = slice(*map(int, model["body_start"][world : world + 2]))
         shapes = np.arange(*model["shape_start"][world : world + 2])
         owner = model["shape_body"][shapes] - bodies.start
@@ -73,7 +74,7 @@ class WorldShapes:
 
 
 def _rounded(vertices: np.ndarray, normals: np.ndarray, radius: float) -> np.ndarray:
-    """Outline of a convex polygon grown by a radius: an arc around each vertex (points, 2) [m]."""
+    """Outline a convex polygon that is grown by a radius, with an arc around each vertex, (points, 2) [m]."""
     if radius == 0.0:
         return vertices
     angle = np.arctan2(normals[:, 1], normals[:, 0])
@@ -86,7 +87,7 @@ def _rounded(vertices: np.ndarray, normals: np.ndarray, radius: float) -> np.nda
 
 
 def _placed(points: np.ndarray, owner: np.ndarray, position: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Points of bodies (n, points, 2) in world coordinates."""
+    """Place points of bodies (n, points, 2) in world coordinates."""
     cosine, sine = np.cos(angle[owner])[:, None], np.sin(angle[owner])[:, None]
     x, y = points[..., 0], points[..., 1]
     turned = np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
@@ -94,7 +95,7 @@ def _placed(points: np.ndarray, owner: np.ndarray, position: np.ndarray, angle: 
 
 
 class WorldDrawing:
-    """The shapes of one world in an axes; ``update`` moves them."""
+    """Draws the shapes of one world in an axes; ``update`` moves them."""
 
     def __init__(self, axes: Any, shapes: WorldShapes, position: np.ndarray, angle: np.ndarray) -> None:
         """Draw the shapes; position (bodies, 2) [m] and angle (bodies,) [rad] are those of the world's bodies."""
@@ -149,17 +150,17 @@ class Forces:
     """The contact forces of one world."""
 
     lines: np.ndarray
-    """From a dynamic body's centre to the contact (n, 2, 2) [m]; two for a contact of two dynamic bodies."""
+    """Lines from a dynamic body's centre to the contact (n, 2, 2) [m]; two for a contact of two dynamic bodies."""
     points: np.ndarray
     """Contact points (contacts, 2) [m]."""
     normal: np.ndarray
     """Normal force of each contact (contacts,) [N]."""
     contact: np.ndarray
-    """The contact of each line (n,)."""
+    """Index of the contact of each line (n,)."""
 
     @classmethod
     def of(cls, sim: Any, world: int) -> Forces:
-        """The contacts of the latest step of a simulation."""
+        """Take the forces from the contacts of the latest step of a simulation."""
         contacts = sim.contacts
         first, count = int(contacts.numpy("contact_start")[world]), int(contacts.numpy("contact_count")[world])
         slots = slice(first, first + count)
@@ -179,7 +180,7 @@ class Forces:
 
 
 def draw_forces(axes: Any, forces: Forces, colorbar: bool = True) -> None:
-    """Lines along which the bodies press on each other, wider and darker the larger the normal force."""
+    """Draw lines along which bodies press on each other, wider and darker the larger the normal force."""
     collections, colors = (require(f"matplotlib.{name}", "pipeline") for name in ("collections", "colors"))
     if not len(forces.normal):
         return
@@ -207,12 +208,12 @@ def draw_forces(axes: Any, forces: Forces, colorbar: bool = True) -> None:
 
 
 def arrays(sim: Any) -> dict[str, np.ndarray]:
-    """What a simulation's shapes are drawn from, by name."""
+    """Return the arrays from which a simulation's shapes are drawn, by name."""
     return {name: group.numpy(name) for group in (sim.model, sim.joints) for name in group.table}
 
 
 def draw_world(axes: Any, sim: Any, world: int = 0, colorbar: bool = True) -> None:
-    """The present state of one world of a simulation, with its contact forces."""
+    """Draw the present state of one world of a simulation, with its contact forces."""
     shapes = WorldShapes.of(arrays(sim), world)
     position, angle = sim.state.numpy("position")[shapes.bodies], sim.state.numpy("angle")[shapes.bodies]
     WorldDrawing(axes, shapes, position, angle).fit([(position, angle)])

@@ -29,10 +29,10 @@ TRAJECTORY, SUMMARY, PICTURE = "trajectory.h5", "summary.json", "summary.png"
 
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """What a run writes."""
+    """Options of what a run does and writes."""
 
     steps: int = 250
-    """Steps [1]."""
+    """Steps of each world [1]."""
     start: str = "builtin"
     """Start of the contact solver: none, builtin, random, bad, copy, or copyN, rounded to N decimals; the pretrained
     network: cnn, cnn-start (not in mid-solve); the file of a trained one, .safetensors."""

@@ -13,7 +13,7 @@ from pipeline.starts.start import Start
 
 
 def summarize(start: Start, recording: Recording, config: dict[str, Any]) -> dict[str, Any]:
-    """Return the numbers of a run by name; sweeps are over the steps of worlds with contacts that press, or joints.
+    """Return the numbers of a run by name; those of sweeps count worlds and steps with joints or pressing contacts.
 
     Args:
         start: of the simulation at its end.

@@ -16,7 +16,7 @@ from pipeline.scenes.placement import CLEARANCE, Sampler, place_discs
 THESIS_BODIES = 100
 """Discs of a world of the thesis protocol [1]."""
 THESIS_RADIUS = 0.5
-"""Their radius [m]."""
+"""Radius of these discs [m]."""
 THESIS_SIDE = 15.0
 """Width and height of the box that holds them [m]."""
 SETTLED_GAP = 5e-4
@@ -24,7 +24,7 @@ SETTLED_GAP = 5e-4
 
 
 def box_side(bodies: int, radius: float) -> float:
-    """Width and height of a box that is as full as that of the thesis protocol, 15 m for 100 bodies of 0.5 m [m]."""
+    """Return the side of a box that is as full as that of the thesis protocol, 15 m for 100 bodies of 0.5 m [m]."""
     return THESIS_SIDE * math.sqrt(bodies / THESIS_BODIES) * radius / THESIS_RADIUS
 
 
@@ -91,7 +91,7 @@ class ThesisClustered(Thesis):
 
 @dataclass(frozen=True, kw_only=True)
 class Settled(Thesis):
-    """As many discs as in thesis, packed hexagonally on the floor with a small jitter: near rest from the start."""
+    """The discs of thesis, packed hexagonally on the floor with a small jitter, so that they begin near rest."""
 
     name: ClassVar[str] = "settled"
 

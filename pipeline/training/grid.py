@@ -90,7 +90,7 @@ def train_grid_network(
 
 
 class GridTraining:
-    """A training under way."""
+    """A training under way: its data, network and optimiser, and the steps that are done."""
 
     def __init__(self, network: NetworkName, options: TrainOptions, group: Processes) -> None:
         """Find the data, make network and optimiser, and continue where an earlier run stopped.
@@ -180,7 +180,7 @@ class GridTraining:
     # ------------------------------------------------------------------ data
 
     def loader(self, split: dataset.Split, **share: int) -> Any:
-        """Batches of a split: the training's in an order of the epoch's, of which this process takes its share."""
+        """Make batches of a split, those of training in the epoch's order, of which this process takes its share."""
         options, training = self.options, split == "train"
         return dataset.loader(
             options.data,
@@ -196,7 +196,7 @@ class GridTraining:
         )
 
     def batches(self, epoch: int, skip: int = 0) -> Iterator[Any]:
-        """The training batches of an epoch, without the first ones; torch's generator is left alone."""
+        """Go through the training batches of an epoch, without the first ``skip``; torch's generator is left alone."""
         self.train.set_epoch(epoch)
         with own_randomness():
             batches = iter(self.train)
@@ -243,7 +243,7 @@ class GridTraining:
         return self.finish(began)
 
     def learn(self, batch: Any, stop: bool = False) -> bool:
-        """One step of the optimiser; returns whether any process is to stop.
+        """Make a step of the optimiser; returns whether any process is to stop.
 
         Raises:
             ValueError: loss or gradient are not finite, naming the step.
@@ -264,12 +264,12 @@ class GridTraining:
         return bool(means[2] > 0)
 
     def total(self, batch: Any) -> tuple[Any, Any]:
-        """Total and weight of a batch's loss."""
+        """Return total and weight of a batch's loss."""
         images, target = self.splatter(batch)
         return self.loss(self.model(images), target, batch)
 
     def make_optimizer(self) -> Any:
-        """The optimiser of the choices."""
+        """Make the optimiser that was chosen."""
         return make_optimizer(
             self.model.parameters(),
             self.choices["optimizer"],
@@ -278,7 +278,7 @@ class GridTraining:
         )
 
     def find_rate(self) -> RateSearch:
-        """The rate of a short training in which it grows."""
+        """Find the rate by a short training in which it grows."""
         batches = list(itertools.islice(self.batches(0), RATE_BATCHES))
         self.model.train()
 
@@ -312,18 +312,18 @@ class GridTraining:
             save_checkpoint(self.options.out / BEST, self.model, self.manifest())
 
     def shown_metrics(self) -> dict[str, str]:
-        """What the bar says of the last validation."""
+        """Return what the bar says of the last validation."""
         return {name: f"{self.metrics[name]:.3g}" for name in training_plots.NAMES.values() if name in self.metrics}
 
     # ------------------------------------------------------------------ files
 
     def identity(self) -> dict[str, Any]:
-        """What decides the bits of this training."""
+        """Return what decides the bits of this training."""
         options = {name: value for name, value in asdict(self.options).items() if name not in FREE}
         return {**options, "processes": self.group.size, "data": self.data}
 
     def manifest(self) -> dict[str, Any]:
-        """What the network's file says of it."""
+        """Return what the network's file says of it."""
         return {
             "grid": grid_dict(self.grid),
             "images": plain(self.images),
@@ -406,7 +406,7 @@ class GridTraining:
 
 
 def make_grid(box: Any, nodes: int) -> Grid:
-    """The grid over a box (low x, low y, high x, high y) [m] with so many nodes along its longer side."""
+    """Make the grid over a box (low x, low y, high x, high y) [m] with ``nodes`` nodes along its longer side."""
     low, high = box[:2], box[2:]
     return Grid.from_box(low, high, max(high[0] - low[0], high[1] - low[1]) / (nodes - 1))
 

@@ -1,13 +1,13 @@
-"""What a network is to be good at: losses on grids, on contacts, by energy, and after sweeps of the solver.
+"""Losses of networks that answer impulse images: on grids, at contacts, by energy, and after sweeps of the solver.
 
-A loss returns ``(total, weight)``, and its value is total / weight: so the mean over a batch that is shared by several
-processes, each with other contacts, is that of the whole batch. Errors are measured in units of a scale for each
-channel, that of the labels where it is to be relative.
+A loss returns ``(total, weight)``, and its value is total / weight: where several processes share a batch, each with
+other contacts, totals and weights are averaged before they are divided. Errors are measured in units of a scale for
+each channel, which makes them relative where it is that of the labels.
 
-- ``grid_mse``, ``grid_mae``: the theses': mean over the nodes and channels of the image of the labels.
+- ``grid_mse``, ``grid_mae``: squared error and magnitude, mean over nodes and channels, as in the theses.
 - ``contact_mse``: mean over the contacts of the answer, gathered where they lie.
-- ``energy``: kinetic energy of the velocities that the error makes, e^T J M^-1 J^T e, over that of the labels: what
-  moves no body costs nothing, as piles have many answers.
+- ``energy``: kinetic energy of the velocities that the error makes, e^T J M^-1 J^T e, over that of the labels: an
+  error that moves no body costs nothing, as the impulses of a pile are not unique.
 - ``sweeps``: squared error that k sweeps of the solver leave of the gathered answer, over the square of the labels.
 """
 
@@ -28,28 +28,29 @@ from pipeline.training.options import LossName
 torch = require("torch", "pipeline")
 
 DEFAULT = SolverConfig()
-OPEN = 1e6  # as the solver's rows: a row that lets this many times the gap close within the step never acts
+OPEN = 1e6
+"""Ratio of the gap that a row lets close within the step to its own gap, for a row that is not to act [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Decoder:
-    """How an impulse image is read at the contacts."""
+    """Reads an impulse image at the contacts."""
 
     grid: Grid
     """Where the nodes lie."""
     kernel: Stencil = "poly6"
-    """Stencil of the splat that made the images."""
+    """Kernel of the splat that made the images."""
     h: float | None = None
-    """Its support radius [m]; None: 2 spacings."""
+    """Support radius of the kernel [m]; None: 2 spacings."""
     bins: int = 1
-    """Bins of normal directions."""
+    """Number of bins of normal directions [1]."""
     reverse: bool = True
     """Reverse SPH (Engedal): what a node holds is shared among the contacts that reach it; False: bilinear (Wu)."""
     threads: int = 1
-    """Worlds are shared by so many threads."""
+    """Threads that share the worlds [1]."""
 
     def __call__(self, image: Any, batch: Any) -> Any:
-        """Normal and tangential impulse of each contact, (M, 2) [N s], of an image (B, 2 bins, rows, columns)."""
+        """Read the impulse of each contact, (M, 2) [N s], from an image (B, 2 bins, rows, columns)."""
         return gather_torch(
             image,
             batch.point,
@@ -65,7 +66,7 @@ class Decoder:
 
 
 def direction_bins(normal: Any, bins: int) -> Any:
-    """Bin of each normal (M, 2), its direction taken modulo pi: that of ``dc.Images``, (M,) int32."""
+    """Return the bin of each normal (M, 2), of its direction modulo pi, as ``dc.Images`` does, (M,) int32."""
     x, y = normal.unbind(dim=1)
     flip = (y < 0) | ((y == 0) & (x < 0))
     turn = torch.atan2(torch.where(flip, -y, y), torch.where(flip, -x, x)) * (1.0 / torch.pi)
@@ -83,7 +84,7 @@ def absolute(output: Any, target: Any, scale: Any) -> tuple[Any, Any]:
 
 
 def energy(impulse: Any, label: Any, problem: ContactProblem, threads: int = 1) -> tuple[Any, Any]:
-    """Energy of the error and of the labels, of all worlds [J]; impulses in the problem's order."""
+    """Return the energy of the error and that of the labels, of all worlds [J]; impulses in the problem's order."""
     error = problem.energy((impulse - label).contiguous(), threads=threads).sum()
     return error, problem.energy(label, threads=threads).sum()
 
@@ -91,31 +92,31 @@ def energy(impulse: Any, label: Any, problem: ContactProblem, threads: int = 1) 
 def after_sweeps(
     impulse: Any, label: Any, problem: ContactProblem, sweeps: int, leak: float = 0.0, threads: int = 1
 ) -> tuple[Any, Any]:
-    """Squared error of the impulses after sweeps, and square of the labels [N^2 s^2]; see ``sweeps_torch``."""
+    """Return the squared error of the impulses after sweeps, and the square of the labels [N^2 s^2]."""
     swept = sweeps_torch(impulse, problem, sweeps, leak=leak, threads=threads)[0]
     return (swept - label).square().sum(), label.square().sum()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loss:
-    """A loss by name: call it with an answer, the image of the labels and the batch."""
+    """Measures an answer, given the image of the labels and the batch."""
 
     name: LossName
-    """See the top of the module."""
+    """Which loss; the module lists them."""
     decode: Decoder
     """How the answer is read at the contacts."""
     grid_scale: Any
-    """Of the image's channels, (outputs,) [N s]."""
+    """Scale of each channel of the image, (outputs,) [N s]."""
     contact_scale: Any
-    """Of normal and tangential impulses, (2,) [N s]."""
+    """Scales of normal and tangential impulses, (2,) [N s]."""
     sweeps: int = 20
-    """k of "sweeps"."""
+    """Sweeps of the loss "sweeps" [1]."""
     leak: float = 0.1
     """Share of the gradient that "sweeps" passes where the friction cone stops a row."""
     slop: float = DEFAULT.slop
-    """See ``contact_problem`` [m]."""
+    """Overlap that the solver leaves alone; see ``contact_problem`` [m]."""
     restitution_threshold: float = DEFAULT.restitution_threshold
-    """See ``contact_problem`` [m/s]."""
+    """Approach speed below which a contact does not bounce [m/s]."""
 
     def __post_init__(self) -> None:
         if self.name not in get_args(LossName):
@@ -127,14 +128,14 @@ class Loss:
         return self.name.startswith("grid")
 
     def __call__(self, output: Any, target: Any, batch: Any) -> tuple[Any, Any]:
-        """Total and weight of an answer (B, outputs, rows, columns) [N s]."""
+        """Return total and weight of an answer (B, outputs, rows, columns) [N s]."""
         if self.on_grid:
             measure = squared if self.name == "grid_mse" else absolute
             return measure(output, target, self.grid_scale[:, None, None])
         return self.of_impulses(self.decode(output, batch), batch)
 
     def of_impulses(self, impulse: Any, batch: Any) -> tuple[Any, Any]:
-        """Total and weight of impulses at the contacts, (M, 2) [N s]; a loss on grids has none."""
+        """Return total and weight of impulses at the contacts, (M, 2) [N s]; a loss on grids has none."""
         if self.name == "contact_mse":
             return squared(impulse, batch.label, self.contact_scale)
         problem, order = contact_problem(batch, self.slop, self.restitution_threshold)
@@ -147,7 +148,7 @@ class Loss:
 def contact_problem(
     batch: Any, slop: float = DEFAULT.slop, restitution_threshold: float = DEFAULT.restitution_threshold
 ) -> tuple[ContactProblem, Any]:
-    """The problem of each state as the solver packs it, its contacts in the solver's order: by colour.
+    """Make the problem of each state as the solver packs it, its contacts in the solver's order, by colour.
 
     Velocity biases of overlaps (``SolverConfig.position_correction`` "baumgarte") are not part of it.
 
@@ -195,7 +196,7 @@ def contact_problem(
 
 
 def _normal_speed(velocity: Any, contacts: dict[str, Any]) -> Any:
-    """Of B against A at each contact along the normal, (M,) [m/s]; velocity (N, 3)."""
+    """Return the speed of B against A along the normal of each contact, (M,) [m/s], of velocities (N, 3)."""
     sides = []
     for side in "ab":
         body, arm = velocity[contacts[f"body_{side}"]], contacts[f"arm_{side}"]

@@ -18,7 +18,7 @@ from pipeline.cli import main
 from pipeline.evaluate import comparison, runs, tables
 from pipeline.evaluate.comparison import evaluation
 from pipeline.evaluate.options import EvaluationOptions
-from pipeline.evaluate.strategy import run_strategy, split_label
+from pipeline.evaluate.worlds import run_worlds, split_label
 from pipeline.plots import protocol as run_plots
 from pipeline.starts import registry
 from pipeline.starts import start as starting
@@ -66,7 +66,7 @@ def network(tmp_path_factory) -> Path:
 
 
 def test_open_loop_gives_all_the_states_of_builtins_trajectory(open_runs):
-    closed = run_strategy(options(), "builtin", "none")
+    closed = run_worlds(options(), "builtin", "none")
     for run in open_runs:
         np.testing.assert_array_equal(run.contacts, closed.contacts)
         assert run.loop == "open"
@@ -141,7 +141,7 @@ def test_grid_covers_what_there_is():
 
 
 def test_a_networks_time_is_split_and_counted(network):
-    run = run_strategy(options(), f"tiny={network}", "none")
+    run = run_worlds(options(), f"tiny={network}", "none")
     assert run.label == "Tiny, PGS" and run.converged.mean() > 0.9
     for part in ("collide", "splat", "network", "gather", "solve", "advance"):
         assert run.parts[part] > 0.0
@@ -149,7 +149,7 @@ def test_a_networks_time_is_split_and_counted(network):
     assert run.strategy_s < run.wall_s
     assert run.counts["calls"] + run.counts["skipped"] == run.sweeps.size
     assert 0 < run.counts["skipped"] < run.sweeps.size
-    oracle = run_strategy(options(), "copy", "none")
+    oracle = run_worlds(options(), "copy", "none")
     assert oracle.wall_s == pytest.approx(sum(oracle.parts.values()) - oracle.strategy_s) and not oracle.counts
 
 
@@ -160,7 +160,7 @@ def test_a_file_without_a_label_is_called_by_its_stem(network):
 
 
 def test_what_cannot_run_is_said_before_anything_runs(network, tmp_path, monkeypatch):
-    monkeypatch.setattr(comparison, "run_strategy", lambda *arguments, **others: pytest.fail("something ran"))
+    monkeypatch.setattr(comparison, "run_worlds", lambda *arguments, **others: pytest.fail("something ran"))
     foreign = tmp_path / "foreign.safetensors"
     foreign.write_bytes(b"no network")
     for changed, error, message in (
@@ -178,7 +178,7 @@ def test_what_cannot_run_is_said_before_anything_runs(network, tmp_path, monkeyp
 def test_threads_of_torch_are_the_options_and_come_back(network, monkeypatch):
     seen = []
     monkeypatch.setattr(
-        comparison, "run_strategy", lambda *arguments, **others: seen.append(torch.get_num_threads()) or made()
+        comparison, "run_worlds", lambda *arguments, **others: seen.append(torch.get_num_threads()) or made()
     )
     torch.set_num_threads(2)
     try:
@@ -224,8 +224,8 @@ def test_a_start_may_run_the_whole_solve(loop, early):
         def write(self) -> None:
             self.sim.contacts.numpy("impulse")[...] *= 0.5
 
-    driven = run_strategy(options(), "half", "none", loop=loop, make=lambda sim: Halved(sim, early))
-    plain = run_strategy(options(), "half", "none", loop=loop, make=Half)
+    driven = run_worlds(options(), "half", "none", loop=loop, make=lambda sim: Halved(sim, early))
+    plain = run_worlds(options(), "half", "none", loop=loop, make=Half)
     for name in ("sweeps", "change", "contacts", "errors", "decay"):
         np.testing.assert_array_equal(getattr(driven, name), getattr(plain, name))
     assert driven.parts["network"] == 0.25 * SMALL["steps"] and driven.parts["start"] == 0.0 < driven.parts["collide"]

@@ -19,7 +19,7 @@ from pipeline.cli import main
 from pipeline.evaluate.comparison import protocol
 from pipeline.evaluate.options import ProtocolOptions
 from pipeline.evaluate.runs import Run
-from pipeline.evaluate.strategy import filled
+from pipeline.evaluate.worlds import filled
 from pipeline.files import atomic_path, write_json
 from pipeline.options import RunOptions, SolverOptions
 from pipeline.plots import style

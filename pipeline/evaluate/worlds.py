@@ -24,7 +24,7 @@ TRAJECTORY: Acceleration = "none"
 """Acceleration of the trajectory of the open loop."""
 
 
-def run_strategy(
+def run_worlds(
     options: ProtocolOptions,
     start: str,
     acceleration: Acceleration,
@@ -90,7 +90,7 @@ def run_strategy(
 
 
 class Record:
-    """What is noted of each step of a run.
+    """Notes each step of a run.
 
     Attributes:
         sweeps: of each step and world, (steps, worlds).
