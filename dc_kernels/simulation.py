@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import threading
 from collections.abc import Callable, Mapping
@@ -12,19 +13,19 @@ import numpy as np
 from dc_kernels.model.arrays import Contacts, Joints, Model, State, uniform
 from dc_kernels.model.config import ACCELERATIONS, SolverConfig
 from dc_kernels.model.enums import CAPACITY_FLAGS, BodyType, ShapeType
-from dc_kernels.runtime.backends import Launch, bind, kernel_table
+from dc_kernels.model.fields import GROUPS, LAUNCH
+from dc_kernels.runtime.backends import Launch, bind, kernel_file, kernel_table
 from dc_kernels.runtime.capture import recording, refuse_recording
 from dc_kernels.runtime.inputs import check_count
 from dc_kernels.runtime.sequences import Rounds, Watch, in_turn
 from dc_kernels.runtime.stepping import Shards
-from dc_kernels.solve.iteration import COUNTERS, NEVER
-from dc_kernels.solve.schedules import SCHEDULES, SolveStats, check_iteration, solver_scalars
+from dc_kernels.solve.iteration import NEVER
+from dc_kernels.solve.schedules import SCHEDULES, SolveStats, check_iteration
 from dc_kernels.storage import PADDING, Cache, Motion, Pairs, Rows, Storage
 
 Start = Callable[["Simulation"], None]
 Phase = Literal["advance", "collide", "solve"]
 _COLLIDE = ("predict", "update_pairs", "narrowphase", "match_contacts", "color_constraints", "pack_rows")
-_SLACK = 0.05  # of the slop: within it two separating axes count as equal and the first body's is taken
 
 
 class Simulation:
@@ -160,26 +161,17 @@ class Simulation:
     def _bind_all(self) -> None:
         """Pack every launch's arguments, for each shard of worlds."""
         config = self._config
-        baumgarte = config.position_factor if config.position_correction == "baumgarte" else 0.0
-        self.values: dict[str, Any] = {
-            "margin_factor": config.margin,
-            "speculative_factor": config.speculative,
-            "speculative_limit": config.speculative_max,
-            "slack_factor": _SLACK * config.slop,
+        groups = kernel_file(self.backend, "groups")
+        self._scalars = functools.partial(_scalars, groups, self.dtype.name)
+        self._settings = {
+            **config.kernel_values(),
             "uniform_friction": uniform(self.model.numpy("shape_friction")),
             "uniform_restitution": uniform(self.model.numpy("shape_restitution")),
-            "slop_factor": config.slop,
-            "baumgarte": baumgarte,
-            "max_correction": config.max_correction,
-            "restitution_threshold": config.restitution_threshold,
-            "use_cache": int(config.start == "cache"),
-            "iterations": config.position_iterations,
-            "factor": config.position_factor,
-            "history": self.stats.history,
-            **solver_scalars(config),
         }
-        for group in (self.model, self.state, self.joints, *self.storage.groups()):
-            self.values.update({name: group.array(name) for name in group.table})
+        self.values: dict[str, Any] = {
+            "config": self._scalars("config", self._settings),
+            **{name: groups.array_group(getattr(self, name), name) for name in GROUPS},
+        }
         self._advance = ["displace", "commit"]
         if config.position_correction == "ngs" and config.position_iterations:
             self._advance.insert(1, "correct_positions")
@@ -216,14 +208,27 @@ class Simulation:
 
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
         """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
+        return bind(self.kernels[name], count, self.launch_values(first, changed or {}), self.device)
+
+    def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:
+        """Arguments of the kernels for worlds from ``first`` on, with ``changed`` settings or numbers of the launch."""
         # empty lanes write zeros to a padding body: one for each shard, or threads would share its cache line
         shard = next((i for i, (a, n) in enumerate(self._shards.ranges) if a <= first < a + n), 0)
-        padding = self.model.body_count + PADDING * shard
-        values = {**self.values, **(changed or {}), "world_offset": first, "padding_body": padding}
-        width = self.storage.history_width
-        values["history_offset"] = width * (shard if self._one_by_one else first)
-        values["history_step"] = 0 if self._one_by_one else width
-        return bind(self.kernels[name], count, values, self.device)
+        width = self.storage.past_width
+        launch = {
+            "world_offset": first,
+            "padding_body": self.model.body_count + PADDING * shard,
+            "past_offset": width * (shard if self._one_by_one else first),
+            "past_step": 0 if self._one_by_one else width,
+            "resume": 0,
+            "pause": NEVER,
+            **{name: value for name, value in changed.items() if name in LAUNCH},
+        }
+        values = {**self.values, "launch": self._scalars("launch", launch)}
+        settings = {name: value for name, value in changed.items() if name not in launch}
+        if settings:
+            values["config"] = self._scalars("config", {**self._settings, **settings})
+        return values
 
     @property
     def config(self) -> SolverConfig:
@@ -369,7 +374,7 @@ class Simulation:
     @property
     def running(self) -> np.ndarray:
         """Worlds whose solve is paused, bool (W,)."""
-        done = self.stats.numpy("counters").reshape(-1, COUNTERS)[:, 3] != 0
+        done = self.stats.numpy("iteration")["finished"] != 0
         return ~done & (self.state.numpy("flags") == 0)
 
     def _solve(self, config: SolverConfig | None, pause: int | None, resume: bool) -> None:
@@ -388,7 +393,7 @@ class Simulation:
                     check_iteration(config, self._config)
                     if self.storage.provide(config):
                         self._bind_all()
-                changed = solver_scalars(config or self._config)
+                changed = (config or self._config).kernel_values()
                 if (pause is not None or resume) and changed["acceleration"] == ACCELERATIONS["adaptive"]:
                     changed["acceleration"] = ACCELERATIONS["aitken"]  # what a stretch remembers outlives no launch
                 changed.update(resume=int(resume), pause=NEVER if pause is None else pause)
@@ -538,3 +543,8 @@ class Simulation:
         from dc_kernels.explain import explain
 
         return explain(self)
+
+
+def _scalars(groups: Any, dtype: str, name: str, values: Mapping[str, Any]) -> Any:
+    """Numbers as one argument of the kernels."""
+    return groups.scalars(name, dtype, values)

@@ -11,7 +11,7 @@ from dc_kernels.model.arrays import ArrayGroup, Contacts, Joints, Model, allocat
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import CACHE, MOTION, PAIRS, ROWS
-from dc_kernels.solve.iteration import COUNTERS, HISTORY, NORMS
+from dc_kernels.solve.iteration import PAST
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES
 from dc_kernels.solve.schedules import SolveStats
 
@@ -130,10 +130,9 @@ class Storage:
             "bucket": int(buckets.sum()),
             "world color": worlds * COLORS,
             "world color+1": worlds * (COLORS + 1),
-            "world counter": worlds * COUNTERS,
-            "world norm": worlds * NORMS,
+            "sweep": config.max_sweeps if config.history else 0,
             "row direction": 0,
-            "row history": 0,
+            "row past": 0,
         }
         self._count(config)
         make = (self.sizes, model.dtype, model.device, model.backend)
@@ -144,7 +143,6 @@ class Storage:
         self.cache = Cache(*make)
         self.rows = Rows(*make)
         self.stats = SolveStats(*make)
-        self.stats.allocate_history(config)
         self.pairs.assign("bucket_start", starts(buckets))
         self._assign_starts()
 
@@ -155,7 +153,8 @@ class Storage:
     def adapt(self, config: SolverConfig, before: SolverConfig) -> None:
         """Allocate what a new configuration needs."""
         if (config.history, config.max_sweeps) != (before.history, before.max_sweeps):
-            self.stats.allocate_history(config)
+            self.sizes["sweep"] = config.max_sweeps if config.history else 0
+            self._reallocate(self.stats, ("history",))
             self.version += 1
         self.provide(config)
 
@@ -165,9 +164,9 @@ class Storage:
         if config.method == "jacobi" and self.sizes["body sum"] == 1:
             missing.append((self.motion, "summed", "body sum", self.sizes["body+1"]))
         if config.acceleration == "nncg" and self.sizes["row direction"] == 0:
-            missing.append((self.rows, "row_direction", "row direction", self.sizes["row pair"]))
-        if config.acceleration != "none" and self.sizes["row history"] == 0:
-            missing.append((self.rows, "row_history", "row history", self.at_once * self.history_width))
+            missing.append((self.rows, "direction", "row direction", self.sizes["row pair"]))
+        if config.acceleration != "none" and self.sizes["row past"] == 0:
+            missing.append((self.rows, "past", "row past", self.at_once * self.past_width))
         for group, name, axis, size in missing:
             self.sizes[axis] = size
             self._reallocate(group, (name,))
@@ -180,7 +179,7 @@ class Storage:
             OverflowError: instead, naming world, need and room, with error=True.
         """
         needs = (
-            (Flag.PAIR_OVERFLOW, "pairs", self.pair_room, self.pairs.numpy("pair_needed")),
+            (Flag.PAIR_OVERFLOW, "pairs", self.pair_room, self.pairs.numpy("needed")),
             (Flag.CONTACT_OVERFLOW, "contacts", self.contact_room, self.rows.numpy("contact_needed")),
             (Flag.ROW_OVERFLOW, "blocks of rows", self.block_room, self.rows.numpy("block_needed")),
         )
@@ -208,17 +207,17 @@ class Storage:
         )
         if self.sizes["row direction"] or config.acceleration == "nncg":
             self.sizes["row direction"] = self.sizes["row pair"]
-        if self.sizes["row history"] or config.acceleration != "none":
-            self.sizes["row history"] = self.at_once * self.history_width
+        if self.sizes["row past"] or config.acceleration != "none":
+            self.sizes["row past"] = self.at_once * self.past_width
 
     @property
-    def history_width(self) -> int:
+    def past_width(self) -> int:
         """Numbers that a world's accelerated solve may have to look back on."""
         rows = int(self.block_room.max(initial=0)) * 2 * LANES
-        return HISTORY * rows + 4 * int(np.diff(self.model.numpy("body_start")).max(initial=0))
+        return PAST * rows + 4 * int(np.diff(self.model.numpy("body_start")).max(initial=0))
 
     def _assign_starts(self) -> None:
-        self.pairs.assign("pair_start", starts(self.pair_room))
+        self.pairs.assign("start", starts(self.pair_room))
         self.contacts.assign("contact_start", starts(self.contact_room))
         self.rows.assign("block_start", starts(self.block_room))
 
@@ -229,7 +228,7 @@ class Storage:
         model = self.model
         for name in names:
             field = group.table[name]
-            array = allocate(field, self.sizes[field.per], model.dtype, model.device, model.backend)
+            array = allocate(field, self.sizes, model.dtype, model.device, model.backend)
             setattr(group, name, array)
 
     def _relayout(self, config: SolverConfig) -> None:
@@ -237,16 +236,16 @@ class Storage:
         old = self.contacts.numpy("contact_start").copy()
         new = starts(self.contact_room)
         self._count(config)
-        for group, count in ((self.contacts, "contact_count"), (self.cache, "cache_count")):
+        for group, count in ((self.contacts, "contact_count"), (self.cache, "count")):
             names = tuple(name for name, field in group.table.items() if field.per == "contact")
             before = {name: group.array(name) for name in names}
             self._reallocate(group, names)
             for name in names:
                 move_segments(before[name], group.array(name), old, new, group.numpy(count))
-        self._reallocate(self.pairs, ("pair_a", "pair_b", "temp_a", "temp_b"))
-        packed = ("slot", "rows", "row_body", "row_impulse", "row_change")
-        self._reallocate(self.rows, (*packed, "row_before", "row_direction", "row_history"))
-        self.pairs.assign("pair_valid", np.zeros(self.model.world_count, np.int32))
+        self._reallocate(self.pairs, ("shape_a", "shape_b", "temp_a", "temp_b"))
+        packed = ("slot", "column", "body", "impulse", "change")
+        self._reallocate(self.rows, (*packed, "before", "direction", "past"))
+        self.pairs.assign("valid", np.zeros(self.model.world_count, np.int32))
         self._assign_starts()
 
     def restore(
@@ -271,8 +270,8 @@ class Storage:
         source = np.concatenate([[0], np.cumsum(count)])
         for name, values in arrays.items():
             targets: list[tuple[ArrayGroup, str]] = [(self.contacts, name)]
-            if f"cache_{name}" in self.cache.table:
-                targets.append((self.cache, f"cache_{name}"))
+            if name in self.cache.table:
+                targets.append((self.cache, name))
             for group, field in targets:
                 array = group.numpy(field)
                 for w in range(worlds):
@@ -280,9 +279,9 @@ class Storage:
                 if self.model.device != "cpu":
                     group.array(field).assign(array)
         self.contacts.assign("contact_count", count)
-        self.cache.assign("cache_count", count)
+        self.cache.assign("count", count)
         self.contacts.assign("contact_dt", contact_dt)
-        self.cache.assign("joint_cache", self.joints.numpy("joint_impulse"))
+        self.cache.assign("joint_impulse", self.joints.numpy("joint_impulse"))
 
     def check_start(self) -> None:
         """Raise ValueError, naming the contact, if a start impulse is NaN or inf."""
@@ -301,7 +300,7 @@ class Storage:
     def used(self) -> dict[str, np.ndarray]:
         """Pairs, contacts and blocks of each world at the last step."""
         return {
-            "pairs": self.pairs.numpy("pair_count"),
+            "pairs": self.pairs.numpy("count"),
             "contacts": self.contacts.numpy("contact_count"),
             "blocks": self.rows.numpy("block_needed"),
         }

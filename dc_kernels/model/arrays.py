@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, Field
+from dc_kernels.model.fields import CONTACTS, ITERATION, JOINTS, MODEL, STATE, Field
 from dc_kernels.runtime.building import start_warp
 from dc_kernels.runtime.optional import require
 
 FLOATS: dict[str, np.dtype] = {"float32": np.dtype(np.float32), "float64": np.dtype(np.float64)}
-_COMPONENTS = {"vec2": 2, "vec2d": 2, "vec3i": 3, "vec4": 4}
+_COMPONENTS = {"vec2": 2, "vec2d": 2, "vec3": 3, "vec3i": 3, "vec4": 4, "vec8": 8}
 
 
 def float_dtype(dtype: Any) -> np.dtype:
@@ -33,6 +33,9 @@ def float_dtype(dtype: Any) -> np.dtype:
 
 def numpy_spec(field: Field, real: np.dtype) -> tuple[np.dtype, tuple[int, ...]]:
     """Scalar dtype and trailing shape of a field: ("vec2", float32) -> (float32, (2,))."""
+    if field.dtype == "iteration":
+        parts = [(name, *numpy_spec(part, real)) for name, part in ITERATION.items()]
+        return np.dtype(parts, align=True), ()
     components = _COMPONENTS.get(field.dtype)
     shape = () if components is None else (components,)
     if field.dtype == "vec2d":
@@ -56,23 +59,29 @@ def warp_dtype(field: Field, real: np.dtype) -> Any:
     """The Warp type of one element of a field."""
     import warp as wp
 
+    if field.dtype == "iteration":
+        from dc_kernels._warp.groups import iteration_struct
+
+        return iteration_struct(real.name)
     scalar, shape = numpy_spec(field, real)
     base = wp.dtype_from_numpy(scalar)
     return wp.types.vector(shape[0], base) if shape else base
 
 
-def allocate(field: Field, count: int, real: np.dtype, device: str, backend: str) -> Any:
-    """One zeroed array of ``count`` elements on the device of a backend."""
-    scalar, shape = numpy_spec(field, real)
+def allocate(field: Field, sizes: Mapping[str, int], real: np.dtype, device: str, backend: str) -> Any:
+    """One zeroed array on the device of a backend, with ``sizes`` elements along each of the field's axes."""
+    scalar, inner = numpy_spec(field, real)
+    shape = tuple(sizes[axis] for axis in field.axes)
     if backend == "numpy":
-        return aligned_zeros((count, *shape), scalar)
+        array = aligned_zeros((*shape, *inner), scalar)
+        return array.view(np.recarray) if scalar.names else array
     import warp as wp
 
     start_warp()
     dtype = warp_dtype(field, real)
     if device == "cpu":
-        return wp.array(aligned_zeros((count, *shape), scalar), dtype=dtype, device="cpu", copy=False)
-    return wp.zeros(count, dtype=dtype, device=device)
+        return wp.array(aligned_zeros((*shape, *inner), scalar), dtype=dtype, device="cpu", copy=False)
+    return wp.zeros(shape, dtype=dtype, device=device)
 
 
 def to_numpy(array: Any) -> np.ndarray:
@@ -144,7 +153,7 @@ class ArrayGroup:
         self.device = device
         self.backend = backend
         for name, field in self.table.items():
-            setattr(self, name, allocate(field, sizes[field.per], self.dtype, device, backend))
+            setattr(self, name, allocate(field, sizes, self.dtype, device, backend))
 
     if TYPE_CHECKING:
 
@@ -166,7 +175,7 @@ class ArrayGroup:
         """
         field = self.table[name]
         scalar, shape = numpy_spec(field, self.dtype)
-        values = check_values(name, values, (self.sizes[field.per], *shape), scalar)
+        values = check_values(name, values, (*(self.sizes[axis] for axis in field.axes), *shape), scalar)
         target = getattr(self, name)
         if isinstance(target, np.ndarray):
             target[...] = values
@@ -223,7 +232,8 @@ class ArrayGroup:
         for field in self.table.values():
             scalar, shape = numpy_spec(field, self.dtype)
             width = scalar.itemsize * int(np.prod(shape, dtype=np.int64))
-            total[field.per] = total.get(field.per, 0) + width * self.sizes[field.per]
+            count = int(np.prod([self.sizes[axis] for axis in field.axes], dtype=np.int64))
+            total[field.per] = total.get(field.per, 0) + width * count
         return total
 
 

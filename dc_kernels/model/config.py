@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Any, Literal
 
-METHODS = {"pgs": 0, "jacobi": 1}  # how kernels know a choice of SolverConfig
+from dc_kernels.model.fields import Field
+
+# how kernels know a choice of SolverConfig
+METHODS = {"pgs": 0, "jacobi": 1}
 ACCELERATIONS = {"none": 0, "sor": 1, "aitken": 2, "nncg": 3, "adaptive": 4}
 STOPS = {"change": 0, "residual": 1}
+STARTS = {"zero": 0, "cache": 1}
+POSITION_CORRECTIONS = {"none": 0, "ngs": 1, "baumgarte": 2}
+CHOICES = {
+    "method": METHODS,
+    "acceleration": ACCELERATIONS,
+    "stop": STOPS,
+    "start": STARTS,
+    "position_correction": POSITION_CORRECTIONS,
+}
+SLACK = 0.05  # of the slop: within it two separating axes count as equal and the first body's is taken
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,16 +90,9 @@ class SolverConfig:
     """Keep the largest impulse change of every sweep (``SolveStats.history``)."""
 
     def __post_init__(self) -> None:
-        choices = {
-            "method": tuple(METHODS),
-            "acceleration": tuple(ACCELERATIONS),
-            "stop": tuple(STOPS),
-            "start": ("cache", "zero"),
-            "position_correction": ("ngs", "baumgarte", "none"),
-        }
-        for name, allowed in choices.items():
+        for name, allowed in CHOICES.items():
             if getattr(self, name) not in allowed:
-                raise ValueError(f"SolverConfig.{name} is {getattr(self, name)!r}; it must be one of {allowed}")
+                raise ValueError(f"SolverConfig.{name} is {getattr(self, name)!r}; it must be one of {tuple(allowed)}")
         # name: (low, high, low itself allowed)
         ranges = {
             "max_sweeps": (0, 2**31 - 1, True),
@@ -126,3 +132,29 @@ class SolverConfig:
     def to_dict(self) -> dict[str, object]:
         """The settings by name, as stored in snapshots and summaries."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def kernel_values(self) -> dict[str, Any]:
+        """The settings as kernels take them: a choice is its number, and inf is a large one."""
+        values = {name: getattr(self, name) for name in CONFIG if hasattr(self, name)}
+        values.update({name: codes[getattr(self, name)] for name, codes in CHOICES.items()})
+        # a float32 kernel argument holds no product of inf and 0
+        values["relative_tolerance"] = min(self.relative_tolerance, 1e30)
+        values["history"] = int(self.history)
+        values["slack"] = SLACK * self.slop
+        return values
+
+
+def _config_table() -> dict[str, Field]:
+    kinds = {"int": "int32", "bool": "int32", "float": "real"}
+    table = {f.name: Field(f.name, "config", kinds.get(str(f.type), "int32"), "1", "") for f in fields(SolverConfig)}
+    for name, meaning in (
+        ("slack", "overlap within which two separating axes count as equal [length_scale]"),
+        ("uniform_friction", "coefficient that all shapes have in common, -1 if they differ"),
+        ("uniform_restitution", "coefficient that all shapes have in common, -1 if they differ"),
+    ):
+        table[name] = Field(name, "config", "real", "1", meaning)
+    return table
+
+
+CONFIG = _config_table()
+"""Fields of the struct of settings that kernels take, by the names that ``SolverConfig`` has for them."""

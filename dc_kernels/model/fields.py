@@ -20,13 +20,21 @@ KEY_FEATURE_BITS = 16
 
 @dataclass(frozen=True)
 class Field:
-    """One array: ``per`` names its axis; ``dtype`` is "real", "vec2", "vec4" (of the model's scalar) or fixed."""
+    """One array: ``per`` names its axis; ``dtype`` is "real", "vec2", "vec4" (of the model's scalar) or fixed.
+
+    A field of ``ITERATION``, ``CONFIG`` or ``LAUNCH`` is one number or small vector of a struct instead.
+    """
 
     name: str
     per: str
     dtype: str
     unit: str
     meaning: str
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The axes, one for each dimension: ``per`` names two of them with a comma between."""
+        return tuple(self.per.split(","))
 
 
 def _table(*rows: tuple[str, str, str, str, str]) -> dict[str, Field]:
@@ -105,12 +113,12 @@ JOINTS = _table(
 
 
 CACHE = _table(
-    ("cache_count", "world", "int32", "1", "contacts of the last finished step"),
-    ("cache_key", "contact", "int64", "1", "their keys, sorted"),
-    ("cache_impulse", "contact", "vec2", "N s", "their solved impulses"),
-    ("cache_color", "contact", "int32", "1", "their colours"),
-    ("cache_age", "contact", "int32", "1", "their ages"),
-    ("joint_cache", "joint", "real", "N s", "solved impulses of the joints in the last finished step"),
+    ("count", "world", "int32", "1", "contacts of the last finished step"),
+    ("key", "contact", "int64", "1", "their keys, sorted"),
+    ("impulse", "contact", "vec2", "N s", "their solved impulses"),
+    ("color", "contact", "int32", "1", "their colours"),
+    ("age", "contact", "int32", "1", "their ages"),
+    ("joint_impulse", "joint", "real", "N s", "solved impulses of the joints in the last finished step"),
 )
 
 PAIRS = _table(
@@ -119,35 +127,35 @@ PAIRS = _table(
     ("cell", "shape", "vec3i", "1", "cell of the shape's box: column, row, level"),
     ("sorted_shape", "shape", "int32", "1", "shapes sorted by bucket"),
     ("box", "shape", "vec4", "m", "low x, low y, high x, high y, with margin"),
-    ("pair_start", "world+1", "int32", "1", "first reserved pair of each world"),
-    ("pair_count", "world", "int32", "1", "candidate pairs of each world, sorted by (A, B)"),
-    ("pair_needed", "world", "int32", "1", "pairs found at the last rebuild, also those without room"),
-    ("pair_valid", "world", "int32", "1", "0: rebuild in the next step"),
+    ("start", "world+1", "int32", "1", "first reserved pair of each world"),
+    ("count", "world", "int32", "1", "candidate pairs of each world, sorted by (A, B)"),
+    ("needed", "world", "int32", "1", "pairs found at the last rebuild, also those without room"),
+    ("valid", "world", "int32", "1", "0: rebuild in the next step"),
     ("rebuilds", "world", "int32", "1", "rebuilds so far"),
-    ("pair_a", "pair", "int32", "1", "shape A"),
-    ("pair_b", "pair", "int32", "1", "shape B"),
+    ("shape_a", "pair", "int32", "1", "shape A"),
+    ("shape_b", "pair", "int32", "1", "shape B"),
     ("temp_a", "pair", "int32", "1", "shape A, half sorted"),
     ("temp_b", "pair", "int32", "1", "shape B, half sorted"),
 )
 
 ROWS = _table(
     ("contact_needed", "world", "int32", "1", "contacts found, also those without room"),
-    ("slot", "contact", "int32", "1", "where the contact's normal impulse lies in row_impulse"),
-    ("joint_slot", "joint", "int32", "1", "the same of a joint"),
+    ("slot", "contact", "int32", "1", "where the contact's normal impulse lies in rows.impulse"),
+    ("joint_slot", "joint", "int32", "1", "where the joint's impulse lies in rows.impulse"),
     ("color_mask", "body", "uint64", "1", "colours taken at the body"),
     ("body_rows", "body+1", "int32", "1", "rows that act on the body"),
     ("block_start", "world+1", "int32", "1", "first reserved block of each world"),
     ("block_needed", "world", "int32", "1", "blocks of the present step, also those without room"),
     ("color_block", "world color+1", "int32", "1", "first block of each colour, COLORS + 1 a world"),
     ("color_fill", "world color", "int32", "1", "rows of each colour"),
-    ("rows", "row column", "real", "1", "columns of the rows, see rows.py"),
-    ("row_body", "row pair", "int32", "1", "bodies of the rows"),
-    ("row_impulse", "row pair", "real", "N s", "normal and tangential impulses"),
-    ("row_change", "row pair", "real", "N s", "what the last sweep, or its acceleration, changed the impulses by"),
-    ("row_before", "row pair", "real", "N s", "step of the sweep before the last, where a solve pauses"),
-    ("row_direction", "row direction", "real", "N s", "search direction of nonlinear CG"),
-    ("row_history", "row history", "real", "N s, m/s", "of an accelerated solve: iterates and steps, velocities"),
-    ("row_scale", "world", "real", "N s", "norm that the residual is relative to"),
+    ("column", "row column", "real", "1", "columns of the rows, see rows.py"),
+    ("body", "row pair", "int32", "1", "bodies of the rows"),
+    ("impulse", "row pair", "real", "N s", "normal and tangential impulses"),
+    ("change", "row pair", "real", "N s", "what the last sweep, or its acceleration, changed the impulses by"),
+    ("before", "row pair", "real", "N s", "step of the sweep before the last, where a solve pauses"),
+    ("direction", "row direction", "real", "N s", "search direction of nonlinear CG"),
+    ("past", "row past", "real", "N s, m/s", "of an accelerated solve: iterates and steps, velocities"),
+    ("scale", "world", "real", "N s", "norm that the residual is relative to"),
     ("deepest", "world", "real", "m", "least gap, 0 where nothing overlaps"),
 )
 
@@ -166,7 +174,100 @@ STATS = _table(
     ("change", "world", "real", "N s", "largest impulse change of its last sweep"),
     ("residual", "world", "real", "1", "relative natural map at its end"),
     ("colors", "world", "int32", "1", "highest colour of the step's constraints, plus one"),
-    ("counters", "world counter", "int32", "1", "iteration in flight: sweeps, sweeps into the period, period, done"),
-    ("norms", "world norm", "real", "N s", "iteration in flight: change, squared steps"),
+    ("iteration", "world", "iteration", "1", "the iteration in flight: a struct of the fields of ITERATION"),
+    ("history", "world,sweep", "real", "N s", "largest impulse change of each sweep, if asked for"),
     ("replaced", "world", "int32", "1", "1: a resumed solve takes contacts.impulse anew"),
 )
+
+# A world's iteration in flight; "squared step" is the sum of squares of what a sweep changed the impulses by.
+ITERATION = _table(
+    ("sweeps", "world", "int32", "1", "sweeps done"),
+    ("finished", "world", "int32", "1", "1 where the solve has ended"),
+    ("change", "world", "real", "N s", "largest impulse change of the last sweep"),
+    ("least_change", "world", "real", "N s", "least change of those whose impulses were kept to go back to"),
+    # Aitken's extrapolation:
+    ("period", "world", "int32", "1", "sweeps of the present period"),
+    ("inside", "world", "int32", "1", "sweeps done in it; negative: plain sweeps before the next"),
+    ("stalled", "world", "int32", "1", "periods since the squared step was least"),
+    ("plain_sweeps", "world", "int32", "1", "plain sweeps that follow when extrapolation cycles"),
+    ("before_end", "world", "real", "(N s)^2", "squared step of the sweep before the period's last"),
+    ("at_end", "world", "real", "(N s)^2", "squared step at the end of the period, or of the sweep, before"),
+    ("least_step", "world", "real", "(N s)^2", "least squared step at the end of a period"),
+    # a pause:
+    ("postponed", "world", "int32", "1", "1 where a period's end waits for the solve to go on"),
+    ("measured", "world", "int32", "1", "sweep whose squared step was taken last"),
+    ("step_before", "world", "real", "(N s)^2", "squared step of the last sweep but one before a pause"),
+    ("step_last", "world", "real", "(N s)^2", "squared step of the last sweep before a pause"),
+    # the adaptive acceleration:
+    ("stretch_sweeps", "world", "int32", "1", "sweeps of the present stretch"),
+    ("stretch_method", "world", "int32", "1", "its method, a Stretch"),
+    ("stretch_length", "world", "int32", "1", "sweeps of the stretch before"),
+    ("rate", "world", "vec3", "1", "rate of each method: half the logarithm of the squared step, a sweep"),
+    ("stretch_step", "world", "real", "(N s)^2", "squared step of the first sweep of the stretch"),
+    ("momentum", "world", "real", "1", "Nesterov's t"),
+    # Anderson's update:
+    ("rest", "world", "int32", "1", "periods without an update to come"),
+    ("next_rest", "world", "int32", "1", "periods to rest when an update next does harm"),
+    ("remembered", "world", "int32", "1", "iterates remembered"),
+    ("updated", "world", "int32", "1", "1 where the period began with an update"),
+    ("before_update", "world", "real", "(N s)^2", "squared step before the last update"),
+    ("products", "world", "vec8", "(N s)^2", "scalar products of the least squares of an update"),
+)
+
+# What one launch over worlds is given beside the groups.
+LAUNCH = _table(
+    ("world_offset", "launch", "int32", "1", "first world of the launch"),
+    ("padding_body", "launch", "int32", "1", "body behind the others that empty solver lanes point at"),
+    ("past_offset", "launch", "int32", "1", "where the first world's part of rows.past begins"),
+    ("past_step", "launch", "int32", "1", "from a world's part to the next; 0: worlds take turns"),
+    ("resume", "launch", "int32", "1", "1: go on with a solve that paused"),
+    ("pause", "launch", "int32", "1", "sweeps until a pause"),
+)
+
+# Where a world's part of the rows lies, and when its solve stops; made once in a solve.
+SPAN = _table(
+    ("world", "span", "int32", "1", "index of the world"),
+    ("first", "span", "int32", "1", "first block of its rows"),
+    ("serial", "span", "int32", "1", "first block of the serial colour"),
+    ("last", "span", "int32", "1", "behind its last block"),
+    ("low", "span", "int32", "1", "first of its impulses in rows.impulse"),
+    ("high", "span", "int32", "1", "behind its last"),
+    ("first_body", "span", "int32", "1", "first of its bodies"),
+    ("last_body", "span", "int32", "1", "behind its last body"),
+    ("past_at", "span", "int32", "1", "where its part of rows.past begins"),
+    ("pause_at", "span", "int32", "1", "sweeps from which a pause is due"),
+    ("bound", "span", "real", "N s", "what the stop is compared with"),
+)
+
+# One row of the solver before it is packed: a contact with its friction, or a joint (solve/rows.py).
+ROW = _table(
+    ("body_a", "row", "int32", "1", "body A"),
+    ("body_b", "row", "int32", "1", "body B"),
+    ("normal", "row", "vec2", "1", "unit vector from A to B"),
+    ("normal_arm_a", "row", "real", "m", "arm at A crossed with the normal"),
+    ("normal_arm_b", "row", "real", "m", "arm at B crossed with the normal"),
+    ("tangent_arm_a", "row", "real", "m", "arm at A crossed with the tangent"),
+    ("tangent_arm_b", "row", "real", "m", "arm at B crossed with the tangent"),
+    ("inv_inertia_a", "row", "real", "1/(kg m^2)", "inverse inertia of A"),
+    ("inv_inertia_b", "row", "real", "1/(kg m^2)", "inverse inertia of B"),
+    ("normal_mass", "row", "real", "kg", "effective mass along the normal"),
+    ("tangent_mass", "row", "real", "kg", "effective mass along the tangent"),
+    ("bias", "row", "real", "m/s", "added to the normal speed that the row makes zero"),
+    ("friction", "row", "real", "1", "Coulomb coefficient"),
+    ("gap", "row", "real", "m", "what position correction makes zero: gap plus slop, or error in length"),
+    ("least", "row", "real", "N s", "least normal impulse: 0 of a contact, minus infinity of a joint"),
+    ("square", "row", "real", "(N s)^2", "squared impulse that would stop the row alone; 0 where it never acts"),
+)
+
+GROUPS = {
+    "model": MODEL,
+    "state": STATE,
+    "joints": JOINTS,
+    "contacts": CONTACTS,
+    "cache": CACHE,
+    "pairs": PAIRS,
+    "rows": ROWS,
+    "motion": MOTION,
+    "stats": STATS,
+}
+"""Tables by the name that a group of arrays has as attribute of a simulation and as argument of a kernel."""

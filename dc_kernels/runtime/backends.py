@@ -68,7 +68,7 @@ def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool) -> di
         ("collide.broadphase",),
         ("collide.narrowphase", only_discs),
         ("collide.contacts",),
-        ("solve.rows", variant),
+        ("solve.pack", variant),
         ("solve.schedules", variant),
     ):
         table.update(make_kernels(backend, stage, dtype, *options))

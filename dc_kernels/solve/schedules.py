@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup, kernel_array
-from dc_kernels.model.config import ACCELERATIONS, METHODS, STOPS, SolverConfig
+from dc_kernels.model.arrays import ArrayGroup
+from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.fields import STATS
 from dc_kernels.runtime.backends import Launch, bind
-from dc_kernels.solve.iteration import COUNTERS, NEVER
 from dc_kernels.solve.rows import COLORS, LANES, SERIAL_COLOR
 
 if TYPE_CHECKING:
@@ -19,46 +18,13 @@ if TYPE_CHECKING:
 
 
 class SolveStats(ArrayGroup):
-    """What the last solve of each world did (``model.fields.STATS``), and its history on request."""
+    """What the last solve of each world did (``model.fields.STATS``).
+
+    ``history`` holds the largest impulse change of each sweep, (W, max_sweeps), zero beyond ``sweeps``; it is (W, 0)
+    unless the settings ask for it.
+    """
 
     table = STATS
-    history: Any
-    """Largest impulse change of each sweep [N s], (W, max_sweeps), zero beyond ``sweeps``; (W, 0) unless asked for."""
-
-    def allocate_history(self, config: SolverConfig) -> None:
-        """Room for ``history`` as a configuration wants it."""
-        shape = (self.sizes["world"], config.max_sweeps if config.history else 0)
-        zeros = np.zeros(shape, self.dtype)
-        if self.device == "cpu":
-            self.history = kernel_array(zeros, self.backend)
-        else:
-            import warp as wp
-
-            self.history = wp.array(zeros, device=self.device)
-
-
-def solver_scalars(config: SolverConfig) -> dict[str, Any]:
-    """Scalar kernel arguments of the solve by name."""
-    return {
-        "method": METHODS[config.method],
-        "acceleration": ACCELERATIONS[config.acceleration],
-        "max_sweeps": config.max_sweeps,
-        "min_sweeps": config.min_sweeps,
-        "tolerance": config.tolerance,
-        # a float32 kernel argument holds no product of inf and 0
-        "relative_tolerance": min(config.relative_tolerance, 1e30),
-        "stop": STOPS[config.stop],
-        "residual_every": config.residual_every,
-        "omega": config.omega if config.acceleration == "sor" else 1.0,
-        "period_min": config.aitken_period,
-        "period_max": config.aitken_period_max,
-        "cap": config.aitken_cap,
-        "threshold": config.aitken_threshold,
-        "patience": config.aitken_patience,
-        "stretch": config.stretch,
-        "resume": 0,
-        "pause": NEVER,
-    }
 
 
 # settings of the iteration alone: rows, contacts and the room reserved do not depend on them
@@ -106,7 +72,7 @@ def color_schedule(sim: Simulation, first: int, count: int, values: Mapping[str,
     after = sim.bind("after_sweep", first, count, values)
     finish = sim.bind("finish", first, count, values)
     unpack = sim.bind("unpack_impulses", first, count)
-    max_sweeps = {**sim.values, **values}["max_sweeps"]
+    max_sweeps = values.get("max_sweeps", sim.config.max_sweeps)
     sweep_color = sim.kernels["sweep_color"]
 
     def run() -> None:
@@ -118,7 +84,7 @@ def color_schedule(sim: Simulation, first: int, count: int, values: Mapping[str,
             bind(
                 sweep_color,
                 (count, 1 if color == SERIAL_COLOR else int(widest[color])),
-                {**sim.values, **values, "world_offset": first, "color": color},
+                {**sim.launch_values(first, values), "color": color},
                 sim.device,
             )
             for color in np.flatnonzero(widest)
@@ -140,7 +106,7 @@ def color_schedule(sim: Simulation, first: int, count: int, values: Mapping[str,
 
 
 def _all_done(sim: Simulation, first: int, count: int) -> bool:
-    done = sim.stats.numpy("counters").reshape(-1, COUNTERS)[first : first + count, 3] != 0
+    done = sim.stats.numpy("iteration")["finished"][first : first + count] != 0
     return bool((done | (sim.state.numpy("flags")[first : first + count] != 0)).all())
 
 

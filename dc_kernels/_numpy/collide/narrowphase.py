@@ -208,110 +208,82 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
 
     def narrowphase(
         tid: int,
-        world_offset: int,
-        slack_factor: float,
-        uniform_friction: float,
-        uniform_restitution: float,
-        shape_start: Array,
-        length_scale: Array,
-        shape_body: Array,
-        shape_type: Array,
-        shape_radius: Array,
-        shape_center: Array,
-        shape_extent: Array,
-        shape_friction: Array,
-        shape_restitution: Array,
-        vertex_start: Array,
-        vertices: Array,
-        vertex_normals: Array,
-        position: Array,
-        angle: Array,
-        step_dt: Array,
-        reach: Array,
-        predicted: Array,
-        pair_start: Array,
-        pair_count: Array,
-        pair_a: Array,
-        pair_b: Array,
-        flags: Array,
-        contact_start: Array,
-        contact_count: Array,
-        contact_needed: Array,
-        key: Array,
-        body_a: Array,
-        body_b: Array,
-        normal: Array,
-        arm_a: Array,
-        arm_b: Array,
-        gap: Array,
-        friction: Array,
-        restitution: Array,
+        launch: Any,
+        config: Any,
+        model: Any,
+        state: Any,
+        motion: Any,
+        pairs: Any,
+        contacts: Any,
+        rows: Any,
     ) -> None:
         """Contacts of a world: gap below the speculative distance, or closing within the step."""
-        w = tid + world_offset
-        if flags[w]:
+        w = tid + launch.world_offset
+        if state.flags[w]:
             return
 
         def hull_of(shape: int) -> Hull:
-            first, last = vertex_start[shape], vertex_start[shape + 1]
-            if shape_type[shape] == ShapeType.POLYGON:
-                return Hull(vertices[first:last], vertex_normals[first:last], shape_radius[shape])
-            v1, v2, before, beyond = vertices[first : first + 4]
+            first, last = model.vertex_start[shape], model.vertex_start[shape + 1]
+            if model.shape_type[shape] == ShapeType.POLYGON:
+                return Hull(model.vertices[first:last], model.vertex_normals[first:last], model.shape_radius[shape])
+            v1, v2, before, beyond = model.vertices[first : first + 4]
             return Hull(
-                vertices[first : first + 2],
-                vertex_normals[first : first + 2],
-                shape_radius[shape],
+                model.vertices[first : first + 2],
+                model.vertex_normals[first : first + 2],
+                model.shape_radius[shape],
                 None if (before == v1).all() else before,
                 None if (beyond == v2).all() else beyond,
             )
 
         def manifold(a: int, b: int) -> Manifold:
             """Points of a pair in world axes."""
-            xa, xb = position[shape_body[a]], position[shape_body[b]]
-            turn_a, turn_b = rotation(angle[shape_body[a]]), rotation(angle[shape_body[b]])
-            centre_a, centre_b = xa + rotate(turn_a, shape_center[a]), xb + rotate(turn_b, shape_center[b])
-            disc_a, disc_b = shape_type[a] == ShapeType.DISC, shape_type[b] == ShapeType.DISC
+            xa, xb = state.position[model.shape_body[a]], state.position[model.shape_body[b]]
+            turn_a, turn_b = rotation(state.angle[model.shape_body[a]]), rotation(state.angle[model.shape_body[b]])
+            centre_a, centre_b = xa + rotate(turn_a, model.shape_center[a]), xb + rotate(turn_b, model.shape_center[b])
+            disc_a, disc_b = model.shape_type[a] == ShapeType.DISC, model.shape_type[b] == ShapeType.DISC
             if disc_a and disc_b:
-                return disc_disc(centre_a, shape_radius[a], centre_b, shape_radius[b], epsilon)
+                return disc_disc(centre_a, model.shape_radius[a], centre_b, model.shape_radius[b], epsilon)
             if disc_a:
                 local = rotate(turn_b.T, centre_a - xb)
-                return hull_disc(hull_of(b), local, shape_radius[a], epsilon).placed(turn_b, xb, flip=True)
+                return hull_disc(hull_of(b), local, model.shape_radius[a], epsilon).placed(turn_b, xb, flip=True)
             if disc_b:
                 local = rotate(turn_a.T, centre_b - xa)
-                return hull_disc(hull_of(a), local, shape_radius[b], epsilon).placed(turn_a, xa)
-            relative = rotation(angle[shape_body[b]] - angle[shape_body[a]])
+                return hull_disc(hull_of(a), local, model.shape_radius[b], epsilon).placed(turn_a, xa)
+            relative = rotation(state.angle[model.shape_body[b]] - state.angle[model.shape_body[a]])
             hull_b = hull_of(b).placed(relative, rotate(turn_a.T, xb - xa))
-            va, vb = predicted[shape_body[a]], predicted[shape_body[b]]
-            spin = sum(abs(v[2]) * (length(shape_center[s]) + shape_extent[s]) for v, s in ((va, a), (vb, b)))
-            within = speculative + step_dt[w] * (length(vb - va) + spin)
+            va, vb = motion.predicted[model.shape_body[a]], motion.predicted[model.shape_body[b]]
+            spin = sum(
+                abs(v[2]) * (length(model.shape_center[s]) + model.shape_extent[s]) for v, s in ((va, a), (vb, b))
+            )
+            within = speculative + motion.step_dt[w] * (length(vb - va) + spin)
             return hull_hull(hull_of(a), hull_b, within, slack, epsilon).placed(turn_a, xa)
 
-        speculative = reach[w]
-        slack = slack_factor * length_scale[w]
+        speculative = motion.reach[w]
+        slack = config.slack * model.length_scale[w]
         found = []
-        for pair in range(pair_start[w], pair_start[w] + pair_count[w]):
-            a, b = int(pair_a[pair]), int(pair_b[pair])
+        for pair in range(pairs.start[w], pairs.start[w] + pairs.count[w]):
+            a, b = int(pairs.shape_a[pair]), int(pairs.shape_b[pair])
             m = manifold(a, b)
-            ba, bb = shape_body[a], shape_body[b]
-            va, vb = predicted[ba], predicted[bb]
-            shapes = (a - int(shape_start[w])) << KEY_SHAPE_BITS | (b - int(shape_start[w]))
+            ba, bb = model.shape_body[a], model.shape_body[b]
+            va, vb = motion.predicted[ba], motion.predicted[bb]
+            shapes = (a - int(model.shape_start[w])) << KEY_SHAPE_BITS | (b - int(model.shape_start[w]))
             for point, g, feature in m.points:
-                to_a, to_b = point - position[ba], point - position[bb]
+                to_a, to_b = point - state.position[ba], point - state.position[bb]
                 speed = dot(m.normal, vb - va) + cross(to_b, m.normal) * vb[2] - cross(to_a, m.normal) * va[2]
-                if g <= speculative + max(-speed * step_dt[w], 0.0):
+                if g <= speculative + max(-speed * motion.step_dt[w], 0.0):
                     found.append((shapes << KEY_FEATURE_BITS | feature, a, b, m.normal, to_a, to_b, g))
         found.sort(key=lambda contact: contact[0])
-        contact_needed[w] = len(found)
-        if len(found) > contact_start[w + 1] - contact_start[w]:
-            flags[w] |= Flag.CONTACT_OVERFLOW
-            contact_count[w] = 0
+        rows.contact_needed[w] = len(found)
+        if len(found) > contacts.contact_start[w + 1] - contacts.contact_start[w]:
+            state.flags[w] |= Flag.CONTACT_OVERFLOW
+            contacts.contact_count[w] = 0
             return
-        contact_count[w] = len(found)
-        for c, (number, a, b, n, to_a, to_b, g) in enumerate(found, contact_start[w]):
-            key[c] = number
-            body_a[c], body_b[c] = shape_body[a], shape_body[b]
-            normal[c], arm_a[c], arm_b[c], gap[c] = n, to_a, to_b, g
-            friction[c] = np.sqrt(shape_friction[a] * shape_friction[b])
-            restitution[c] = max(shape_restitution[a], shape_restitution[b])
+        contacts.contact_count[w] = len(found)
+        for c, (number, a, b, n, to_a, to_b, g) in enumerate(found, contacts.contact_start[w]):
+            contacts.key[c] = number
+            contacts.body_a[c], contacts.body_b[c] = model.shape_body[a], model.shape_body[b]
+            contacts.normal[c], contacts.arm_a[c], contacts.arm_b[c], contacts.gap[c] = n, to_a, to_b, g
+            contacts.friction[c] = np.sqrt(model.shape_friction[a] * model.shape_friction[b])
+            contacts.restitution[c] = max(model.shape_restitution[a], model.shape_restitution[b])
 
     return {"narrowphase": narrowphase}

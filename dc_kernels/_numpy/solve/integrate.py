@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels._numpy.common import Array, Kernels
+from dc_kernels._numpy.common import Kernels
 from dc_kernels.model.enums import BodyType, Flag
 
 
@@ -17,118 +17,92 @@ def kernels(dtype: str) -> Kernels:
 
 def predict(
     tid: int,
-    world_offset: int,
-    speculative_factor: float,
-    speculative_limit: float,
-    body_start: Array,
-    length_scale: Array,
-    gravity: Array,
-    body_type: Array,
-    inv_mass: Array,
-    inv_inertia: Array,
-    velocity: Array,
-    angular_velocity: Array,
-    force: Array,
-    torque: Array,
-    step_dt: Array,
-    flags: Array,
-    predicted: Array,
-    reach: Array,
+    launch: Any,
+    config: Any,
+    model: Any,
+    state: Any,
+    motion: Any,
 ) -> None:
     """Velocities with forces and gravity applied, with the inverse mass; what the fastest body covers in the step."""
-    w = tid + world_offset
-    if flags[w]:
+    w = tid + launch.world_offset
+    if state.flags[w]:
         return
-    dt = step_dt[w]
-    bodies = range(body_start[w], body_start[w + 1])
+    dt = motion.step_dt[w]
+    bodies = range(model.body_start[w], model.body_start[w + 1])
     with np.errstate(over="ignore", invalid="ignore"):
         for b in bodies:
-            if body_type[b] == BodyType.STATIC:
-                predicted[b] = 0.0
-            elif body_type[b] == BodyType.KINEMATIC:
-                predicted[b] = [*velocity[b], angular_velocity[b], 0.0]
+            if model.body_type[b] == BodyType.STATIC:
+                motion.predicted[b] = 0.0
+            elif model.body_type[b] == BodyType.KINEMATIC:
+                motion.predicted[b] = [*state.velocity[b], state.angular_velocity[b], 0.0]
             else:
-                v = velocity[b] + (gravity[w] + force[b] * inv_mass[b]) * dt
-                spin = angular_velocity[b] + torque[b] * inv_inertia[b] * dt
-                predicted[b] = [*v, spin, inv_mass[b]]
-        squares = (predicted[bodies, :2] ** 2).sum(axis=1)
-        dynamic = body_type[bodies] == BodyType.DYNAMIC
+                v = state.velocity[b] + (model.gravity[w] + state.force[b] * model.inv_mass[b]) * dt
+                spin = state.angular_velocity[b] + state.torque[b] * model.inv_inertia[b] * dt
+                motion.predicted[b] = [*v, spin, model.inv_mass[b]]
+        squares = (motion.predicted[bodies, :2] ** 2).sum(axis=1)
+        dynamic = model.body_type[bodies] == BodyType.DYNAMIC
         most = (
             min(squares.max(initial=0.0), 16.0 * squares[dynamic].mean()) if dynamic.any() else squares.max(initial=0.0)
         )
         fastest = np.sqrt(most)  # of any body, but no more than four times the root mean square
-    if not np.isfinite(predicted[bodies, :3]).all():
-        flags[w] = Flag.NONFINITE
+    if not np.isfinite(motion.predicted[bodies, :3]).all():
+        state.flags[w] = Flag.NONFINITE
         return
-    reach[w] = max(min(fastest * dt, speculative_limit * length_scale[w]), speculative_factor * length_scale[w])
+    motion.reach[w] = max(
+        min(fastest * dt, config.speculative_max * model.length_scale[w]), config.speculative * model.length_scale[w]
+    )
 
 
 def displace(
-    tid: int, world_offset: int, body_start: Array, flags: Array, step_dt: Array, solved: Array, displacement: Array
+    tid: int,
+    launch: Any,
+    model: Any,
+    state: Any,
+    motion: Any,
 ) -> None:
     """What the solved velocities move the bodies by in this step; position correction adds to it."""
-    w = tid + world_offset
-    if flags[w]:
+    w = tid + launch.world_offset
+    if state.flags[w]:
         return
-    for b in range(body_start[w], body_start[w + 1]):
-        displacement[b, :3] = solved[b, :3] * step_dt[w]
-        displacement[b, 3] = solved[b, 3]
+    for b in range(model.body_start[w], model.body_start[w + 1]):
+        motion.displacement[b, :3] = motion.solved[b, :3] * motion.step_dt[w]
+        motion.displacement[b, 3] = motion.solved[b, 3]
 
 
 def commit(
     tid: int,
-    world_offset: int,
-    body_start: Array,
-    body_type: Array,
-    step_dt: Array,
-    solved: Array,
-    displacement: Array,
-    position: Array,
-    angle: Array,
-    velocity: Array,
-    angular_velocity: Array,
-    time: Array,
-    flags: Array,
-    contact_start: Array,
-    contact_count: Array,
-    key: Array,
-    impulse: Array,
-    color: Array,
-    age: Array,
-    joint_start: Array,
-    joint_impulse: Array,
-    contact_dt: Array,
-    cache_count: Array,
-    cache_key: Array,
-    cache_impulse: Array,
-    cache_color: Array,
-    cache_age: Array,
-    joint_cache: Array,
+    launch: Any,
+    model: Any,
+    state: Any,
+    joints: Any,
+    motion: Any,
+    contacts: Any,
+    cache: Any,
 ) -> None:
     """New state and contact cache of a world, or a NONFINITE flag and nothing changed."""
-    w = tid + world_offset
-    if flags[w]:
+    w = tid + launch.world_offset
+    if state.flags[w]:
         return
-    bodies = np.arange(body_start[w], body_start[w + 1])
+    bodies = np.arange(model.body_start[w], model.body_start[w + 1])
     with np.errstate(over="ignore", invalid="ignore"):
-        new_position = position[bodies] + displacement[bodies, :2]
-        new_angle = angle[bodies] + displacement[bodies, 2]
-    new: tuple[Any, ...] = (new_position, new_angle, solved[bodies, :3])
+        new_position = state.position[bodies] + motion.displacement[bodies, :2]
+        new_angle = state.angle[bodies] + motion.displacement[bodies, 2]
+    new: tuple[Any, ...] = (new_position, new_angle, motion.solved[bodies, :3])
     if not all(np.isfinite(values).all() for values in new):
-        flags[w] = Flag.NONFINITE
+        state.flags[w] = Flag.NONFINITE
         return
-    moves = body_type[bodies] != BodyType.STATIC
-    position[bodies[moves]] = new_position[moves]
-    angle[bodies[moves]] = new_angle[moves]
-    velocity[bodies[moves]] = solved[bodies[moves], :2]
-    angular_velocity[bodies[moves]] = solved[bodies[moves], 2]
-    time[w] += float(step_dt[w])
-    used = slice(contact_start[w], contact_start[w] + contact_count[w])
-    cache_key[used] = key[used]
-    cache_impulse[used] = impulse[used]
-    cache_color[used] = color[used]
-    cache_age[used] = age[used]
-    cache_count[w] = contact_count[w]
-    joints = slice(joint_start[w], joint_start[w + 1])
-    joint_cache[joints] = joint_impulse[joints]
-    contact_dt[w] = step_dt[w]
+    moves = model.body_type[bodies] != BodyType.STATIC
+    state.position[bodies[moves]] = new_position[moves]
+    state.angle[bodies[moves]] = new_angle[moves]
+    state.velocity[bodies[moves]] = motion.solved[bodies[moves], :2]
+    state.angular_velocity[bodies[moves]] = motion.solved[bodies[moves], 2]
+    state.time[w] += float(motion.step_dt[w])
+    used = slice(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
+    cache.key[used] = contacts.key[used]
+    cache.impulse[used] = contacts.impulse[used]
+    cache.color[used] = contacts.color[used]
+    cache.age[used] = contacts.age[used]
+    cache.count[w] = contacts.contact_count[w]
+    own_joints = slice(model.joint_start[w], model.joint_start[w + 1])
+    cache.joint_impulse[own_joints] = joints.joint_impulse[own_joints]
+    contacts.contact_dt[w] = motion.step_dt[w]

@@ -6,11 +6,12 @@ Velocities are V = (v_A, w_A, v_B, w_B), (6,).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dc_kernels._numpy.common import Array, tangent
+from dc_kernels._numpy.solve.laws import natural_map_squared
 from dc_kernels.solve.rows import COLUMNS, LANES
 
 
@@ -46,22 +47,21 @@ def by_lane(array: Array, columns: int = 2) -> Array:
     return array.reshape(-1, columns, LANES)
 
 
-def read_row(variant: str, block: int, lane: int, rows: Array, row_body: Array, bodies: Array) -> Row | None:
+def read_row(variant: str, block: int, lane: int, rows: Any, bodies: Array) -> Row | None:
     """One row of the packed arrays; None for an empty lane.
 
     Args:
         variant: a key of ``rows.COLUMNS``.
         block: block of rows.
         lane: lane in the block.
-        rows: packed columns.
-        row_body: packed bodies.
+        rows: the group of rows.
         bodies: anything whose fourth component is the inverse mass.
     """
-    a, b = (int(i) for i in by_lane(row_body)[block, :, lane])
+    a, b = (int(i) for i in by_lane(rows.body)[block, :, lane])
     if a == b:
         return None
     columns = COLUMNS[variant]
-    value = dict(zip(columns, by_lane(rows, len(columns))[block, :, lane]))
+    value = dict(zip(columns, by_lane(rows.column, len(columns))[block, :, lane]))
     n = np.array([value["nx"], value["ny"]])
     t = tangent(n)
     if variant == "discs":
@@ -75,18 +75,18 @@ def read_row(variant: str, block: int, lane: int, rows: Array, row_body: Array, 
         turn_normal = (-value["iA"] * value["rAn"], value["iB"] * value["rBn"])
         turn_tangent = (-value["iA"] * value["rAt"], value["iB"] * value["rBt"])
     ma, mb = bodies[a, 3], bodies[b, 3]
-    low = value.get("lo", rows.dtype.type(0))
+    low = value.get("lo", rows.column.dtype.type(0))
     return Row(
         at=(block, slice(None), lane),
         a=a,
         b=b,
-        jacobian=np.array([j_normal, j_tangent], rows.dtype),
+        jacobian=np.array([j_normal, j_tangent], rows.column.dtype),
         response=np.array(
             [
                 [*-ma * n, turn_normal[0], *mb * n, turn_normal[1]],
                 [*-ma * t, turn_tangent[0], *mb * t, turn_tangent[1]],
             ],
-            rows.dtype,
+            rows.column.dtype,
         ),
         effective_mass=np.array([value["en"], value["et"]]),
         bias=value["bias"],
@@ -97,9 +97,50 @@ def read_row(variant: str, block: int, lane: int, rows: Array, row_body: Array, 
     )
 
 
-def sweep_row(row: Row, bodies: Array, row_impulse: Array, row_change: Array, omega: float) -> Any:
+class PackedRow(NamedTuple):
+    """One row before it is packed: a contact with its friction, or a joint."""
+
+    a: int
+    b: int
+    normal: Array
+    jn: Array  # J along the normal, (6,)
+    jt: Array  # J along the tangent, (6,)
+    normal_mass: Any  # [kg]
+    tangent_mass: Any  # [kg]
+    bias: Any  # [m/s]
+    friction: Any
+    gap: Any  # [m]
+    least: Any  # least normal impulse [N s]
+    square: Any  # squared impulse that would stop the row alone [(N s)^2]
+
+    def columns(self, variant: str, model: Any) -> list[Any]:
+        """Values of the variant's columns."""
+        jn, jt = self.jn, self.jt
+        ia, ib = model.inv_inertia[self.a], model.inv_inertia[self.b]
+        values = {"nx": self.normal[0], "ny": self.normal[1]}
+        values |= {"rAn": -jn[2], "rBn": jn[5], "rAt": -jt[2], "rBt": jt[5], "iA": ia, "iB": ib}
+        values |= {"dA": jt[2], "dB": jt[5], "kA": ia * jt[2], "kB": ib * jt[5]}
+        values |= {"en": self.normal_mass, "et": self.tangent_mass, "bias": self.bias}
+        values |= {"mu": self.friction, "gap": self.gap, "lo": self.least}
+        return [values[name] for name in COLUMNS[variant]]
+
+
+def effective_mass(j: Array, a: int, b: int, model: Any, motion: Any) -> Any:
+    """1 / (J M^-1 J^T), 0 if nothing can move (seed, equation 2.25)."""
+    ma, mb = motion.predicted[a, 3], motion.predicted[b, 3]
+    k = (j * j) @ np.array([ma, ma, model.inv_inertia[a], mb, mb, model.inv_inertia[b]])
+    return 1.0 / k if k > 0 else k
+
+
+def velocities(state: Any, a: int, b: int) -> Array:
+    """V of both bodies before the step's forces, (6,)."""
+    va, vb = state.velocity[a], state.velocity[b]
+    return np.array([*va, state.angular_velocity[a], *vb, state.angular_velocity[b]])
+
+
+def sweep_row(row: Row, rows: Any, bodies: Array, omega: float) -> Any:
     """Projected Gauss-Seidel on one row, normal before friction; the larger impulse change [N s]."""
-    impulse = by_lane(row_impulse)[row.at]
+    impulse = by_lane(rows.impulse)[row.at]
     before = impulse.copy()
     change = np.zeros_like(before)
     speed = row.jacobian[0] @ row.velocity(bodies)
@@ -110,20 +151,20 @@ def sweep_row(row: Row, bodies: Array, row_impulse: Array, row_change: Array, om
     impulse[1] = min(max(before[1] - omega * row.effective_mass[1] * speed, -limit), limit)
     change[1] = impulse[1] - before[1]
     row.change(bodies, change)
-    by_lane(row_change)[row.at] = change
+    by_lane(rows.change)[row.at] = change
     return abs(change).max()
 
 
-def jacobi_row(
-    row: Row, bodies: Array, body_rows: Array, row_impulse: Array, row_change: Array, summed: Array, omega: float
-) -> Any:
+def jacobi_row(row: Row, rows: Any, motion: Any, omega: float) -> Any:
     """Jacobi with mass splitting (Tonge et al. 2012): a row meets 1/n of a body that n rows act on.
 
-    Velocities are read from ``bodies`` and the changes added to ``summed``: the average over a body's shares.
+    Velocities are read from ``motion.solved`` and the changes added to ``motion.summed``: the average over a body's
+    shares.
     """
-    impulse = by_lane(row_impulse)[row.at]
+    bodies = motion.solved
+    impulse = by_lane(rows.impulse)[row.at]
     before = impulse.copy()
-    shares = np.repeat(body_rows[[row.a, row.b]], 3).astype(bodies.dtype)
+    shares = np.repeat(rows.body_rows[[row.a, row.b]], 3).astype(bodies.dtype)
     k = row.jacobian @ (shares * row.response).T  # J M_split^-1 J^T, (2, 2)
     speed = row.jacobian @ row.velocity(bodies)
     if k[0, 0] > 0:
@@ -133,8 +174,8 @@ def jacobi_row(
         mixed = k[1, 0] * (impulse[0] - before[0])
         impulse[1] = min(max(before[1] - omega * (speed[1] + mixed) / k[1, 1], -limit), limit)
     change = impulse - before
-    row.change(summed, change)
-    by_lane(row_change)[row.at] = change
+    row.change(motion.summed, change)
+    by_lane(rows.change)[row.at] = change
     return abs(change).max()
 
 
@@ -148,23 +189,13 @@ def push_row(row: Row, bodies: Array, factor: float, limit: Any) -> Any:
     return abs(push)
 
 
-def project_cone(normal: Any, along: Any, friction: Any) -> tuple[Any, Any]:
-    """The nearest point with |along| <= friction * normal."""
-    if normal >= 0 and abs(along) <= friction * normal:
-        return normal, along
-    if friction * abs(along) <= -normal:
-        return 0.0, 0.0
-    nearest = (normal + friction * abs(along)) / (1.0 + friction * friction)
-    return nearest, np.sign(along) * friction * nearest
-
-
-def natural_map_row(row: Row, bodies: Array, row_impulse: Array) -> Any:
+def natural_map_row(row: Row, rows: Any, bodies: Array) -> Any:
     """Squared natural map of one row [(N s)^2]: impulse minus its projected step on the friction cone."""
-    impulse = by_lane(row_impulse)[row.at]
+    impulse = by_lane(rows.impulse)[row.at]
     un, ut = row.jacobian @ row.velocity(bodies)
     un += row.bias
     e = row.effective_mass[0]
     if row.is_joint:
         return (e * un) ** 2
-    zn, zt = project_cone(impulse[0] - e * (un + row.friction * abs(ut)), impulse[1] - e * ut, row.friction)
-    return (impulse[0] - zn) ** 2 + (impulse[1] - zt) ** 2
+    step = (impulse[0] - e * (un + row.friction * abs(ut)), impulse[1] - e * ut)
+    return natural_map_squared(impulse, step, row.friction)

@@ -10,7 +10,8 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels._warp.common import kernel_module, rotate, scalar_types
+from dc_kernels._warp.common import kernel_module, rotate
+from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels.model.enums import BodyType, Flag, ShapeType
 
 STATIC = wp.constant(int(BodyType.STATIC))
@@ -37,9 +38,10 @@ def bucket_of(cx: int, cy: int, level: int, mask: int):
 @cache
 def kernels(dtype: str) -> dict[str, Any]:
     """``update_pairs``; one thread a world."""
-    t = scalar_types(dtype)
+    t = group_types(dtype)
     real, vec2, vec4 = t.real, t.vec2, t.vec4
     module = kernel_module("broadphase", dtype)
+    contiguous = contiguous_groups(dtype)
 
     @wp.func(module=module)
     def shape_box(
@@ -83,154 +85,132 @@ def kernels(dtype: str) -> dict[str, Any]:
         return arm
 
     @wp.func(module=module)
-    def accepts(
-        a: int,
-        b: int,
-        box: wp.array(dtype=vec4),
-        shape_body: wp.array(dtype=wp.int32),
-        body_type: wp.array(dtype=wp.int32),
-        shape_category: wp.array(dtype=wp.uint32),
-        shape_mask: wp.array(dtype=wp.uint32),
-    ):
-        """Boxes overlap, bodies differ, one of them is dynamic, and both filters agree."""
-        p = box[a]
-        q = box[b]
+    def overlaps(p: vec4, q: vec4):
+        """Whether two boxes, (low x, low y, high x, high y), have a point in common."""
         if p[0] > q[2] or q[0] > p[2] or p[1] > q[3] or q[1] > p[3]:
-            return False
-        i = shape_body[a]
-        j = shape_body[b]
-        if i == j or (body_type[i] != DYNAMIC and body_type[j] != DYNAMIC):
-            return False
-        if (shape_category[a] & shape_mask[b]) == wp.uint32(0) or (shape_category[b] & shape_mask[a]) == wp.uint32(0):
             return False
         return True
 
     @wp.func(module=module)
-    def emit(
-        count: int,
-        capacity: int,
-        first: int,
-        a: int,
-        b: int,
-        shape_body: wp.array(dtype=wp.int32),
-        body_type: wp.array(dtype=wp.int32),
-        pair_a: wp.array(dtype=wp.int32),
-        pair_b: wp.array(dtype=wp.int32),
-    ):
+    def may_collide(a: int, b: int, model: t.Model):
+        """Whether two shapes' bodies differ, one of them is dynamic, and both filters agree."""
+        i = model.shape_body[a]
+        j = model.shape_body[b]
+        if i == j or (model.body_type[i] != DYNAMIC and model.body_type[j] != DYNAMIC):
+            return False
+        if (model.shape_category[a] & model.shape_mask[b]) == wp.uint32(0):
+            return False
+        if (model.shape_category[b] & model.shape_mask[a]) == wp.uint32(0):
+            return False
+        return True
+
+    @wp.func(module=module)
+    def emit(count: int, capacity: int, first: int, a: int, b: int, model: t.Model, pairs: t.Pairs):
         """Store a pair, A static or the lower index; counts on when full so that the host knows what is needed."""
         if count < capacity:
             lo = wp.min(a, b)
             hi = wp.max(a, b)
-            if body_type[shape_body[hi]] == STATIC:
-                pair_a[first + count] = hi
-                pair_b[first + count] = lo
+            if model.body_type[model.shape_body[hi]] == STATIC:
+                pairs.shape_a[first + count] = hi
+                pairs.shape_b[first + count] = lo
             else:
-                pair_a[first + count] = lo
-                pair_b[first + count] = hi
+                pairs.shape_a[first + count] = lo
+                pairs.shape_b[first + count] = hi
         return count + 1
 
     @wp.func(module=module)
-    def counting_sort(
+    def count_keys(
         n: int,
         shapes: int,
-        shape_first: int,
-        pair_first: int,
-        bucket_first: int,
-        by_b: bool,
+        first_shape: int,
+        first_pair: int,
+        table: int,
         bucket: wp.array(dtype=wp.int32),
+        key: wp.array(dtype=wp.int32),
+    ):
+        """First half of a counting sort of pairs by the shapes ``key``: where those of each shape will begin."""
+        for i in range(shapes + 1):
+            bucket[table + i] = 0
+        for i in range(first_pair, first_pair + n):
+            bucket[table + key[i] - first_shape + 1] += 1
+        for i in range(shapes):
+            bucket[table + i + 1] += bucket[table + i]
+
+    @wp.func(module=module)
+    def move_pairs(
+        n: int,
+        first_shape: int,
+        first_pair: int,
+        table: int,
+        bucket: wp.array(dtype=wp.int32),
+        key: wp.array(dtype=wp.int32),
         in_a: wp.array(dtype=wp.int32),
         in_b: wp.array(dtype=wp.int32),
         out_a: wp.array(dtype=wp.int32),
         out_b: wp.array(dtype=wp.int32),
     ):
-        """Stable sort of pairs by one of their shapes."""
-        for i in range(shapes + 1):
-            bucket[bucket_first + i] = 0
-        for i in range(pair_first, pair_first + n):
-            s = in_a[i]
-            if by_b:
-                s = in_b[i]
-            bucket[bucket_first + s - shape_first + 1] += 1
-        for i in range(shapes):
-            bucket[bucket_first + i + 1] += bucket[bucket_first + i]
-        for i in range(pair_first, pair_first + n):
-            s = in_a[i]
-            if by_b:
-                s = in_b[i]
-            slot = bucket[bucket_first + s - shape_first]
-            bucket[bucket_first + s - shape_first] = slot + 1
-            out_a[pair_first + slot] = in_a[i]
-            out_b[pair_first + slot] = in_b[i]
+        """Second half: each pair to its place; pairs of one shape keep their order."""
+        for i in range(first_pair, first_pair + n):
+            s = key[i]
+            slot = bucket[table + s - first_shape]
+            bucket[table + s - first_shape] = slot + 1
+            out_a[first_pair + slot] = in_a[i]
+            out_b[first_pair + slot] = in_b[i]
+
+    @wp.func(module=module)
+    def sort_pairs(n: int, shapes: int, first_shape: int, first_pair: int, table: int, pairs: t.Pairs):
+        """Sort a world's pairs by shape A, and by shape B among those of one A."""
+        count_keys(n, shapes, first_shape, first_pair, table, pairs.bucket, pairs.shape_b)
+        move_pairs(
+            n, first_shape, first_pair, table, pairs.bucket, pairs.shape_b,
+            pairs.shape_a, pairs.shape_b, pairs.temp_a, pairs.temp_b,
+        )  # fmt: skip
+        count_keys(n, shapes, first_shape, first_pair, table, pairs.bucket, pairs.temp_a)
+        move_pairs(
+            n, first_shape, first_pair, table, pairs.bucket, pairs.temp_a,
+            pairs.temp_a, pairs.temp_b, pairs.shape_a, pairs.shape_b,
+        )  # fmt: skip
 
     @wp.kernel(module=module, enable_backward=False)
     def update_pairs(
-        world_offset: int,
-        margin_factor: real,
-        # Model:
-        shape_start: wp.array(dtype=wp.int32),
-        length_scale: wp.array(dtype=real),
-        cell_size: wp.array(dtype=real),
-        body_type: wp.array(dtype=wp.int32),
-        shape_body: wp.array(dtype=wp.int32),
-        shape_type: wp.array(dtype=wp.int32),
-        shape_radius: wp.array(dtype=real),
-        shape_center: wp.array(dtype=vec2),
-        shape_extent: wp.array(dtype=real),
-        shape_category: wp.array(dtype=wp.uint32),
-        shape_mask: wp.array(dtype=wp.uint32),
-        vertex_start: wp.array(dtype=wp.int32),
-        vertices: wp.array(dtype=vec2),
-        # State in:
-        position: wp.array(dtype=vec2),
-        angle: wp.array(dtype=real),
-        flags: wp.array(dtype=wp.int32),
-        step_dt: wp.array(dtype=real),
-        reach: wp.array(dtype=real),
-        predicted: wp.array(dtype=vec4),
-        # Scratch:
-        bucket_start: wp.array(dtype=wp.int32),
-        bucket: wp.array(dtype=wp.int32),
-        cell: wp.array(dtype=wp.vec3i),
-        sorted_shape: wp.array(dtype=wp.int32),
-        temp_a: wp.array(dtype=wp.int32),
-        temp_b: wp.array(dtype=wp.int32),
-        # Pairs in, out:
-        pair_valid: wp.array(dtype=wp.int32),
-        rebuilds: wp.array(dtype=wp.int32),
-        box: wp.array(dtype=vec4),
-        pair_start: wp.array(dtype=wp.int32),
-        pair_count: wp.array(dtype=wp.int32),
-        pair_needed: wp.array(dtype=wp.int32),
-        pair_a: wp.array(dtype=wp.int32),
-        pair_b: wp.array(dtype=wp.int32),
+        launch: t.Launch,
+        config: t.Config,
+        model: t.Model,
+        state: t.State,
+        motion: t.Motion,
+        pairs: t.Pairs,
     ):
         """Rebuild a world's pairs if a shape, swept over the step, left its box; else keep them."""
-        w = wp.tid() + world_offset
-        if flags[w] != 0:
+        w = wp.tid() + launch.world_offset
+        contiguous(model)
+        contiguous(state)
+        contiguous(motion)
+        contiguous(pairs)
+        if state.flags[w] != 0:
             return
-        first = shape_start[w]
-        last = shape_start[w + 1]
-        dt = step_dt[w]
+        first = model.shape_start[w]
+        last = model.shape_start[w + 1]
+        dt = motion.step_dt[w]
         # half the speculative distance on each side: a pair closer than it is found
-        pad = real(0.5) * reach[w]
+        pad = real(0.5) * motion.reach[w]
 
-        keep = pair_valid[w]
+        keep = pairs.valid[w]
         shape = first
         while keep == 1 and shape < last:
-            body = shape_body[shape]
-            v = predicted[body]
-            x = position[body]
-            kind = shape_type[shape]
-            r = shape_radius[shape]
-            center = shape_center[shape]
+            body = model.shape_body[shape]
+            v = motion.predicted[body]
+            x = state.position[body]
+            kind = model.shape_type[shape]
+            r = model.shape_radius[shape]
+            center = model.shape_center[shape]
             c = real(1.0)
             s = real(0.0)
             if kind != DISC or center[0] != real(0.0) or center[1] != real(0.0):
-                c = wp.cos(angle[body])
-                s = wp.sin(angle[body])
-            tight = shape_box(shape, kind, center, c, s, x, vertex_start, vertices, r)
-            grow = pad + wp.min(wp.abs(v[2] * dt), real(2.0)) * spin_arm(kind, center, shape_extent[shape])
-            outer = box[shape]
+                c = wp.cos(state.angle[body])
+                s = wp.sin(state.angle[body])
+            tight = shape_box(shape, kind, center, c, s, x, model.vertex_start, model.vertices, r)
+            grow = pad + wp.min(wp.abs(v[2] * dt), real(2.0)) * spin_arm(kind, center, model.shape_extent[shape])
+            outer = pairs.box[shape]
             if (
                 tight[0] + wp.min(v[0] * dt, real(0.0)) - grow < outer[0]
                 or tight[1] + wp.min(v[1] * dt, real(0.0)) - grow < outer[1]
@@ -242,30 +222,40 @@ def kernels(dtype: str) -> dict[str, Any]:
         if keep == 1:
             return
 
-        rebuilds[w] = rebuilds[w] + 1
-        size = cell_size[w]
-        margin = margin_factor * length_scale[w] + real(REACH_GROWTH) * pad
-        table = bucket_start[w]
-        mask = bucket_start[w + 1] - table - 2
+        pairs.rebuilds[w] = pairs.rebuilds[w] + 1
+        size = model.cell_size[w]
+        margin = config.margin * model.length_scale[w] + real(REACH_GROWTH) * pad
+        table = pairs.bucket_start[w]
+        mask = pairs.bucket_start[w + 1] - table - 2
         for i in range(table, table + mask + 2):
-            bucket[i] = 0
+            pairs.bucket[i] = 0
         levels = wp.int64(0)
         large = Large()
         large_count = int(0)
         for shape in range(first, last):
-            body = shape_body[shape]
-            v = predicted[body]
-            kind = shape_type[shape]
-            center = shape_center[shape]
+            body = model.shape_body[shape]
+            v = motion.predicted[body]
+            kind = model.shape_type[shape]
+            center = model.shape_center[shape]
             c = real(1.0)
             s = real(0.0)
             if kind != DISC or center[0] != real(0.0) or center[1] != real(0.0):
-                c = wp.cos(angle[body])
-                s = wp.sin(angle[body])
-            tight = shape_box(shape, kind, center, c, s, position[body], vertex_start, vertices, shape_radius[shape])
-            arm = spin_arm(kind, center, shape_extent[shape])
+                c = wp.cos(state.angle[body])
+                s = wp.sin(state.angle[body])
+            tight = shape_box(
+                shape,
+                kind,
+                center,
+                c,
+                s,
+                state.position[body],
+                model.vertex_start,
+                model.vertices,
+                model.shape_radius[shape],
+            )
+            arm = spin_arm(kind, center, model.shape_extent[shape])
             ahead = dt * real(PREDICT_STEPS)
-            if (v[0] * v[0] + v[1] * v[1]) * dt * dt > real(1.1) * reach[w] * reach[w]:
+            if (v[0] * v[0] + v[1] * v[1]) * dt * dt > real(1.1) * motion.reach[w] * motion.reach[w]:
                 ahead = dt * real(FAST_STEPS)
             grow = margin + wp.min(wp.abs(v[2]) * ahead, real(2.0)) * arm
             dx = v[0] * ahead
@@ -276,7 +266,7 @@ def kernels(dtype: str) -> dict[str, Any]:
                 tight[2] + wp.max(dx, real(0.0)) + grow,
                 tight[3] + wp.max(dy, real(0.0)) + grow,
             )
-            box[shape] = outer
+            pairs.box[shape] = outer
             extent = wp.max(outer[2] - outer[0], outer[3] - outer[1])
             level = int(0)
             side = size
@@ -290,17 +280,17 @@ def kernels(dtype: str) -> dict[str, Any]:
                 large_count += 1
             cx = int(wp.floor(real(0.5) * (outer[0] + outer[2]) / side))
             cy = int(wp.floor(real(0.5) * (outer[1] + outer[3]) / side))
-            cell[shape] = wp.vec3i(cx, cy, level)
-            bucket[table + bucket_of(cx, cy, level, mask) + 1] += 1
+            pairs.cell[shape] = wp.vec3i(cx, cy, level)
+            pairs.bucket[table + bucket_of(cx, cy, level, mask) + 1] += 1
         for i in range(table, table + mask + 1):
-            bucket[i + 1] += bucket[i]
+            pairs.bucket[i + 1] += pairs.bucket[i]
         # fill from the back: bucket[i] then is the first entry of bucket i, entries in the order of their index
         shape = last - 1
         while shape >= first:
-            q = cell[shape]
+            q = pairs.cell[shape]
             slot = table + bucket_of(q[0], q[1], q[2], mask) + 1
-            bucket[slot] -= 1
-            sorted_shape[first + bucket[slot]] = shape
+            pairs.bucket[slot] -= 1
+            pairs.sorted_shape[first + pairs.bucket[slot]] = shape
             shape -= 1
 
         # the highest level that is looked up by cells
@@ -309,20 +299,20 @@ def kernels(dtype: str) -> dict[str, Any]:
             top = LARGE_LEVEL - 1
             levels = levels & FINE_LEVELS
 
-        pairs = pair_start[w]
-        capacity = pair_start[w + 1] - pairs
+        first_pair = pairs.start[w]
+        capacity = pairs.start[w + 1] - first_pair
         n = int(0)
         shapes = last - first
         for shape in range(first, last):
-            own = cell[shape]
+            own = pairs.cell[shape]
             level = own[2]
+            outer = pairs.box[shape]
             if top < MAX_LEVEL:
                 for i in range(large_count):
                     other = large[i]
-                    if (level <= top or other > shape) and accepts(
-                        shape, other, box, shape_body, body_type, shape_category, shape_mask
-                    ):
-                        n = emit(n, capacity, pairs, shape, other, shape_body, body_type, pair_a, pair_b)
+                    if level <= top or other > shape:
+                        if overlaps(pairs.box[shape], pairs.box[other]) and may_collide(shape, other, model):
+                            n = emit(n, capacity, first_pair, shape, other, model, pairs)
             # own level: the forward half of the 3 x 3 cells, so that each pair is met once
             cells = int(5)
             if level > top:
@@ -338,15 +328,16 @@ def kernels(dtype: str) -> dict[str, Any]:
                 at = bucket_of(cx, cy, level, mask)
                 end = shapes
                 if at < mask:
-                    end = bucket[table + at + 2]
-                for k in range(bucket[table + at + 1], end):
-                    other = sorted_shape[first + k]
+                    end = pairs.bucket[table + at + 2]
+                for k in range(pairs.bucket[table + at + 1], end):
+                    other = pairs.sorted_shape[first + k]
                     # the bucket may hold other cells too: most of those fail by their boxes already
                     if step > 0 or other > shape:
-                        if accepts(shape, other, box, shape_body, body_type, shape_category, shape_mask):
-                            q = cell[other]
+                        if overlaps(pairs.box[shape], pairs.box[other]):
+                            q = pairs.cell[other]
                             if q[0] == cx and q[1] == cy and q[2] == level:
-                                n = emit(n, capacity, pairs, shape, other, shape_body, body_type, pair_a, pair_b)
+                                if may_collide(shape, other, model):
+                                    n = emit(n, capacity, first_pair, shape, other, model, pairs)
             # coarser levels: every cell whose shapes' boxes can reach this one
             above = wp.int64(0)
             if level <= top:
@@ -354,7 +345,6 @@ def kernels(dtype: str) -> dict[str, Any]:
             side = size
             for _ in range(level):
                 side = side * real(2.0)
-            outer = box[shape]
             upper = level
             while above != wp.int64(0):
                 upper += 1
@@ -370,24 +360,22 @@ def kernels(dtype: str) -> dict[str, Any]:
                             at = bucket_of(cx, cy, upper, mask)
                             end = shapes
                             if at < mask:
-                                end = bucket[table + at + 2]
-                            for k in range(bucket[table + at + 1], end):
-                                other = sorted_shape[first + k]
-                                q = cell[other]
+                                end = pairs.bucket[table + at + 2]
+                            for k in range(pairs.bucket[table + at + 1], end):
+                                other = pairs.sorted_shape[first + k]
+                                q = pairs.cell[other]
                                 if q[0] == cx and q[1] == cy and q[2] == upper:
-                                    if accepts(shape, other, box, shape_body, body_type, shape_category, shape_mask):
-                                        n = emit(
-                                            n, capacity, pairs, shape, other, shape_body, body_type, pair_a, pair_b
-                                        )
+                                    if overlaps(pairs.box[shape], pairs.box[other]):
+                                        if may_collide(shape, other, model):
+                                            n = emit(n, capacity, first_pair, shape, other, model, pairs)
                 above = above >> wp.int64(1)
-        pair_needed[w] = n
+        pairs.needed[w] = n
         if n > capacity:
-            flags[w] = flags[w] | PAIR_OVERFLOW
-            pair_valid[w] = 0
+            state.flags[w] = state.flags[w] | PAIR_OVERFLOW
+            pairs.valid[w] = 0
             return
-        counting_sort(n, shapes, first, pairs, table, True, bucket, pair_a, pair_b, temp_a, temp_b)
-        counting_sort(n, shapes, first, pairs, table, False, bucket, temp_a, temp_b, pair_a, pair_b)
-        pair_count[w] = n
-        pair_valid[w] = 1
+        sort_pairs(n, shapes, first, first_pair, table, pairs)
+        pairs.count[w] = n
+        pairs.valid[w] = 1
 
     return {"update_pairs": update_pairs}

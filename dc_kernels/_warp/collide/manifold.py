@@ -17,7 +17,10 @@ SEGMENT = wp.constant(int(ShapeType.SEGMENT))
 
 @cache
 def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
-    """The struct ``Manifold`` and the functions ``disc_disc``, ``hull_size``, ``hull_disc`` and ``hull_hull``."""
+    """The structs ``Manifold``, ``Hull`` and ``Frame``, and the functions of two shapes.
+
+    ``disc_disc``, ``hull_disc`` and ``hull_hull`` make a manifold; ``hull_of`` and ``frame_of`` what they take.
+    """
     t = scalar_types(dtype)
     real, vec2 = t.real, t.vec2
     module = kernel_module("narrowphase", dtype, "discs" if only_discs else "all")
@@ -37,6 +40,37 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
 
     Manifold = wp.struct(Points, module=module)
 
+    class HullFields:
+        """A shape's core: its vertices from ``first`` on, two of them for a segment of a chain, and its radius."""
+
+        first: wp.int32
+        count: wp.int32
+        segment: wp.bool
+        radius: real
+
+    Hull = wp.struct(HullFields, module=module)
+
+    class FrameFields:
+        """Takes points of one frame to another: rotation by (cosine, sine), then translation."""
+
+        c: real
+        s: real
+        x: vec2
+
+    Frame = wp.struct(FrameFields, module=module)
+
+    @wp.func(module=module)
+    def frame_of(c: real, s: real, x: vec2):
+        frame = Frame()
+        frame.c = c
+        frame.s = s
+        frame.x = x
+        return frame
+
+    @wp.func(module=module)
+    def inverse_of(frame: Frame):
+        return frame_of(frame.c, -frame.s, -rotate_back(frame.c, frame.s, frame.x))
+
     @wp.func(module=module)
     def disc_disc(pa: vec2, ra: real, pb: vec2, rb: real):
         m = Manifold()
@@ -53,24 +87,22 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         return m
 
     @wp.func(module=module)
-    def hull_size(shape: int, kind: int, vertex_start: wp.array(dtype=wp.int32)):
-        n = vertex_start[shape + 1] - vertex_start[shape]
-        if kind == SEGMENT:
-            n = 2
-        return n
+    def hull_of(shape: int, kind: int, radius: real, vertex_start: wp.array(dtype=wp.int32)):
+        hull = Hull()
+        hull.first = vertex_start[shape]
+        hull.count = vertex_start[shape + 1] - hull.first
+        hull.segment = kind == SEGMENT
+        if hull.segment:
+            hull.count = 2
+        hull.radius = radius
+        return hull
 
     @wp.func(module=module)
-    def hull_disc(
-        first: int,
-        n: int,
-        segment: bool,
-        radius: real,
-        vertices: wp.array(dtype=vec2),
-        vertex_normals: wp.array(dtype=vec2),
-        p: vec2,
-        r: real,
-    ):
+    def hull_disc(hull: Hull, p: vec2, r: real, vertices: wp.array(dtype=vec2), vertex_normals: wp.array(dtype=vec2)):
         """Hull against a disc at p, both in the hull's frame; normal from the hull to the disc."""
+        first = hull.first
+        n = hull.count
+        radius = hull.radius
         m = Manifold()
         best = real(-1e30)
         edge = int(0)
@@ -108,7 +140,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
             distance = wp.length(d)
             if distance > epsilon * (radius + r):
                 normal = d / distance
-            if segment:
+            if hull.segment:
                 # a neighbour of the chain owns this corner's side, or the corner itself if it comes earlier
                 before = vertices[first + 2]
                 beyond = vertices[first + 3]
@@ -124,20 +156,23 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
 
     @wp.func(module=module)
     def max_separation(
-        first1: int,
-        n1: int,
-        first2: int,
-        n2: int,
-        c: real,
-        s: real,
-        x: vec2,
+        one: Hull,
+        two: Hull,
+        frame: Frame,
         vertices: wp.array(dtype=vec2),
         vertex_normals: wp.array(dtype=vec2),
     ):
         """Largest over hull 1's edges of the smallest distance of hull 2's vertices; (distance, edge).
 
-        (c, s, x) takes hull 2's frame to hull 1's.
+        ``frame`` takes hull 2's frame to hull 1's.
         """
+        first1 = one.first
+        n1 = one.count
+        first2 = two.first
+        n2 = two.count
+        c = frame.c
+        s = frame.s
+        x = frame.x
         best = real(-1e30)
         edge = int(0)
         for i in range(n1):
@@ -165,21 +200,25 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         forced: bool,
         separation: real,
         slack: real,
-        # reference hull (its frame is used):
-        first1: int,
-        n1: int,
-        radius1: real,
-        # incident hull and its transform into the reference frame:
-        first2: int,
-        n2: int,
-        radius2: real,
-        c: real,
-        s: real,
-        x: vec2,
+        reference: Hull,
+        incident: Hull,
+        frame: Frame,
         vertices: wp.array(dtype=vec2),
         vertex_normals: wp.array(dtype=vec2),
     ):
-        """Manifold on a reference edge: the incident edge clipped to it, or the closest corners unless forced."""
+        """Manifold on a reference edge: the incident edge clipped to it, or the closest corners unless forced.
+
+        All in the frame of the reference hull, to which ``frame`` takes the incident one's.
+        """
+        first1 = reference.first
+        n1 = reference.count
+        radius1 = reference.radius
+        first2 = incident.first
+        n2 = incident.count
+        radius2 = incident.radius
+        c = frame.c
+        s = frame.s
+        x = frame.x
         m = Manifold()
         r1 = edge
         r2 = edge + 1
@@ -278,44 +317,34 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
 
     @wp.func(module=module)
     def hull_hull(
-        first_a: int,
-        n_a: int,
-        segment: bool,
-        radius_a: real,
-        first_b: int,
-        n_b: int,
-        radius_b: real,
-        # frame of B -> frame of A:
-        c: real,
-        s: real,
-        x: vec2,
+        a: Hull,
+        b: Hull,
+        frame: Frame,
         reach: real,
         slack: real,
         vertices: wp.array(dtype=vec2),
         vertex_normals: wp.array(dtype=vec2),
     ):
-        """Two hulls, in the frame of A; normal from A to B."""
+        """Two hulls, in the frame of A, to which ``frame`` takes that of B; normal from A to B."""
+        first_a = a.first
+        c = frame.c
+        s = frame.s
+        x = frame.x
         m = Manifold()
-        back = -rotate_back(c, s, x)
-        sep_a, edge_a = max_separation(first_a, n_a, first_b, n_b, c, s, x, vertices, vertex_normals)
-        sep_b, edge_b = max_separation(first_b, n_b, first_a, n_a, c, -s, back, vertices, vertex_normals)
-        if wp.max(sep_a, sep_b) > reach + radius_a + radius_b:
+        back = inverse_of(frame)
+        sep_a, edge_a = max_separation(a, b, frame, vertices, vertex_normals)
+        sep_b, edge_b = max_separation(b, a, back, vertices, vertex_normals)
+        if wp.max(sep_a, sep_b) > reach + a.radius + b.radius:
             return m
         # prefer A's edge, so that round-off does not switch between the two
         if sep_b > sep_a + slack:
-            m = clip(
-                edge_b, True, False, sep_b, slack, first_b, n_b, radius_b, first_a, n_a, radius_a, c, -s, back,
-                vertices, vertex_normals,
-            )  # fmt: skip
+            m = clip(edge_b, True, False, sep_b, slack, b, a, back, vertices, vertex_normals)
             m.normal = -rotate(c, s, m.normal)
             m.point0 = rotate(c, s, m.point0) + x
             m.point1 = rotate(c, s, m.point1) + x
         else:
-            m = clip(
-                edge_a, False, False, sep_a, slack, first_a, n_a, radius_a, first_b, n_b, radius_b, c, s, x,
-                vertices, vertex_normals,
-            )  # fmt: skip
-        if segment:
+            m = clip(edge_a, False, False, sep_a, slack, a, b, frame, vertices, vertex_normals)
+        if a.segment:
             # a chain's inner corners must not catch a shape that slides over them: the normal has to lie between
             # those of the two segments that meet there, else the segment's own edge is the reference
             v1 = vertices[first_a]
@@ -346,12 +375,14 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
                         # between: no farther from this segment's normal than the neighbour's is
                         bad = wp.dot(m.normal, own) * wp.length(theirs) < wp.dot(theirs, own)
             if bad:
-                m = clip(
-                    face, False, True, real(0.0), real(1e30), first_a, n_a, radius_a, first_b, n_b, radius_b, c, s, x,
-                    vertices, vertex_normals,
-                )  # fmt: skip
+                m = clip(face, False, True, real(0.0), real(1e30), a, b, frame, vertices, vertex_normals)
         return m
 
     return SimpleNamespace(
-        Manifold=Manifold, disc_disc=disc_disc, hull_size=hull_size, hull_disc=hull_disc, hull_hull=hull_hull
+        Manifold=Manifold,
+        disc_disc=disc_disc,
+        hull_of=hull_of,
+        frame_of=frame_of,
+        hull_disc=hull_disc,
+        hull_hull=hull_hull,
     )

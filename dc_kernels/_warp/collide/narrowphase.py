@@ -6,7 +6,10 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.collide.manifold import manifold_functions
-from dc_kernels._warp.common import cross, kernel_module, rotate, rotate_back, scalar_types
+from dc_kernels._warp.common import cross, kernel_module, rotate, rotate_back
+from dc_kernels._warp.groups import contiguous_groups, group_types
+from dc_kernels._warp.native import native_code
+from dc_kernels._warp.solve.laws import linear_speed, relative_speed
 from dc_kernels.model.enums import Flag, ShapeType
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 
@@ -25,103 +28,62 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         dtype: "float32" or "float64".
         only_discs: whether all that moves are discs about their centre of mass; what they don't need is not compiled.
     """
-    t = scalar_types(dtype)
-    real, vec2, vec4 = t.real, t.vec2, t.vec4
+    t = group_types(dtype)
+    real, vec2 = t.real, t.vec2
+    Contact = t.Contact
     module = kernel_module("narrowphase", dtype, "discs" if only_discs else "all")
+    contiguous = contiguous_groups(dtype)
     shapes = manifold_functions(dtype, only_discs)
-    Manifold, hull_size = shapes.Manifold, shapes.hull_size
+    Manifold, hull_of, frame_of = shapes.Manifold, shapes.hull_of, shapes.frame_of
     disc_disc, hull_disc, hull_hull = shapes.disc_disc, shapes.hull_disc, shapes.hull_hull
 
-    # one native call instead of nine array stores, each of which would load pointer and stride anew
-    # fmt: off
-    @wp.func_native(
-        "key.data[i] = key_; body_a.data[i] = body_a_; body_b.data[i] = body_b_; normal.data[i] = normal_;"
-        "arm_a.data[i] = arm_a_; arm_b.data[i] = arm_b_; gap.data[i] = gap_; friction.data[i] = friction_;"
-        "restitution.data[i] = restitution_;"
-    )
-    def store_contact(
-        i: wp.int32,
-        key: wp.array(dtype=wp.int64), body_a: wp.array(dtype=wp.int32), body_b: wp.array(dtype=wp.int32),
-        normal: wp.array(dtype=vec2), arm_a: wp.array(dtype=vec2), arm_b: wp.array(dtype=vec2),
-        gap: wp.array(dtype=real), friction: wp.array(dtype=real), restitution: wp.array(dtype=real),
-        key_: wp.int64, body_a_: wp.int32, body_b_: wp.int32, normal_: vec2, arm_a_: vec2, arm_b_: vec2,
-        gap_: real, friction_: real, restitution_: real,
-    ): ...
-    # fmt: on
+    @wp.func_native(native_code("collide/store_contact.h", dtype=dtype))
+    def store_contact(contacts: t.Contacts, i: wp.int32, contact: Contact): ...
 
     @wp.kernel(module=module, enable_backward=False)
     def narrowphase(
-        world_offset: int,
-        slack_factor: real,
-        uniform_friction: real,
-        uniform_restitution: real,
-        # Model:
-        shape_start: wp.array(dtype=wp.int32),
-        length_scale: wp.array(dtype=real),
-        shape_body: wp.array(dtype=wp.int32),
-        shape_type: wp.array(dtype=wp.int32),
-        shape_radius: wp.array(dtype=real),
-        shape_center: wp.array(dtype=vec2),
-        shape_extent: wp.array(dtype=real),
-        shape_friction: wp.array(dtype=real),
-        shape_restitution: wp.array(dtype=real),
-        vertex_start: wp.array(dtype=wp.int32),
-        vertices: wp.array(dtype=vec2),
-        vertex_normals: wp.array(dtype=vec2),
-        # State in:
-        position: wp.array(dtype=vec2),
-        angle: wp.array(dtype=real),
-        step_dt: wp.array(dtype=real),
-        reach: wp.array(dtype=real),
-        predicted: wp.array(dtype=vec4),
-        # Pairs in:
-        pair_start: wp.array(dtype=wp.int32),
-        pair_count: wp.array(dtype=wp.int32),
-        pair_a: wp.array(dtype=wp.int32),
-        pair_b: wp.array(dtype=wp.int32),
-        # State in, out:
-        flags: wp.array(dtype=wp.int32),
-        # Contacts out:
-        contact_start: wp.array(dtype=wp.int32),
-        contact_count: wp.array(dtype=wp.int32),
-        contact_needed: wp.array(dtype=wp.int32),
-        key: wp.array(dtype=wp.int64),
-        body_a: wp.array(dtype=wp.int32),
-        body_b: wp.array(dtype=wp.int32),
-        normal: wp.array(dtype=vec2),
-        arm_a: wp.array(dtype=vec2),
-        arm_b: wp.array(dtype=vec2),
-        gap: wp.array(dtype=real),
-        friction: wp.array(dtype=real),
-        restitution: wp.array(dtype=real),
+        launch: t.Launch,
+        config: t.Config,
+        model: t.Model,
+        state: t.State,
+        motion: t.Motion,
+        pairs: t.Pairs,
+        contacts: t.Contacts,
+        rows: t.Rows,
     ):
         """Contacts of a world: gap below the speculative distance, or closing within the step."""
-        w = wp.tid() + world_offset
-        if flags[w] != 0:
+        w = wp.tid() + launch.world_offset
+        contiguous(model)
+        contiguous(state)
+        contiguous(motion)
+        contiguous(pairs)
+        contiguous(contacts)
+        contiguous(rows)
+        if state.flags[w] != 0:
             return
-        dt = step_dt[w]
-        speculative = reach[w]
-        slack = slack_factor * length_scale[w]
-        shape0 = shape_start[w]
-        start = contact_start[w]
-        capacity = contact_start[w + 1] - start
+        dt = motion.step_dt[w]
+        speculative = motion.reach[w]
+        slack = config.slack * model.length_scale[w]
+        shape0 = model.shape_start[w]
+        start = contacts.contact_start[w]
+        capacity = contacts.contact_start[w + 1] - start
         n = int(0)
-        pairs = pair_start[w]
-        for pair in range(pairs, pairs + pair_count[w]):
-            a = pair_a[pair]
-            b = pair_b[pair]
-            ba = shape_body[a]
-            bb = shape_body[b]
-            xa = position[ba]
-            xb = position[bb]
-            va = predicted[ba]
-            vb = predicted[bb]
-            kind_a = shape_type[a]
-            kind_b = shape_type[b]
-            ra = shape_radius[a]
-            rb = shape_radius[b]
-            center_a = shape_center[a]
-            center_b = shape_center[b]
+        first_pair = pairs.start[w]
+        for pair in range(first_pair, first_pair + pairs.count[w]):
+            a = pairs.shape_a[pair]
+            b = pairs.shape_b[pair]
+            ba = model.shape_body[a]
+            bb = model.shape_body[b]
+            xa = state.position[ba]
+            xb = state.position[bb]
+            va = motion.predicted[ba]
+            vb = motion.predicted[bb]
+            kind_a = model.shape_type[a]
+            kind_b = model.shape_type[b]
+            ra = model.shape_radius[a]
+            rb = model.shape_radius[b]
+            center_a = model.shape_center[a]
+            center_b = model.shape_center[b]
             m = Manifold()
             if kind_a == DISC and kind_b == DISC:
                 pa = xa
@@ -129,49 +91,44 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                 # nearly all candidates end here: too far apart even if they close at their full relative speed
                 far = ra + rb + speculative + dt * (wp.abs(vb[0] - va[0]) + wp.abs(vb[1] - va[1]))
                 if wp.static(not only_discs):
-                    pa = xa + rotate(wp.cos(angle[ba]), wp.sin(angle[ba]), center_a)
-                    pb = xb + rotate(wp.cos(angle[bb]), wp.sin(angle[bb]), center_b)
+                    pa = xa + rotate(wp.cos(state.angle[ba]), wp.sin(state.angle[ba]), center_a)
+                    pb = xb + rotate(wp.cos(state.angle[bb]), wp.sin(state.angle[bb]), center_b)
                     far += dt * (wp.abs(va[2]) * wp.length(center_a) + wp.abs(vb[2]) * wp.length(center_b))
                 d = pb - pa
                 if wp.dot(d, d) <= far * far:
                     m = disc_disc(pa, ra, pb, rb)
             elif kind_a == DISC:
-                c = wp.cos(angle[bb])
-                s = wp.sin(angle[bb])
-                pa = xa + rotate(wp.cos(angle[ba]), wp.sin(angle[ba]), center_a)
-                m = hull_disc(
-                    vertex_start[b], hull_size(b, kind_b, vertex_start), kind_b == SEGMENT, rb, vertices,
-                    vertex_normals, rotate_back(c, s, pa - xb), ra,
-                )  # fmt: skip
+                c = wp.cos(state.angle[bb])
+                s = wp.sin(state.angle[bb])
+                pa = xa + rotate(wp.cos(state.angle[ba]), wp.sin(state.angle[ba]), center_a)
+                hull = hull_of(b, kind_b, rb, model.vertex_start)
+                m = hull_disc(hull, rotate_back(c, s, pa - xb), ra, model.vertices, model.vertex_normals)
                 m.normal = -rotate(c, s, m.normal)
                 m.point0 = rotate(c, s, m.point0) + xb
             elif kind_b == DISC:
-                c = wp.cos(angle[ba])
-                s = wp.sin(angle[ba])
-                pb = xb + rotate(wp.cos(angle[bb]), wp.sin(angle[bb]), center_b)
-                m = hull_disc(
-                    vertex_start[a], hull_size(a, kind_a, vertex_start), kind_a == SEGMENT, ra, vertices,
-                    vertex_normals, rotate_back(c, s, pb - xa), rb,
-                )  # fmt: skip
+                c = wp.cos(state.angle[ba])
+                s = wp.sin(state.angle[ba])
+                pb = xb + rotate(wp.cos(state.angle[bb]), wp.sin(state.angle[bb]), center_b)
+                hull = hull_of(a, kind_a, ra, model.vertex_start)
+                m = hull_disc(hull, rotate_back(c, s, pb - xa), rb, model.vertices, model.vertex_normals)
                 m.normal = rotate(c, s, m.normal)
                 m.point0 = rotate(c, s, m.point0) + xa
             else:
                 if wp.static(not only_discs):
-                    ca = wp.cos(angle[ba])
-                    sa = wp.sin(angle[ba])
-                    cb = wp.cos(angle[bb])
-                    sb = wp.sin(angle[bb])
+                    ca = wp.cos(state.angle[ba])
+                    sa = wp.sin(state.angle[ba])
+                    cb = wp.cos(state.angle[bb])
+                    sb = wp.sin(state.angle[bb])
                     c = ca * cb + sa * sb
                     s = ca * sb - sa * cb
                     dv = vec2(vb[0] - va[0], vb[1] - va[1])
-                    arms_a = wp.abs(va[2]) * (wp.length(center_a) + shape_extent[a])
-                    arms_b = wp.abs(vb[2]) * (wp.length(center_b) + shape_extent[b])
+                    arms_a = wp.abs(va[2]) * (wp.length(center_a) + model.shape_extent[a])
+                    arms_b = wp.abs(vb[2]) * (wp.length(center_b) + model.shape_extent[b])
                     within = speculative + dt * (wp.length(dv) + arms_a + arms_b)
-                    m = hull_hull(
-                        vertex_start[a], hull_size(a, kind_a, vertex_start), kind_a == SEGMENT, ra,
-                        vertex_start[b], hull_size(b, kind_b, vertex_start), rb,
-                        c, s, rotate_back(ca, sa, xb - xa), within, slack, vertices, vertex_normals,
-                    )  # fmt: skip
+                    hull_a = hull_of(a, kind_a, ra, model.vertex_start)
+                    hull_b = hull_of(b, kind_b, rb, model.vertex_start)
+                    frame = frame_of(c, s, rotate_back(ca, sa, xb - xa))
+                    m = hull_hull(hull_a, hull_b, frame, within, slack, model.vertices, model.vertex_normals)
                     m.normal = rotate(ca, sa, m.normal)
                     m.point0 = rotate(ca, sa, m.point0) + xa
                     m.point1 = rotate(ca, sa, m.point1) + xa
@@ -189,32 +146,39 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     feature = m.feature1
                 to_a = p - xa
                 to_b = p - xb
-                speed = m.normal[0] * (vb[0] - va[0]) + m.normal[1] * (vb[1] - va[1])
+                speed = linear_speed(m.normal, va, vb)
                 if wp.static(not only_discs):
-                    speed += cross(to_b, m.normal) * vb[2] - cross(to_a, m.normal) * va[2]
+                    speed = relative_speed(m.normal, va, vb, cross(to_a, m.normal), cross(to_b, m.normal))
                 # a gap that the step's motion closes is a contact too
                 if g <= speculative + wp.max(-speed * dt, real(0.0)):
                     if n < capacity:
                         # a scene of one material need not look it up
-                        mu = uniform_friction
-                        e = uniform_restitution
+                        mu = config.uniform_friction
+                        e = config.uniform_restitution
                         if mu < real(0.0):
-                            mu = shape_friction[a]
-                            if shape_friction[b] != mu:
-                                mu = wp.sqrt(mu * shape_friction[b])
+                            mu = model.shape_friction[a]
+                            if model.shape_friction[b] != mu:
+                                mu = wp.sqrt(mu * model.shape_friction[b])
                         if e < real(0.0):
-                            e = wp.max(shape_restitution[a], shape_restitution[b])
-                        store_contact(
-                            start + n, key, body_a, body_b, normal, arm_a, arm_b, gap, friction, restitution,
-                            (wp.int64(a - shape0) << SHIFT_A) | (wp.int64(b - shape0) << SHIFT_B) | wp.int64(feature),
-                            ba, bb, m.normal, to_a, to_b, g, mu, e,
-                        )  # fmt: skip
+                            e = wp.max(model.shape_restitution[a], model.shape_restitution[b])
+                        contact = Contact()
+                        shape_key = (wp.int64(a - shape0) << SHIFT_A) | (wp.int64(b - shape0) << SHIFT_B)
+                        contact.key = shape_key | wp.int64(feature)
+                        contact.body_a = ba
+                        contact.body_b = bb
+                        contact.normal = m.normal
+                        contact.arm_a = to_a
+                        contact.arm_b = to_b
+                        contact.gap = g
+                        contact.friction = mu
+                        contact.restitution = e
+                        store_contact(contacts, start + n, contact)
                     n += 1
-        contact_needed[w] = n
+        rows.contact_needed[w] = n
         if n > capacity:
-            flags[w] = flags[w] | CONTACT_OVERFLOW
-            contact_count[w] = 0
+            state.flags[w] = state.flags[w] | CONTACT_OVERFLOW
+            contacts.contact_count[w] = 0
             return
-        contact_count[w] = n
+        contacts.contact_count[w] = n
 
     return {"narrowphase": narrowphase}

@@ -8,18 +8,18 @@ typedef REAL Real;
 typedef Real Vector __attribute__((ext_vector_type(LANES), aligned(4)));
 typedef Real Quad __attribute__((ext_vector_type(4), aligned(4)));
 const Vector zero = (Real)0;
-auto load = [](const Real* p) { return *(const Vector*)p; };
-auto store = [](Real* p, Vector v) { *(Vector*)p = v; };
-auto larger = [](Vector a, Vector b) { return __builtin_elementwise_max(a, b); };
-auto smaller = [](Vector a, Vector b) { return __builtin_elementwise_min(a, b); };
-auto magnitude = [](Vector a) { return __builtin_elementwise_abs(a); };
-auto clamp = [](Vector v, Vector limit) {
+auto load = [&](const Real* p) { return *(const Vector*)p; };
+auto store = [&](Real* p, Vector v) { *(Vector*)p = v; };
+auto larger = [&](Vector a, Vector b) { return __builtin_elementwise_max(a, b); };
+auto smaller = [&](Vector a, Vector b) { return __builtin_elementwise_min(a, b); };
+auto magnitude = [&](Vector a) { return __builtin_elementwise_abs(a); };
+auto clamp = [&](Vector v, Vector limit) {
     return __builtin_elementwise_min(__builtin_elementwise_max(v, -limit), limit);
 };
 // Sum of the lanes, in a fixed order.
-auto total = [](Vector v) { return ((v[0] + v[1]) + (v[2] + v[3])) + ((v[4] + v[5]) + (v[6] + v[7])); };
+auto total = [&](Vector v) { return ((v[0] + v[1]) + (v[2] + v[3])) + ((v[4] + v[5]) + (v[6] + v[7])); };
 // The largest lane that is above 0, else 0.
-auto largest = [](Vector v) {
+auto largest = [&](Vector v) {
     Real most = 0;
     for (int i = 0; i < LANES; ++i)
         if (v[i] > most) most = v[i];

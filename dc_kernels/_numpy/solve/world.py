@@ -1,0 +1,143 @@
+"""What is done to all rows of a world: a sweep, a change of velocities, the residual."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from dc_kernels._numpy.common import Array
+from dc_kernels._numpy.solve.row import Row, by_lane, jacobi_row, natural_map_row, read_row, sweep_row
+from dc_kernels.model.config import ACCELERATIONS, METHODS, STOPS
+from dc_kernels.solve.iteration import NEVER, PAST
+from dc_kernels.solve.rows import COLORS, LANES
+
+JACOBI = METHODS["jacobi"]
+SOR = ACCELERATIONS["sor"]
+BY_RESIDUAL = STOPS["residual"]
+TINY = 1e-30
+
+
+@dataclass
+class World:
+    """One world's part of the arrays, as the functions of its solve see it."""
+
+    w: int
+    variant: str
+    past_at: int
+    config: Any
+    model: Any
+    motion: Any
+    rows: Any
+    stats: Any
+    pause_at: int = NEVER
+
+    @property
+    def iteration(self) -> Any:
+        """The iteration in flight: writing a field changes it."""
+        return self.stats.iteration[self.w]
+
+    @property
+    def blocks(self) -> slice:
+        """Blocks of its rows."""
+        ends = self.rows.color_block[self.w * (COLORS + 1) : (self.w + 1) * (COLORS + 1)]
+        return slice(int(ends[0]), int(ends[-1]))
+
+    @property
+    def bodies(self) -> slice:
+        """Its bodies."""
+        return slice(self.model.body_start[self.w], self.model.body_start[self.w + 1])
+
+    @cached_property
+    def own_rows(self) -> list[Row]:
+        """Its rows in the order of a sweep."""
+        lanes = ((b, lane) for b in range(self.blocks.start, self.blocks.stop) for lane in range(LANES))
+        read = (read_row(self.variant, b, lane, self.rows, self.motion.predicted) for b, lane in lanes)
+        return [row for row in read if row is not None]
+
+    @property
+    def impulse(self) -> Array:
+        """Impulses of its rows, by lane."""
+        return by_lane(self.rows.impulse)[self.blocks]
+
+    @property
+    def change(self) -> Array:
+        """What the last sweep changed them by."""
+        return by_lane(self.rows.change)[self.blocks]
+
+    @property
+    def past(self) -> Array:
+        """What an accelerated solve looks back on: ``PAST`` arrays like ``impulse``."""
+        size = self.impulse.size
+        return self.rows.past[self.past_at :][: PAST * size].reshape(PAST, *self.impulse.shape)
+
+    @property
+    def past_velocity(self) -> Array:
+        """Velocities that it looks back on, like those of its bodies."""
+        at = self.past_at + PAST * self.impulse.size
+        return self.rows.past[at:][: self.motion.solved[self.bodies].size].reshape(-1, 4)
+
+    @property
+    def squared_step(self) -> Any:
+        """Sum of squares of the last change."""
+        return np.sum(self.change**2)
+
+    @property
+    def bound(self) -> Any:
+        """What the stop is compared with: without weight only the tolerance counts."""
+        config, w = self.config, self.w
+        relative = config.relative_tolerance * self.motion.weight[w] * self.motion.step_dt[w]
+        return min(config.tolerance, relative) if config.stop != BY_RESIDUAL and relative > 0 else config.tolerance
+
+    @property
+    def omega(self) -> float:
+        """Relaxation factor of a sweep."""
+        return self.config.omega if self.config.acceleration == SOR else 1.0
+
+    def sweep(self) -> Any:
+        """One sweep over all rows in colour order; the largest impulse change [N s]."""
+        by_lane(self.rows.change)[self.blocks] = 0.0  # of empty lanes too
+        if self.config.method == JACOBI:
+            return max(jacobi_row(row, self.rows, self.motion, self.omega) for row in self.own_rows)
+        return max(sweep_row(row, self.rows, self.motion.solved, self.omega) for row in self.own_rows)
+
+    def apply(self, delta: Array) -> None:
+        """Velocities follow a change of all impulses: V += M^-1 J^T delta (seed, equation 2.26)."""
+        for row in self.own_rows:
+            row.change(self.motion.solved, by_lane(delta)[row.at])
+
+    def refresh(self) -> None:
+        """Velocities anew from the impulses."""
+        self.motion.solved[self.bodies] = self.motion.predicted[self.bodies]
+        self.apply(self.rows.impulse)
+
+    def load_impulses(self, joints: Any, contacts: Any) -> None:
+        """Impulses of contacts and joints to the rows; predicted velocities plus what they add."""
+        rows, w = self.rows, self.w
+        self.impulse[:] = 0.0
+        own = slice(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
+        rows.impulse[rows.slot[own]] = contacts.impulse[own, 0]
+        rows.impulse[rows.slot[own] + LANES] = contacts.impulse[own, 1]
+        own = slice(self.model.joint_start[w], self.model.joint_start[w + 1])
+        rows.impulse[rows.joint_slot[own]] = joints.joint_impulse[own]
+        self.refresh()
+
+    def extrapolate(self, alpha: Any) -> None:
+        """Move on: x <- clamp(x + alpha change); change is then what x moved by, and velocities follow."""
+        for row in self.own_rows:
+            impulse, step = by_lane(self.rows.impulse)[row.at], by_lane(self.rows.change)[row.at]
+            new = impulse + alpha * step
+            new[0] = max(new[0], row.low)
+            limit = row.friction * new[0]
+            new[1] = min(max(new[1], -limit), limit)
+            step[:] = new - impulse
+            impulse[:] = new
+            row.change(self.motion.solved, step)
+
+    def natural_map(self) -> Any:
+        """Relative natural map."""
+        total = np.sqrt(sum(natural_map_row(row, self.rows, self.motion.solved) for row in self.own_rows))
+        scale = self.rows.scale[self.w]
+        return total / scale if scale > TINY else total

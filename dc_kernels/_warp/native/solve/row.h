@@ -1,0 +1,79 @@
+// What a row's columns do to the velocities of its bodies. Macros: DISCS, JOINTS, COLUMNS, and AT_name for each column's
+// place in a block.
+#if !defined(__CUDA_ARCH__)
+struct Row {
+    Vector nx, ny;
+#if DISCS
+    Vector dA, dB, kA, kB;
+#else
+    Vector rAn, rBn, rAt, rBt, iA, iB;
+#endif
+};
+auto load_row = [&](const Real* block) {
+    Row row;
+    row.nx = load(block + AT_nx);
+    row.ny = load(block + AT_ny);
+#if DISCS
+    row.dA = load(block + AT_dA);
+    row.dB = load(block + AT_dB);
+    row.kA = load(block + AT_kA);
+    row.kB = load(block + AT_kB);
+#else
+    row.rAn = load(block + AT_rAn);
+    row.rBn = load(block + AT_rBn);
+    row.rAt = load(block + AT_rAt);
+    row.rBt = load(block + AT_rBt);
+    row.iA = load(block + AT_iA);
+    row.iB = load(block + AT_iB);
+#endif
+    return row;
+};
+auto normal_speed = [&](const Row& row, const Bodies& a, const Bodies& b) {
+    Vector speed = row.nx * (b.x - a.x) + row.ny * (b.y - a.y);
+#if !DISCS
+    speed = speed + (row.rBn * b.w - row.rAn * a.w);
+#endif
+    return speed;
+};
+auto tangent_speed = [&](const Row& row, const Bodies& a, const Bodies& b) {
+    const Vector speed = row.ny * (b.x - a.x) - row.nx * (b.y - a.y);
+#if DISCS
+    return speed + (row.dB * b.w + row.dA * a.w);
+#else
+    return speed + (row.rBt * b.w - row.rAt * a.w);
+#endif
+};
+auto apply_normal = [&](const Row& row, Bodies& a, Bodies& b, Vector impulse) {
+    const Vector px = row.nx * impulse, py = row.ny * impulse;
+    a.x -= a.m * px;
+    a.y -= a.m * py;
+    b.x += b.m * px;
+    b.y += b.m * py;
+#if !DISCS
+    a.w -= row.iA * (row.rAn * impulse);
+    b.w += row.iB * (row.rBn * impulse);
+#endif
+};
+auto apply_tangent = [&](const Row& row, Bodies& a, Bodies& b, Vector impulse) {
+    const Vector qx = row.ny * impulse, qy = row.nx * impulse;
+    a.x -= a.m * qx;
+    a.y += a.m * qy;
+    b.x += b.m * qx;
+    b.y -= b.m * qy;
+#if DISCS
+    a.w += row.kA * impulse;
+    b.w += row.kB * impulse;
+#else
+    a.w -= row.iA * (row.rAt * impulse);
+    b.w += row.iB * (row.rBt * impulse);
+#endif
+};
+// The least normal impulse: 0 of a contact, minus infinity of a joint.
+auto least = [&](const Real* block) {
+#if JOINTS
+    return load(block + AT_lo);
+#else
+    return Vector((Real)0);
+#endif
+};
+#endif

@@ -1,0 +1,38 @@
+// Projected Gauss-Seidel on the blocks b0 .. b1 of a colour's rows; the largest impulse change [N s].
+// Parameters: columns, row_body, bodies, impulse, change, b0, b1, omega.
+#if defined(__CUDA_ARCH__)
+return 0;  // a GPU solves row by row
+#else
+Vector most = zero;
+for (int b = b0; b < b1; ++b) {
+    const int* const index = row_body.data + (size_t)b * 2 * LANES;
+    const Real* const block = columns.data + (size_t)b * COLUMNS * LANES;
+    Bodies A = load_bodies(index), B = load_bodies(index + LANES);
+    const Row row = load_row(block);
+    Real* const x = impulse.data + (size_t)b * 2 * LANES;
+    const Vector ln0 = load(x), lt0 = load(x + LANES);
+    const Vector vn = normal_speed(row, A, B);
+    const Vector ln = larger(ln0 - (omega * load(block + AT_en)) * (vn + load(block + AT_bias)), least(block));
+    const Vector dn = ln - ln0;
+#if DISCS
+    // a disc's normal impulse has no tangential effect: its tangent need not wait for it (8 % of a small world's sweep)
+    const Vector vt = tangent_speed(row, A, B);
+    apply_normal(row, A, B, dn);
+#else
+    apply_normal(row, A, B, dn);
+    const Vector vt = tangent_speed(row, A, B);
+#endif
+    const Vector lt = clamp(lt0 - (omega * load(block + AT_et)) * vt, load(block + AT_mu) * ln);
+    const Vector dt = lt - lt0;
+    apply_tangent(row, A, B, dt);
+    store(x, ln);
+    store(x + LANES, lt);
+    Real* const moved = change.data + (size_t)b * 2 * LANES;
+    store(moved, dn);
+    store(moved + LANES, dt);
+    most = larger(most, larger(magnitude(dn), magnitude(dt)));
+    store_bodies(index, A);
+    store_bodies(index + LANES, B);
+}
+return largest(most);
+#endif

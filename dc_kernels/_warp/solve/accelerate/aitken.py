@@ -1,0 +1,110 @@
+"""Aitken's extrapolation: every few sweeps the impulses move on along their last step, to where it would end.
+
+The steps of two successive sweeps shrink by a ratio r, so that all that would follow sum up to r / (1 - r) times the
+last one. Where a period gained little the next is twice as long; where extrapolation cycles, plain sweeps follow.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from dc_kernels._warp.common import kernel_module
+from dc_kernels._warp.groups import group_types
+from dc_kernels._warp.solve.lanes import lane_functions
+from dc_kernels._warp.solve.ranges import range_functions
+from dc_kernels._warp.solve.world import world_functions
+
+
+@cache
+def functions(dtype: str, variant: str) -> SimpleNamespace:
+    """``reset`` and ``after_sweep``; ``step`` and ``end_period`` are what the adaptive acceleration takes of it."""
+    t = group_types(dtype)
+    real = t.real
+    module = kernel_module("solver", dtype, variant)
+    extrapolate, squares = lane_functions(dtype, variant).extrapolate, range_functions(dtype).squares
+    apply = world_functions(dtype, variant).apply
+    one = real(1.0)
+    huge = real(3e38)
+
+    @wp.func(module=module)
+    def reset(w: int, config: t.Config, iteration: wp.array(dtype=t.Iteration)):
+        """A first period of the shortest length; no squared step is known."""
+        iteration[w].period = config.aitken_period
+        iteration[w].inside = 0
+        iteration[w].stalled = 0
+        iteration[w].plain_sweeps = 2 * config.aitken_period_max
+        iteration[w].postponed = 0
+        iteration[w].before_end = huge
+        iteration[w].at_end = huge
+        iteration[w].least_step = huge
+
+    @wp.func(module=module)
+    def end_period(
+        span: t.Span,
+        patience: int,
+        move: int,
+        config: t.Config,
+        motion: t.Motion,
+        rows: t.Rows,
+        iteration: wp.array(dtype=t.Iteration),
+    ):
+        """The end of a period: extrapolate, unless ``move`` is 0, and choose the length of the next."""
+        w = span.world
+        before = iteration[w].before_end
+        now = squares(rows.change, span.low, span.high)
+        if now < before and move == 1:
+            ratio = wp.sqrt(now / before)
+            alpha = config.aitken_cap
+            if ratio < config.aitken_cap * (one - ratio):
+                alpha = ratio / (one - ratio)
+            extrapolate(rows.column, rows.impulse, rows.change, span.first, span.last, alpha)
+            apply(span, motion, rows, rows.change)
+        period = iteration[w].period
+        if now > config.aitken_threshold * config.aitken_threshold * iteration[w].at_end:
+            period = wp.min(2 * period, config.aitken_period_max)
+        else:
+            period = wp.max(config.aitken_period, period / 2)
+        iteration[w].at_end = now
+        iteration[w].period = period
+        inside = int(0)
+        stalled = iteration[w].stalled + 1
+        if now < iteration[w].least_step:
+            iteration[w].least_step = now
+            stalled = 0
+        if stalled >= patience:
+            inside = -iteration[w].plain_sweeps
+            iteration[w].plain_sweeps = 2 * iteration[w].plain_sweeps
+            stalled = 0
+        iteration[w].stalled = stalled
+        iteration[w].inside = inside
+
+    @wp.func(module=module)
+    def after_sweep(
+        span: t.Span,
+        config: t.Config,
+        motion: t.Motion,
+        rows: t.Rows,
+        iteration: wp.array(dtype=t.Iteration),
+    ):
+        """Count the sweep into its period, and end that; 1 where the solve pauses before the extrapolation."""
+        w = span.world
+        inside = iteration[w].inside + 1
+        sweeps = iteration[w].sweeps
+        iteration[w].inside = inside
+        period = iteration[w].period
+        if inside == period - 1:
+            iteration[w].before_end = squares(rows.change, span.low, span.high)
+            if sweeps >= span.pause_at - 1:
+                for i in range(span.low, span.high):
+                    rows.before[i] = rows.change[i]
+        if inside >= period:
+            if sweeps >= span.pause_at:  # the extrapolation waits: it is made when the solve goes on
+                iteration[w].postponed = 1
+                iteration[w].step_before = iteration[w].before_end
+                iteration[w].step_last = squares(rows.change, span.low, span.high)
+                return 1
+            end_period(span, config.aitken_patience, 1, config, motion, rows, iteration)
+        return 0
+
+    return SimpleNamespace(reset=reset, after_sweep=after_sweep, end_period=end_period)

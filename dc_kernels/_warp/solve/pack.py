@@ -1,0 +1,168 @@
+"""Contacts and joints of a world as rows in blocks of LANES, colour by colour; and their solved impulses back."""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from dc_kernels._warp.common import kernel_module
+from dc_kernels._warp.groups import contiguous_groups, group_types
+from dc_kernels._warp.native import native_code
+from dc_kernels._warp.solve.constraints.contact import contact_row
+from dc_kernels._warp.solve.constraints.distance import distance_row
+from dc_kernels._warp.solve.lanes import row_macros
+from dc_kernels.model.config import METHODS
+from dc_kernels.model.enums import Flag
+from dc_kernels.solve.rows import COLORS, COLUMNS, LANES
+
+ROW_OVERFLOW = wp.constant(int(Flag.ROW_OVERFLOW))
+JACOBI = wp.constant(METHODS["jacobi"])
+N_COLORS = wp.constant(COLORS)
+N_LANES = wp.constant(LANES)
+
+
+@cache
+def kernels(dtype: str, variant: str) -> dict[str, Any]:
+    """``pack_rows`` and ``unpack_impulses``; one thread a world."""
+    t = group_types(dtype)
+    real, vec2 = t.real, t.vec2
+    Row = t.Row
+    module = kernel_module("rows", dtype, variant)
+    contiguous = contiguous_groups(dtype)
+    jointed = variant == "joints"
+    width = wp.constant(len(COLUMNS[variant]) * LANES)
+    make_contact_row = contact_row(dtype, variant)
+    make_distance_row = distance_row(dtype, variant)
+
+    @wp.func_native(native_code("prelude.h", "solve/store_row.h", dtype=dtype, **row_macros(variant)))
+    def store_row(columns: wp.array(dtype=real), r: wp.int32, row: Row): ...
+
+    @wp.func(module=module)
+    def lay_out(w: int, padding_body: int, model: t.Model, joints: t.Joints, contacts: t.Contacts, rows: t.Rows):
+        """Blocks of each colour of a world, and empty lanes in its last one; the colours used, -1 without room."""
+        start = contacts.contact_start[w]
+        end = start + contacts.contact_count[w]
+        count = w * N_COLORS
+        for k in range(count, count + N_COLORS):
+            rows.color_fill[k] = 0
+        used = int(0)
+        for c in range(start, end):
+            rows.color_fill[count + contacts.color[c]] += 1
+            used = wp.max(used, contacts.color[c] + 1)
+        for j in range(model.joint_start[w], model.joint_start[w + 1]):
+            rows.color_fill[count + joints.joint_color[j]] += 1
+            used = wp.max(used, joints.joint_color[j] + 1)
+        first = rows.block_start[w]
+        ends = w * (N_COLORS + 1)
+        block = first
+        for k in range(N_COLORS):
+            rows.color_block[ends + k] = block
+            block += (rows.color_fill[count + k] + N_LANES - 1) / N_LANES
+        rows.color_block[ends + N_COLORS] = block
+        rows.block_needed[w] = block - first
+        if block > rows.block_start[w + 1]:
+            return -1
+        # empty lanes of a colour's last block
+        for k in range(used):
+            filled = rows.color_fill[count + k]
+            rows.color_fill[count + k] = 0
+            if filled % N_LANES != 0:
+                last = rows.color_block[ends + k + 1] - 1
+                for i in range(last * width, (last + 1) * width):
+                    rows.column[i] = real(0.0)
+                for i in range(last * 2 * N_LANES, (last + 1) * 2 * N_LANES):
+                    rows.body[i] = padding_body
+        return used
+
+    @wp.func(module=module)
+    def place(w: int, color: int, jacobi: bool, row: Row, rows: t.Rows):
+        """Put a row into the next lane of its colour; where its normal impulse lies."""
+        fill = w * N_COLORS + color
+        index = rows.color_fill[fill]
+        rows.color_fill[fill] = index + 1
+        block = rows.color_block[w * (N_COLORS + 1) + color] + index / N_LANES
+        lane = index % N_LANES
+        i = block * 2 * N_LANES + lane
+        rows.body[i] = row.body_a
+        rows.body[i + N_LANES] = row.body_b
+        if jacobi:
+            rows.body_rows[row.body_a] += 1
+            rows.body_rows[row.body_b] += 1
+        store_row(rows.column, block * width + lane, row)
+        return i
+
+    @wp.kernel(module=module, enable_backward=False)
+    def pack_rows(
+        launch: t.Launch,
+        config: t.Config,
+        model: t.Model,
+        state: t.State,
+        joints: t.Joints,
+        motion: t.Motion,
+        contacts: t.Contacts,
+        rows: t.Rows,
+        stats: t.Stats,
+    ):
+        """Rows of a world's contacts and joints, in blocks of LANES colour by colour."""
+        w = wp.tid() + launch.world_offset
+        contiguous(model)
+        contiguous(state)
+        contiguous(joints)
+        contiguous(motion)
+        contiguous(contacts)
+        contiguous(rows)
+        contiguous(stats)
+        if state.flags[w] != 0:
+            return
+        used = lay_out(w, launch.padding_body, model, joints, contacts, rows)
+        if used < 0:
+            state.flags[w] = state.flags[w] | ROW_OVERFLOW
+            return
+        jacobi = config.method == JACOBI
+        if jacobi:
+            for b in range(model.body_start[w], model.body_start[w + 1]):
+                rows.body_rows[b] = 0
+        scale = real(0.0)
+        least = real(0.0)
+        start = contacts.contact_start[w]
+        for c in range(start, start + contacts.contact_count[w]):
+            row = make_contact_row(c, w, config, model, state, motion, contacts)
+            rows.slot[c] = place(w, contacts.color[c], jacobi, row, rows)
+            least = wp.min(least, contacts.gap[c])
+            scale += row.square
+        if wp.static(jointed):
+            for j in range(model.joint_start[w], model.joint_start[w + 1]):
+                row = make_distance_row(j, w, config, model, state, motion, joints)
+                rows.joint_slot[j] = place(w, joints.joint_color[j], jacobi, row, rows)
+                scale += row.square
+        rows.scale[w] = wp.sqrt(scale)
+        rows.deepest[w] = least
+        stats.colors[w] = used
+
+    @wp.kernel(module=module, enable_backward=False)
+    def unpack_impulses(
+        launch: t.Launch,
+        model: t.Model,
+        state: t.State,
+        joints: t.Joints,
+        contacts: t.Contacts,
+        rows: t.Rows,
+    ):
+        """Solved impulses back to contacts and joints."""
+        w = wp.tid() + launch.world_offset
+        contiguous(model)
+        contiguous(state)
+        contiguous(joints)
+        contiguous(contacts)
+        contiguous(rows)
+        if state.flags[w] != 0:
+            return
+        start = contacts.contact_start[w]
+        for c in range(start, start + contacts.contact_count[w]):
+            i = rows.slot[c]
+            contacts.impulse[c] = vec2(rows.impulse[i], rows.impulse[i + N_LANES])
+        if wp.static(jointed):
+            for j in range(model.joint_start[w], model.joint_start[w + 1]):
+                joints.joint_impulse[j] = rows.impulse[rows.joint_slot[j]]
+
+    return {"pack_rows": pack_rows, "unpack_impulses": unpack_impulses}

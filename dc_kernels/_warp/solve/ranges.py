@@ -1,0 +1,107 @@
+"""Sums and combinations over the impulses i0 .. i1 of a world, in native code; the length is a multiple of LANES.
+
+Sums are taken in LANES parts whose order is fixed, so that they have the same bits on every CPU.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from dc_kernels._warp.common import scalar_types
+from dc_kernels._warp.native import native_code
+from dc_kernels.solve.rows import LANES
+
+
+@cache
+def range_functions(dtype: str) -> SimpleNamespace:
+    """What accelerations do to impulses ``x`` and their ``change``; ``at``: where a world's part of a history begins.
+
+    ``squares`` is the sum of squares, ``along`` the product of a change with the move before; ``conjugate`` makes a
+    step of nonlinear CG, ``onward`` and ``onward_bodies`` one of momentum; ``products``, ``remember`` and ``combine``
+    are the parts of Anderson's update. Each is described at the top of its header.
+    """
+    t = scalar_types(dtype)
+    real, vec4 = t.real, t.vec4
+    vec8 = wp.types.vector(8, real)
+
+    def code(name: str) -> str:
+        return native_code("prelude.h", f"solve/{name}.h", dtype=dtype, LANES=LANES)
+
+    @wp.func_native(code("squares"))
+    def squares(x: wp.array(dtype=real), i0: wp.int32, i1: wp.int32) -> real: ...
+
+    @wp.func_native(code("conjugate"))
+    def conjugate(
+        x: wp.array(dtype=real),
+        change: wp.array(dtype=real),
+        direction: wp.array(dtype=real),
+        i0: wp.int32,
+        i1: wp.int32,
+        beta: real,
+    ): ...
+
+    @wp.func_native(code("along"))
+    def along(
+        change: wp.array(dtype=real),
+        x: wp.array(dtype=real),
+        before: wp.array(dtype=real),
+        at: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+    ) -> real: ...
+
+    @wp.func_native(code("onward"))
+    def onward(
+        x: wp.array(dtype=real), before: wp.array(dtype=real), at: wp.int32, i0: wp.int32, i1: wp.int32, beta: real
+    ): ...
+
+    @wp.func_native(code("onward_bodies"))
+    def onward_bodies(
+        bodies: wp.array(dtype=vec4), before: wp.array(dtype=real), at: wp.int32, b0: wp.int32, b1: wp.int32, beta: real
+    ): ...
+
+    @wp.func_native(code("products"))
+    def products(
+        x: wp.array(dtype=real),
+        change: wp.array(dtype=real),
+        history: wp.array(dtype=real),
+        at: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+        kept: wp.int32,
+    ) -> vec8: ...
+
+    @wp.func_native(code("combine"))
+    def combine(
+        x: wp.array(dtype=real),
+        change: wp.array(dtype=real),
+        history: wp.array(dtype=real),
+        at: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+        kept: wp.int32,
+        a: real,
+        b: real,
+    ): ...
+
+    @wp.func_native(code("remember"))
+    def remember(
+        x: wp.array(dtype=real),
+        change: wp.array(dtype=real),
+        history: wp.array(dtype=real),
+        at: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+    ): ...
+
+    return SimpleNamespace(
+        squares=squares,
+        conjugate=conjugate,
+        along=along,
+        onward=onward,
+        onward_bodies=onward_bodies,
+        products=products,
+        combine=combine,
+        remember=remember,
+    )

@@ -1,0 +1,136 @@
+"""What is done to all rows of a world: a sweep, a change of velocities, the residual; one thread a world."""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from dc_kernels._warp.common import kernel_module
+from dc_kernels._warp.groups import group_types
+from dc_kernels._warp.solve.lanes import has_lanes, lane_functions
+from dc_kernels._warp.solve.row import row_functions
+from dc_kernels.model.config import METHODS, STOPS
+from dc_kernels.solve.iteration import NEVER
+from dc_kernels.solve.rows import COLORS, LANES, SERIAL_COLOR
+
+ENDS = wp.constant(COLORS + 1)
+N_COLORS = wp.constant(COLORS)
+N_LANES = wp.constant(LANES)
+SERIAL = wp.constant(SERIAL_COLOR)
+JACOBI = wp.constant(METHODS["jacobi"])
+BY_RESIDUAL = wp.constant(STOPS["residual"])
+NO_PAUSE = wp.constant(NEVER)
+
+
+@cache
+def world_functions(dtype: str, variant: str) -> SimpleNamespace:
+    """``span_of``, ``sweep``, ``apply``, ``refresh``, ``load_impulses`` and ``natural_map`` of a world's rows."""
+    t = group_types(dtype)
+    real, vec4 = t.real, t.vec4
+    Span = t.Span
+    module = kernel_module("solver", dtype, variant)
+    row = row_functions(dtype, variant)
+    sweep_row, jacobi_row, apply_row = row.sweep_row, row.jacobi_row, row.apply_row
+    natural_map_row = row.natural_map_row
+    lanes = lane_functions(dtype, variant)
+    sweep_lanes, apply_lanes = lanes.sweep, lanes.apply
+    jointed = variant == "joints"
+    tiny = real(1e-30)
+
+    @wp.func(module=module)
+    def span_of(w: int, past_at: int, config: t.Config, model: t.Model, motion: t.Motion, rows: t.Rows):
+        """Where a world's rows lie, and the change at which it stops; without weight only the tolerance counts."""
+        span = Span()
+        span.world = w
+        span.first = rows.color_block[w * ENDS]
+        span.serial = rows.color_block[w * ENDS + SERIAL]
+        span.last = rows.color_block[w * ENDS + N_COLORS]
+        span.low = span.first * 2 * N_LANES
+        span.high = span.last * 2 * N_LANES
+        span.first_body = model.body_start[w]
+        span.last_body = model.body_start[w + 1]
+        span.past_at = past_at
+        span.pause_at = NO_PAUSE
+        span.bound = config.tolerance
+        relative = config.relative_tolerance * motion.weight[w] * motion.step_dt[w]
+        if config.stop != BY_RESIDUAL and relative > real(0.0):
+            span.bound = wp.min(config.tolerance, relative)
+        return span
+
+    @wp.func(module=module)
+    def sweep(span: Span, config: t.Config, omega: real, motion: t.Motion, rows: t.Rows):
+        """One sweep over all rows of a world in colour order; the largest impulse change [N s]."""
+        first = span.first
+        change = real(0.0)
+        if config.method == JACOBI:
+            for block in range(first, span.last):
+                for lane in range(N_LANES):
+                    change = wp.max(change, jacobi_row(block, lane, rows, motion, omega))
+            return change
+        if has_lanes() == 1:
+            change = sweep_lanes(
+                rows.column, rows.body, motion.solved, rows.impulse, rows.change, first, span.serial, omega
+            )
+            first = span.serial
+        for block in range(first, span.last):
+            for lane in range(N_LANES):
+                change = wp.max(change, sweep_row(block, lane, rows, motion.solved, omega))
+        return change
+
+    @wp.func(module=module)
+    def apply(span: Span, motion: t.Motion, rows: t.Rows, delta: wp.array(dtype=real)):
+        """Velocities follow a change of all row impulses of a world: V += M^-1 J^T delta (seed, equation 2.26)."""
+        first = span.first
+        if has_lanes() == 1:
+            apply_lanes(rows.column, rows.body, motion.solved, delta, first, span.serial)
+            first = span.serial
+        for block in range(first, span.last):
+            for lane in range(N_LANES):
+                apply_row(block, lane, rows, motion.solved, delta)
+
+    @wp.func(module=module)
+    def refresh(span: Span, motion: t.Motion, rows: t.Rows):
+        """Velocities anew from the impulses: steps of momentum add up their round-off."""
+        for b in range(span.first_body, span.last_body):
+            motion.solved[b] = motion.predicted[b]
+        apply(span, motion, rows, rows.impulse)
+
+    @wp.func(module=module)
+    def load_impulses(
+        span: Span, model: t.Model, joints: t.Joints, contacts: t.Contacts, motion: t.Motion, rows: t.Rows
+    ):
+        """Impulses of contacts and joints to the rows; predicted velocities plus what they add."""
+        w = span.world
+        for i in range(span.low, span.high):
+            rows.impulse[i] = real(0.0)
+        start = contacts.contact_start[w]
+        for c in range(start, start + contacts.contact_count[w]):
+            i = rows.slot[c]
+            rows.impulse[i] = contacts.impulse[c][0]
+            rows.impulse[i + N_LANES] = contacts.impulse[c][1]
+        if wp.static(jointed):
+            for j in range(model.joint_start[w], model.joint_start[w + 1]):
+                rows.impulse[rows.joint_slot[j]] = joints.joint_impulse[j]
+        refresh(span, motion, rows)
+
+    @wp.func(module=module)
+    def natural_map(span: Span, bodies: wp.array(dtype=vec4), rows: t.Rows):
+        """Relative natural map: its 2-norm over that of the impulses a frictional stop of each row alone would take."""
+        total = real(0.0)
+        for block in range(span.first, span.last):
+            for lane in range(N_LANES):
+                total += natural_map_row(block, lane, rows, bodies)
+        total = wp.sqrt(total)
+        scale = rows.scale[span.world]
+        if scale > tiny:
+            total = total / scale
+        return total
+
+    return SimpleNamespace(
+        span_of=span_of,
+        sweep=sweep,
+        apply=apply,
+        refresh=refresh,
+        load_impulses=load_impulses,
+        natural_map=natural_map,
+    )
