@@ -179,7 +179,7 @@ class Simulation:
         self._solves.clear()
         # views are kept: making one takes longer than a small world's kernels
         self._flags, self._step_dt = self.state.numpy("flags"), self.motion.numpy("step_dt")
-        used = (self.pairs.pair_count, self.contacts.contact_count, self.rows.block_needed)
+        used = (self.pairs.count, self.contacts.contact_count, self.rows.block_needed)
         self._watch = Watch(self.state.flags, int(CAPACITY_FLAGS), used if self.device == "cpu" else ())
 
     def _phase_rounds(self, phase: str) -> list[Rounds]:
