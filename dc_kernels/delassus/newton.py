@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from dc_kernels.delassus.first_order import FirstOrder
+from dc_kernels.delassus.groups import PROBLEM, Acceleration, PackedProblem
 from dc_kernels.delassus.lemke import WHOLE, lemke, solve_patch
-from dc_kernels.delassus.search import HUGE, METHODS, Search, delassus_kernels
-from dc_kernels.model.arrays import kernel_vectors, to_numpy
-from dc_kernels.runtime.backends import bind
+from dc_kernels.delassus.search import HUGE, LEAST, Search
 from dc_kernels.runtime.optional import require
 
 FIRST_SWEEPS = 60  # before Newton: active sets are roughly known then
@@ -128,15 +128,17 @@ class Newton:
         diagonal = np.stack([problem.diagonal[:, 0, 0], problem.diagonal[:, 1, 1]], axis=1) * factor
         self.diagonal = np.where(diagonal > 0.0, diagonal, 1.0).ravel()
         self.rubs = (problem.mu > 0.0) & ~problem.bilateral
-        # arguments of the kernel, kept: to make them anew takes a millisecond
-        self.blocks, self.kernel_reg = block.reshape(-1, 4), -1.0
+        # the launch is kept: to make it anew takes a millisecond
+        self.blocks, self.packed_reg = block.reshape(-1, 4), -1.0
         self.packed = problem.packed(search.dtype, search.backend)
-        self.kernel_values, self.kernel_impulse, _ = search.arguments("anderson", 1, 0, search.best)
-        real = np.dtype(search.dtype)
-        self.kernel_block = np.zeros((len(block), 4), real)
-        self.kernel_inverse, self.kernel_q = np.zeros((2, n, 2), real)
-        for name in ("block", "inverse", "q"):
-            self.kernel_values[name] = kernel_vectors(getattr(self, f"kernel_{name}"), search.backend)
+        self.regular = PackedProblem(self.packed.sizes, search.dtype, backend=search.backend)
+        for name in PROBLEM:
+            self.regular.numpy(name)[...] = self.packed.numpy(name)
+        self.regular.scale = factor
+        self.first_order = FirstOrder(self.regular, Acceleration.ANDERSON, 1)
+        self.kernel_block, self.kernel_inverse, self.kernel_q = (
+            self.regular.numpy(name) for name in ("block", "inverse", "q")
+        )
 
     # ------------------------------------------------------------------ the outer iteration
 
@@ -273,26 +275,25 @@ class Newton:
 
     def sweep(self, x: np.ndarray, start: np.ndarray, reg: float, sweeps: int, goal: float) -> np.ndarray:
         """Sweeps on the problem regularised about ``start``: Anderson's with reg, Aitken's without; the last ones."""
-        search, values = self.search, self.kernel_values
+        search = self.search
         sweeps = min(sweeps, search.max_sweeps - search.sweeps)
         if sweeps <= 0:
             return x
-        if reg != self.kernel_reg:
+        if reg != self.packed_reg:
             block, inverse = self.kernel_block, self.kernel_inverse
             block[...] = self.blocks
             block[self.own, 0] += reg * self.diagonal[::2]
             block[self.own, 3] += reg * self.diagonal[1::2]
-            inverse[...] = to_numpy(self.packed["inverse"]) / inverse.dtype.type(1.0 + reg)
-            self.kernel_reg = reg
+            inverse[...] = self.packed.numpy("inverse") / inverse.dtype.type(1.0 + reg)
+            self.packed_reg = reg
         self.kernel_q[...] = (self.q - reg * self.diagonal * start).reshape(-1, 2)
-        self.kernel_impulse[...] = x.reshape(-1, 2)
-        values.update(
-            method=METHODS["anderson" if reg else "aitken"],
+        progress = self.first_order(
+            x.reshape(-1, 2),
+            method=int(Acceleration.ANDERSON if reg else Acceleration.AITKEN),
             max_sweeps=sweeps,
-            tolerance=HUGE if goal else 1e-30,
-            scaled_tolerance=0.5 * goal if goal else HUGE,
             every=max(20, search.every) if goal else sweeps,
+            tolerance=HUGE if goal else LEAST,
+            scaled_tolerance=0.5 * goal if goal else HUGE,
         )
-        bind(delassus_kernels(search.backend, search.dtype)["solve_delassus"], 1, values, "cpu")()
-        search.sweeps += int(to_numpy(values["counters"])[0])
-        return self.kernel_impulse.astype(np.float64).ravel()
+        search.sweeps += int(progress["sweeps"])
+        return self.first_order.impulse.astype(np.float64).ravel()

@@ -8,13 +8,13 @@ round-off: no solver here needs more than its diagonal to be positive.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
-from dc_kernels.model.arrays import check_values, kernel_array, kernel_vectors
+from dc_kernels.delassus.groups import PackedProblem
+from dc_kernels.model.arrays import check_values
 
 FREE = -3e38  # least normal impulse of a row without bound; finite in float32
 
@@ -158,9 +158,14 @@ class DelassusProblem:
 
     def product(self, impulses: Any) -> np.ndarray:
         """Multiply W by impulses: W r, (n, 2) [m/s]."""
-        x = self.check_impulses("impulses", impulses)
+        return self._product(self.check_impulses("impulses", impulses))
+
+    def _product(self, x: np.ndarray) -> np.ndarray:
         terms = np.einsum("kij,kj->ki", self.block, x[self.column])
-        return np.stack([np.bincount(self.row, terms[:, i], self.count) for i in (0, 1)], axis=1)
+        product = np.empty((self.count, 2))
+        for i in (0, 1):
+            product[:, i] = np.bincount(self.row, terms[:, i], self.count)
+        return product
 
     def velocity(self, impulses: Any) -> np.ndarray:
         """Compute the velocities u = W r + q, (n, 2) [m/s]."""
@@ -184,13 +189,10 @@ class DelassusProblem:
     def natural_maps(self, impulses: Any) -> tuple[float, float]:
         """Measure both errors: ``natural_map`` and ``scaled_map``."""
         x = self.check_impulses("impulses", impulses)
-        u = self.velocity(x)
-        scale = float(np.linalg.norm(self.q)) or 1.0
-        given, scaled = (
-            float(np.linalg.norm(natural_map(y, u, self.mu, self.bilateral))) / scale
-            for y in (x, self.diagonal[:, :1, 0] * x)
-        )
-        return given, scaled
+        both = np.stack([x, self.diagonal[:, :1, 0] * x])
+        errors = natural_map(both, self._product(x) + self.q, self.mu, self.bilateral)
+        scale = self.units[1]
+        return float(np.linalg.norm(errors[0])) / scale, float(np.linalg.norm(errors[1])) / scale
 
     def check_impulses(self, name: str, impulses: Any) -> np.ndarray:
         """Return impulses given as (n, 2) or (2n,) as (n, 2) float64.
@@ -216,32 +218,34 @@ class DelassusProblem:
         inverse_mass = float(np.exp(np.mean(np.log(self.diagonal[:, 0, 0])))) if self.count else 1.0
         return speed / inverse_mass, speed
 
-    def packed(self, dtype: str, backend: str) -> Mapping[str, Any]:
-        """Return the arrays that kernels take by name, in ``units``; they are made once."""
-        cache: dict[tuple[str, str], Mapping[str, Any]] = self.__dict__.setdefault("_packed", {})
+    def packed(self, dtype: str, backend: str) -> PackedProblem:
+        """Return the arrays that kernels take, in ``units``; they are made once."""
+        cache: dict[tuple[str, str], PackedProblem] = self.__dict__.setdefault("_packed", {})
         if (dtype, backend) not in cache:
-            cache[dtype, backend] = self._pack(np.dtype(dtype), backend)
+            cache[dtype, backend] = self._pack(dtype, backend)
         return cache[dtype, backend]
 
-    def _pack(self, real: np.dtype, backend: str) -> Mapping[str, Any]:
+    def _pack(self, dtype: str, backend: str) -> PackedProblem:
         impulse, speed = self.units
         with np.errstate(divide="ignore"):
             scaled = self.diagonal * (impulse / speed)
             inverse = 1.0 / np.stack([scaled[:, 0, 0], scaled[:, 1, 1]], axis=1)
         inverse[:, 1] = np.where((self.mu > 0.0) & np.isfinite(inverse[:, 1]), inverse[:, 1], 0.0)
-        vectors = {
+        sizes = {"contact": self.count, "contact+1": self.count + 1, "block": len(self.column)}
+        packed = PackedProblem(sizes, dtype, backend=backend)
+        packed.scale = impulse / speed
+        for name, values in {
+            "row_start": self.row_start,
+            "column": self.column,
             "block": self.block.reshape(-1, 4) * (impulse / speed),
             "q": self.q / speed,
+            "mu": self.mu,
+            "low": np.where(self.bilateral, FREE, 0.0),
             "inverse": inverse,
-        }
-        scalars = {"mu": self.mu, "low": np.where(self.bilateral, FREE, 0.0), "couple": scaled[:, 1, 0]}
-        return {
-            "scale": impulse / speed,
-            "block_start": kernel_array(self.row_start, backend),
-            "block_col": kernel_array(self.column, backend),
-            **{name: kernel_vectors(np.ascontiguousarray(a, real), backend) for name, a in vectors.items()},
-            **{name: kernel_array(np.ascontiguousarray(a, real), backend) for name, a in scalars.items()},
-        }
+            "couple": scaled[:, 1, 0],
+        }.items():
+            packed.numpy(name)[...] = values
+        return packed
 
 
 def _refuse(name: str, values: np.ndarray, bad: np.ndarray, limit: str) -> None:
@@ -267,11 +271,21 @@ def assemble_blocks(
 
 
 def natural_map(x: np.ndarray, u: np.ndarray, mu: np.ndarray, bilateral: np.ndarray) -> np.ndarray:
-    """Return impulses minus the projection of (r_n - u_n - mu |u_t|, r_t - u_t) on the friction cones, (n, 2)."""
-    zn, zt = x[:, 0] - u[:, 0] - mu * np.abs(u[:, 1]), x[:, 1] - u[:, 1]
+    """Return impulses minus the projection of (r_n - u_n - mu |u_t|, r_t - u_t) on the friction cones.
+
+    Args:
+        x: impulses (..., n, 2).
+        u: velocities (n, 2).
+        mu: Coulomb coefficients (n,).
+        bilateral: rows whose normal impulse has no bound, and which have no friction, (n,) bool.
+
+    Returns:
+        Shape of ``x``.
+    """
+    zn, zt = x[..., 0] - u[:, 0] - mu * np.abs(u[:, 1]), x[..., 1] - u[:, 1]
     size = np.abs(zt)
     inside, behind = (zn >= 0.0) & (size <= mu * zn), mu * size <= -zn
     edge = (zn + mu * size) / (1.0 + mu * mu)
     pn = np.where(bilateral | inside, zn, np.where(behind, 0.0, edge))
     pt = np.where(inside, zt, np.where(behind, 0.0, np.sign(zt) * mu * edge))
-    return np.stack([x[:, 0] - pn, x[:, 1] - np.where(bilateral, 0.0, pt)], axis=1)
+    return x - np.stack([pn, np.where(bilateral, 0.0, pt)], axis=-1)

@@ -10,10 +10,11 @@ import pytest
 import dc_kernels as dc
 from dc_kernels import delassus
 from dc_kernels.delassus import METHODS, DelassusProblem, from_world, refine, solve
+from dc_kernels.delassus.first_order import delassus_kernels
 from dc_kernels.delassus.lemke import PATCH, lemke, solve_patch
-from dc_kernels.delassus.search import Search, delassus_kernels
-from dc_kernels.model.arrays import to_numpy
-from dc_kernels.runtime.backends import argument_names
+from dc_kernels.delassus.search import Search
+from dc_kernels.model.arrays import kernel_vectors, to_numpy
+from dc_kernels.runtime.backends import argument_names, bind
 from pipeline import scenes
 
 FIRST_ORDER = [*METHODS]
@@ -310,18 +311,17 @@ def test_backends_agree(method, dtype, pile):
 
 def test_maps_of_the_kernels(pile):
     r = np.abs(np.random.default_rng(1).normal(size=(pile.count, 2)))
+    impulse, speed = pile.units
     for backend in ("warp", "numpy"):
-        from dc_kernels.model.arrays import kernel_array, kernel_vectors
-        from dc_kernels.runtime.backends import bind
-
-        maps = np.zeros(2)
+        maps = np.zeros((1, 2))
         values = {
-            **pile.packed("float64", backend),
-            "impulse": kernel_vectors(r / pile.units[0], backend),
-            "maps": kernel_array(maps, backend),
+            "scale": impulse / speed,
+            "problem": pile.packed("float64", backend).struct,
+            "impulse": kernel_vectors(r / impulse, backend),
+            "maps": kernel_vectors(maps, backend),
         }
         bind(delassus_kernels(backend, "float64")["map_delassus"], 1, values, "cpu")()
-        np.testing.assert_allclose(maps, [pile.natural_map(r), pile.scaled_map(r)], rtol=1e-12)
+        np.testing.assert_allclose(maps[0], [pile.natural_map(r), pile.scaled_map(r)], rtol=1e-12)
 
 
 # ---------------------------------------------------------------------- from and to a simulation
