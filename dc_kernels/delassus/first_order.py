@@ -49,6 +49,7 @@ class FirstOrder:
             looks: rows of history kept.
         """
         dtype, backend, n = problem.dtype.name, problem.backend, problem.sizes["contact"]
+        self._kernel = delassus_kernels(backend, dtype)["solve_delassus"]  # first: the structs are made with it
         groups = kernel_file(backend, "groups")
         self.acceleration, self.looks = acceleration, looks
         state = SearchState({"contact": n, "look": looks}, dtype, backend=backend)
@@ -78,7 +79,6 @@ class FirstOrder:
             "memory": memory,
             "progress": progress,
         }
-        self._kernel = delassus_kernels(backend, dtype)["solve_delassus"]
 
     def __call__(self, start: np.ndarray, **settings: Any) -> np.void:
         """Sweep.

@@ -48,7 +48,7 @@ SEARCH = field_table(
     ("impulse", "contact", "vec2", "1", "normal and tangential impulses, from the start on"),
     ("best", "contact", "vec2", "1", "impulses of the least natural map at any look"),
     ("step", "contact", "vec2", "1", "what the last sweep changed the impulses by"),
-    ("direction", "contact", "vec2", "1", "conjugate direction; with momentum, impulses at the end of the sweep before"),
+    ("direction", "contact", "vec2", "1", "conjugate direction; of momentum: impulses after the sweep before"),
     ("history", "look", "vec2", "1", "natural map and scaled map at each look, as far as there is room"),
 )
 

@@ -1,4 +1,4 @@
-"""What a network reads of a solve in flight, and what its answer means: names in the order of the kernels' columns.
+"""What a network reads of a solve in flight, and what its answer means: the columns of the kernels by name.
 
 With s the step of the last sweep (before the first: that of each contact alone), sigma its RMS over a world's contacts,
 r = |s| / |step before| and A = r / (1 - r) what a geometric series would still add (Aitken), x the impulses carried.
@@ -7,50 +7,81 @@ r = |s| / |step before| and A = r / (1 - r) what a geometric series would still 
 
 from __future__ import annotations
 
-LOCAL = (
-    "step_n",  # squashed step of the last sweep
-    "step_t",
-    "local_n",  # squashed projected step of the contact alone
-    "local_t",
-    "since_n",  # squashed change since the last call
-    "since_t",
-    "impulse_n",  # squashed impulse
-    "impulse_t",
-    "cone",  # tangential impulse over its limit
-    "closed",  # 1 where it presses
-    "sliding",  # 1 on the cone
-    "new",  # 1 where it is new in this step
-    "normal_cos",  # of twice the normal's angle: the same from either side
-    "normal_sin",
-    "free_n",  # squashed step of the contact alone, unprojected: how open it is, how fast it slides
-    "free_t",
-    "body_a_n",  # squashed sum of the steps that act on body A, 0 where it does not move
-    "body_a_t",
-    "body_b_n",
-    "body_b_t",
-    "degree_a",  # contacts of body A
-    "degree_b",
-    "share_a",  # inverse mass of A over the sum of both
-    "rate",  # log(1 + A), of the world like all that follow
-    "begin",  # 1 before the first sweep
-    "sweeps",  # log(1 + sweeps done)
-    "size",  # log of sigma over the RMS of the impulses
-    "left",  # log of sigma over the tolerance
-    "accelerated",  # 1 where the solver extrapolates by itself
-    "contacts",  # log of the number of contacts
-    "rate_near",  # log(1 + A) of the steps near the contact: squares to a coarse grid and back, both bilinearly
-)
-IMAGE = (
-    *(f"{name}_{a}{b}" for name in ("step", "since", "impulse") for a in "xy" for b in "xy"),
-    "contacts",
-    "normal_cos",
-    "normal_sin",
-    "new",
-    "closed",
-    "sliding",
-)
-"""Splatted channels. step_ab is p_a n_b of p, the step in world axes: it does not depend on which body is A."""
+from enum import IntEnum
 
-OUTPUT = ("step_n", "step_t", "free_n", "free_t", "carried_n", "carried_t")
-"""Correction: multiples of the step times 1 + A, with the A near the contact; and, times sigma and 1 + A of the world,
-parts that are the same for all contacts and parts of the impulse carried over its RMS."""
+
+class Feature(IntEnum):
+    """Columns of what a network reads of a contact."""
+
+    STEP_N = 0  # squashed step of the last sweep
+    STEP_T = 1
+    LOCAL_N = 2  # squashed projected step of the contact alone
+    LOCAL_T = 3
+    SINCE_N = 4  # squashed change since the last call
+    SINCE_T = 5
+    IMPULSE_N = 6  # squashed impulse
+    IMPULSE_T = 7
+    CONE = 8  # tangential impulse over its limit
+    CLOSED = 9  # 1 where it presses
+    SLIDING = 10  # 1 on the cone
+    NEW = 11  # 1 where it is new in this step
+    NORMAL_COS = 12  # of twice the normal's angle: it does not depend on the side
+    NORMAL_SIN = 13
+    FREE_N = 14  # squashed step of the contact alone, unprojected: how open it is, how fast it slides
+    FREE_T = 15
+    BODY_A_N = 16  # squashed sum of the steps that act on body A, 0 where it does not move
+    BODY_A_T = 17
+    BODY_B_N = 18
+    BODY_B_T = 19
+    DEGREE_A = 20  # contacts of body A
+    DEGREE_B = 21
+    SHARE_A = 22  # inverse mass of A over the sum of both
+    RATE = 23  # log(1 + A), of the world like all up to CONTACTS
+    BEGIN = 24  # 1 before the first sweep
+    SWEEPS = 25  # log(1 + sweeps done)
+    SIZE = 26  # log of sigma over the RMS of the impulses
+    LEFT = 27  # log of sigma over the tolerance
+    ACCELERATED = 28  # 1 where the solver extrapolates by itself
+    CONTACTS = 29  # log of the number of contacts
+    RATE_NEAR = 30  # log(1 + A) of the steps near the contact: squares to a coarse grid and back, both bilinearly
+
+
+class Channel(IntEnum):
+    """Splatted channels. STEP_AB is p_a n_b of p, the step in world axes: it does not depend on which body is A."""
+
+    STEP_XX = 0
+    STEP_XY = 1
+    STEP_YX = 2
+    STEP_YY = 3
+    SINCE_XX = 4
+    SINCE_XY = 5
+    SINCE_YX = 6
+    SINCE_YY = 7
+    IMPULSE_XX = 8
+    IMPULSE_XY = 9
+    IMPULSE_YX = 10
+    IMPULSE_YY = 11
+    CONTACTS = 12
+    NORMAL_COS = 13
+    NORMAL_SIN = 14
+    NEW = 15
+    CLOSED = 16
+    SLIDING = 17
+
+
+class Output(IntEnum):
+    """Columns of a correction.
+
+    They are multiples of the step times 1 + A, with the A near the contact; and, times sigma and 1 + A of the world,
+    parts alike for all contacts and parts of the impulse carried over its RMS.
+    """
+
+    STEP_N = 0
+    STEP_T = 1
+    FREE_N = 2
+    FREE_T = 3
+    CARRIED_N = 4
+    CARRIED_T = 5
+
+
+LOCAL, IMAGE, OUTPUT = (tuple(column.name.lower() for column in table) for table in (Feature, Channel, Output))

@@ -18,8 +18,9 @@ import numpy as np
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.transfer import Splat, allocate_image, chunks_of, stencil_scalars, transfer_kernels
 from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
-from dc_kernels.model.arrays import aligned_zeros, kernel_array, kernel_vectors, to_torch
-from dc_kernels.runtime.backends import make_kernels
+from dc_kernels.learn.groups import SETTINGS, Reading
+from dc_kernels.model.arrays import kernel_array, to_torch
+from dc_kernels.runtime.backends import kernel_file, make_kernels
 from dc_kernels.runtime.inputs import check_count
 from dc_kernels.runtime.interop import address
 from dc_kernels.runtime.program import Fed, Kernel, Program
@@ -83,10 +84,6 @@ class SolveReader:
             **in_flight_kernels(sim.backend, sim.dtype.name, sim.variant),
         }
         self.image = allocate_image(worlds, len(IMAGE), grid, sim.dtype)
-        coarse = [max(2, -(-(n - 1) // RATE_NODES) + 1) for n in grid.shape]
-        self._squares = aligned_zeros((worlds, 2, *coarse), sim.dtype)
-        self.active, self.packed_start = np.zeros(worlds, np.int32), np.zeros(worlds + 1, np.int32)
-        self.scale = aligned_zeros((worlds, 4), sim.dtype)
         self._point_count = np.zeros(worlds, np.int32)
         self.asked = self.count = 0
         self._bind()
@@ -217,36 +214,35 @@ class SolveReader:
         self._bound = (sim.layout_version, sim.config)
         self._room = room = sim.contacts.sizes["contact"]
         self._chunks = chunks_of(int(sim.storage.contact_room.max(initial=0)))
-        self.local, self.image_value = aligned_zeros((room, len(LOCAL)), dtype), np.zeros((room, len(IMAGE)), dtype)
-        self.place, self.place_a, self.place_b, self.step = (np.zeros((room, 2), dtype) for _ in range(4))
-        self.rate = np.zeros(room, dtype)
-        origin = kernel_vectors(np.tile(np.asarray(self.grid.origin, dtype), (self.worlds, 1)), backend)
-        self.before, self.known = np.zeros((room, 2), dtype), np.zeros((room, 2), dtype)
+        groups = kernel_file(backend, "groups")
+        rows, columns = (max(2, -(-(n - 1) // RATE_NODES) + 1) for n in self.grid.shape)
+        sizes = {"world": self.worlds, "world+1": self.worlds + 1, "body": sim.model.body_count}
+        sizes |= {"contact": room, "row": room, "feature": len(LOCAL), "channel": len(IMAGE)}
+        self.reading = reading = Reading(
+            {**sizes, "sweep": 2, "grid row": rows, "grid column": columns}, dtype, backend=backend
+        )
+        self.active, self.packed_start, self.scale = map(reading.numpy, ("active", "packed_start", "scale"))
+        self.local, self.image_value = map(reading.numpy, ("local", "image_value"))
+        self.place, self.place_a, self.place_b = map(reading.numpy, PLACES)
+        self.step, self.rate, self.before, self.known = map(reading.numpy, ("step", "rate", "before", "known"))
+        reading.numpy("grid_origin")[:] = self.grid.origin
+        self._places = {name: reading.array(name) for name in PLACES}
         self._gathers: dict[int, tuple[np.ndarray, list[Fed]]] = {}
-        self._places = {name: kernel_vectors(getattr(self, name), backend) for name in PLACES}
-        self._values = {
-            **sim.values,
-            **self._places,
+        given = {
             "accelerated": int(sim.config.acceleration != "none"),
+            "tolerance": sim.config.tolerance,
             "cap": self.cap,
-            "limit_factor": self.limit,
-            "active": self._array(self.active),
-            "packed_start": self._array(self.packed_start),
-            "before": kernel_vectors(self.before, backend),
-            "known": kernel_vectors(self.known, backend),
-            "body_sum": kernel_vectors(np.zeros((sim.model.body_count, 4), dtype), backend),
-            "local": self._array(self.local),
-            "image_value": self._array(self.image_value),
-            "step": kernel_vectors(self.step, backend),
-            "rate": self._array(self.rate),
-            "squares": self._array(self._squares),
             "rate_spacing": RATE_NODES * self.grid.spacing,
-            "grid_origin": origin,
-            "world_scale": kernel_vectors(self.scale, backend),
+            "limit": self.limit,
         }
+        # for a solve that goes on, and for one that begins
+        settings = [
+            groups.scalars("reading_settings", dtype.name, {**given, "begin": begin}, SETTINGS) for begin in (0, 1)
+        ]
+        values = {**sim.values, "reading": groups.array_group(reading, "reading")}
         self._points = {
-            "grid_origin": origin,
-            "point_start": self._values["packed_start"],
+            "grid_origin": reading.array("grid_origin"),
+            "point_start": reading.array("packed_start"),
             "point_count": self._array(self._point_count),
             "point_bin": self._array(np.zeros(1, np.int32)),
             "bins": 1,
@@ -261,21 +257,23 @@ class SolveReader:
                 **self._points,
                 **stencil_scalars(self.grid, "bspline", None, "particle", True),
                 "point": self._places["place"],
-                "value": self._values["image_value"],
+                "value": reading.array("image_value"),
                 "image": self._array(self.image),
             },
             backend=backend,
             threads=self.threads,
         )
         output = self._array(np.zeros((1, len(OUTPUT)), dtype))
-        self._correct = self._fed("correct_impulses", "output", 1, {**self._values, "output": output})
+        self._correct = self._fed(
+            "correct_impulses", "output", 1, {**values, "settings": settings[0], "output": output}
+        )
         features = self._table["solve_features"]
         self._read = [
             Program(
-                [Kernel(features, {**self._values, "begin": begin}), splat],
+                [Kernel(features, {**values, "settings": each}), splat],
                 worlds=self.worlds,
                 backend=backend,
                 threads=self.threads,
             )
-            for begin in (0, 1)
+            for each in settings
         ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,10 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
-from dc_kernels.learn.in_flight import SolveReader, in_flight_kernels
-from dc_kernels.model.arrays import to_numpy
+from dc_kernels.learn.in_flight import RATE_NODES, SolveReader, in_flight_kernels
+from dc_kernels.model.arrays import ArrayGroup, to_numpy
 from dc_kernels.runtime.backends import argument_names, bind
 from dc_kernels.runtime.program import Fed
-from dc_kernels.solve.iteration import NORMS
 from dc_kernels.solve.rows import COLUMNS, LANES
 from pipeline.options import RunOptions
 from pipeline.scenes import Mixed, Scene, Settled, Thesis
@@ -27,7 +27,7 @@ DT = 0.01
 STATIC = dc.BodyType.STATIC
 # allowed difference of a feature of order 1: float32 rounds velocities, seen here at the scale of a sweep's step
 BOUND = {"float64": 1e-9, "float32": 2e-3}
-OUT = ("local", "image_value", "place", "place_a", "place_b", "step", "world_scale")
+OUT = ("local", "image_value", "place", "place_a", "place_b", "step", "scale")
 
 
 class Linked(Scene):
@@ -105,27 +105,41 @@ def test_backends_have_the_same_kernels(dtype, variant):
         assert argument_names(warp[name]) == argument_names(oracle[name]), name
 
 
-def run_oracle(reader: SolveReader, kernel: str, **more: Any) -> dict[str, np.ndarray]:
+def copied(group: ArrayGroup) -> SimpleNamespace:
+    """The arrays of a group as the oracle takes them, copied."""
+    arrays = {name: group.numpy(name).copy() for name in group.table}
+    return SimpleNamespace(**{name: a.view(np.recarray) if a.dtype.names else a for name, a in arrays.items()})
+
+
+def run_oracle(reader: SolveReader, kernel: str, begin: bool = False, **more: Any) -> dict[str, Any]:
     """All arguments of a kernel after the oracle has run on copies of them."""
     sim = reader.sim
     oracle = in_flight_kernels("numpy", sim.dtype.name, sim.variant)[kernel]
-    values = {**reader._values, "world_offset": 0, **more}
-    given = {name: values[name] for name in argument_names(oracle)}
-    copies = {name: v if np.isscalar(v) else to_numpy(v).copy() for name, v in given.items()}
-    for name in set(OUT) & set(copies) if kernel == "solve_features" else ():
-        copies[name].fill(np.nan)
-    bind(oracle, reader.worlds, copies, "cpu")()
-    return copies
+    names = ("model", "state", "contacts", "rows", "motion", "stats")
+    values = {"world_offset": 0, "reading": copied(reader.reading), **more}
+    values |= {name: copied(getattr(sim, name)) for name in names}
+    values["settings"] = SimpleNamespace(
+        begin=int(begin),
+        accelerated=int(sim.config.acceleration != "none"),
+        tolerance=sim.config.tolerance,
+        cap=reader.cap,
+        rate_spacing=RATE_NODES * reader.grid.spacing,
+        limit=reader.limit,
+    )
+    for name in OUT if kernel == "solve_features" else ():
+        getattr(values["reading"], name).fill(np.nan)
+    bind(oracle, reader.worlds, values, "cpu")()
+    return values
 
 
 def assert_features(reader: SolveReader, begin: bool) -> None:
-    wanted = run_oracle(reader, "solve_features", begin=int(begin))
+    wanted = run_oracle(reader, "solve_features", begin)["reading"]
     for name in OUT:
-        rows = reader.asked if name == "world_scale" else reader.count
-        found = to_numpy(reader._values[name])[:rows]
-        scale = wanted[name][:rows] if name == "world_scale" else 1.0  # these have units
+        rows = reader.asked if name == "scale" else reader.count
+        found, right = reader.reading.numpy(name)[:rows], getattr(wanted, name)[:rows]
+        unit = right if name == "scale" else 1.0
         np.testing.assert_allclose(
-            found / scale, wanted[name][:rows] / scale, rtol=0, atol=BOUND[reader.sim.dtype.name], err_msg=name
+            found / unit, right / unit, rtol=0, atol=BOUND[reader.sim.dtype.name], err_msg=name
         )
 
 
@@ -158,9 +172,14 @@ def test_the_kernels_agree(case, dtype):
         taken = reader.correct(torch.from_numpy(output))
         some = np.diff(reader.packed_start[: len(worlds) + 1]) > 0
         assert taken.tolist() == [pause != 5, *some[1:]]
-        for name in ("impulse", "before", "known", "replaced"):
-            found = to_numpy(reader._values[name])
-            np.testing.assert_allclose(found, wanted[name], rtol=0, atol=BOUND[dtype], err_msg=name)
+        for label, group, names in (
+            ("contacts", sim.contacts, ("impulse",)),
+            ("reading", reader.reading, ("before", "known")),
+            ("stats", sim.stats, ("replaced",)),
+        ):
+            for name in names:
+                right = getattr(wanted[label], name)
+                np.testing.assert_allclose(group.numpy(name), right, rtol=0, atol=BOUND[dtype], err_msg=name)
 
 
 def test_the_oracle_reads_and_corrects_by_itself():
@@ -366,8 +385,9 @@ def test_who_is_a_and_who_is_b_does_not_show_in_images():
         reader.begin()
         # a solve in flight whose last sweep changed them so
         for slot, change in zip(sim.rows.numpy("slot")[slots], 0.1 * impulse[::-1]):
-            sim.rows.numpy("row_change")[[slot, slot + LANES]] = change
-        sim.stats.numpy("norms")[4:6] = 4.0, 1.0
+            sim.rows.numpy("change")[[slot, slot + LANES]] = change
+        iteration = sim.stats.numpy("iteration")
+        iteration["step_before"], iteration["step_last"] = 4.0, 1.0
         sim.contacts.numpy("impulse")[slots] += 0.3 * impulse[[1, 3, 0, 2]]
         for begin in (True, False):
             reader.read(np.array([0]), begin=begin)
@@ -420,8 +440,8 @@ def test_the_extrapolation_is_capped():
     sim = colliding(acceleration="none")
     reader = reader_of(sim, cap=8.0)
     sim.resume(pause=5)
-    norms = sim.stats.numpy("norms").reshape(-1, NORMS)
-    norms[:, 4:6] = [[4.0, 1.0], [1.0, 0.9999], [1.0, 3.0]]  # steps that shrink, hardly shrink, grow
+    iteration = sim.stats.numpy("iteration")
+    iteration["step_before"], iteration["step_last"] = [4.0, 1.0, 1.0], [1.0, 0.9999, 3.0]  # shrink, hardly, grow
     reader.read(np.arange(3), begin=False)
     np.testing.assert_allclose(reader.scale[:3, 2], [1.0, 8.0, 8.0], rtol=1e-9)
     np.testing.assert_allclose(reader.scale[:3, 3], reader.scale[:3, 0] * [2.0, 9.0, 9.0], rtol=1e-9)
@@ -554,7 +574,7 @@ def test_nothing_is_copied():
     images, local = reader.images(), reader.features()
     assert images.shape == (2, len(IMAGE), *reader.grid.shape) and local.shape == (count, len(LOCAL))
     assert images.data_ptr() == reader.image.ctypes.data
-    assert local.data_ptr() == to_numpy(reader._values["local"]).ctypes.data
+    assert local.data_ptr() == to_numpy(reader.reading.array("local")).ctypes.data
     sim.resume(pause=5)
     reader.read(np.array([0, 2]), begin=False)
     assert not local[:, LOCAL.index("begin")].any()  # the tensors of before show what is read now
@@ -567,7 +587,6 @@ def test_nothing_is_copied():
     torch.testing.assert_close(reader.gather(trunk)[1], 2.0 * first)
     torch.testing.assert_close(reader.gather(3.0 * trunk)[1], 6.0 * first)
     impulse = sim.contacts.numpy("impulse")
-    assert impulse.ctypes.data == to_numpy(reader._values["impulse"]).ctypes.data
     before, output = impulse.copy(), torch.zeros(count, len(OUTPUT))
     output[:, 2] = 1.0
     reader.correct(output)

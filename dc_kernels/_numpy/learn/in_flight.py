@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dc_kernels._numpy.common import Array, Kernels, dot
 from dc_kernels._numpy.solve.row import by_lane
 from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
-from dc_kernels.solve.iteration import COUNTERS, NORMS
 from dc_kernels.solve.rows import COLUMNS, LANES
 
 TINY = 1e-20  # keeps what is divided by away from 0
@@ -19,112 +18,108 @@ ON_CONE = 0.999  # of the limit, from which on a contact slides
 PARTS = ("step", "free", "carried")  # of the output, normal and tangential each
 
 
+class _Seen(NamedTuple):
+    """The contacts of a world in float64, (m,) and (m, 2); of both bodies where there are two."""
+
+    mine: slice
+    slot: Array
+    bodies: tuple[Array, Array]
+    axes: Array
+    """Normal and tangent, (m, 2, 2)."""
+    arms: tuple[Array, Array]
+    velocities: tuple[Array, Array]
+    mu: Array
+    x: Array
+
+
+def _see(first: int, count: int, contacts: Any, rows: Any, motion: Any) -> _Seen:
+    mine = slice(first, first + count)
+    bodies = contacts.body_a[mine], contacts.body_b[mine]
+    n = contacts.normal[mine].astype(float)
+    return _Seen(
+        mine=mine,
+        slot=rows.slot[mine],
+        bodies=bodies,
+        axes=np.stack([n, np.stack([n[:, 1], -n[:, 0]], axis=1)], axis=1),
+        arms=(contacts.arm_a[mine].astype(float), contacts.arm_b[mine].astype(float)),
+        velocities=(motion.solved[bodies[0]].astype(float), motion.solved[bodies[1]].astype(float)),
+        mu=contacts.friction[mine].astype(float),
+        x=contacts.impulse[mine].astype(float),
+    )
+
+
+def _by_row(values: Array, slot: Array) -> Array:
+    """Normal and tangential values of contacts at their slots, (m, 2)."""
+    return np.stack([values[slot], values[slot + LANES]], axis=1).astype(float)
+
+
 def kernels(dtype: str, variant: str) -> Kernels:
     """``solve_features`` and ``correct_impulses``; the arrays bring their scalar type."""
     columns = COLUMNS[variant]
 
-    def local_step(
-        rows: Array, slot: Array, axes: Array, arms: tuple[Array, Array], solved: tuple[Array, Array],
-        friction: Array, x: Array,
-    ) -> tuple[Array, Array]:  # fmt: skip
+    def local_step(seen: _Seen, rows: Any) -> tuple[Array, Array]:
         """Steps that contacts would take alone, free and stopped by their cones, (m, 2) each [N s]."""
-        row = by_lane(rows, len(columns))[slot // (2 * LANES), :, slot % LANES]
+        row = by_lane(rows.column, len(columns))[seen.slot // (2 * LANES), :, seen.slot % LANES]
         value = dict(zip(columns, row.astype(float).T))
-        va, vb = (v[:, :2] + v[:, 2:3] * np.stack([-r[:, 1], r[:, 0]], axis=1) for v, r in zip(solved, arms))
-        speed = _along(axes, vb - va)
+        turned = (np.stack([-r[:, 1], r[:, 0]], axis=1) for r in seen.arms)
+        va, vb = (v[:, :2] + v[:, 2:3] * r for v, r in zip(seen.velocities, turned))
+        speed = _along(seen.axes, vb - va)
         if variant == "discs":
             # the normal of a disc points at its centre, which the arms know but to rounding
-            speed[:, 0] = dot(axes[:, 0], solved[1] - solved[0])
+            speed[:, 0] = dot(seen.axes[:, 0], seen.velocities[1] - seen.velocities[0])
         free = -np.stack([value["en"] * (speed[:, 0] + value["bias"]), value["et"] * speed[:, 1]], axis=1)
-        return free, project(x + free, friction) - x
+        return free, project(seen.x + free, seen.mu) - seen.x
 
     def solve_features(
         tid: int,
         world_offset: int,
-        begin: int,
-        accelerated: int,
-        tolerance: float,
-        cap: float,
-        rate_spacing: float,
-        active: Array,
-        packed_start: Array,
-        contact_start: Array,
-        body_start: Array,
-        body_a: Array,
-        body_b: Array,
-        normal: Array,
-        arm_a: Array,
-        arm_b: Array,
-        friction: Array,
-        age: Array,
-        position: Array,
-        slot: Array,
-        rows: Array,
-        impulse: Array,
-        row_change: Array,
-        row_before: Array,
-        solved: Array,
-        counters: Array,
-        norms: Array,
-        known: Array,
-        grid_origin: Array,
-        body_sum: Array,
-        squares: Array,
-        local: Array,
-        image_value: Array,
-        place: Array,
-        place_a: Array,
-        place_b: Array,
-        step: Array,
-        rate: Array,
-        world_scale: Array,
+        settings: Any,
+        model: Any,
+        state: Any,
+        contacts: Any,
+        rows: Any,
+        motion: Any,
+        stats: Any,
+        reading: Any,
     ) -> None:
-        """Features of the contacts of a world that is asked for."""
+        """Read the contacts of a world that is asked for."""
         k = tid + world_offset
-        packed = slice(packed_start[k], packed_start[k + 1])
+        packed = slice(reading.packed_start[k], reading.packed_start[k + 1])
         count = packed.stop - packed.start
         if not count:
             return
-        w = active[k]
-        mine = slice(contact_start[w], contact_start[w] + count)
-        bodies = (body_a[mine], body_b[mine])
-        n = normal[mine].astype(float)
-        axes = np.stack([n, np.stack([n[:, 1], -n[:, 0]], axis=1)], axis=1)  # normal and tangent, (m, 2, 2)
-        arms = (arm_a[mine].astype(float), arm_b[mine].astype(float))
-        velocities = tuple(solved[b].astype(float) for b in bodies)
-        mu, x = friction[mine].astype(float), impulse[mine].astype(float)
-        free, stopped = local_step(rows, slot[mine], axes, arms, velocities, mu, x)
-
-        s = stopped
-        if not begin:
-            s = np.stack([row_change[slot[mine]], row_change[slot[mine] + LANES]], axis=1).astype(float)
-        sigma, size = _rms(s) + TINY, _rms(x) + TINY
-        at = position[bodies[0]] + arm_a[mine]
+        w = reading.active[k]
+        seen = _see(contacts.contact_start[w], count, contacts, rows, motion)
+        free, stopped = local_step(seen, rows)
+        s = stopped if settings.begin else _by_row(rows.change, seen.slot)
+        sigma, size = _rms(s) + TINY, _rms(seen.x) + TINY
+        at = state.position[seen.bodies[0]] + contacts.arm_a[seen.mine]
         extrapolation, near = UNKNOWN, np.full(count, UNKNOWN)
-        if not begin:
-            extrapolation = float(_aitken(norms[w * NORMS + 5 : w * NORMS + 6], norms[w * NORMS + 4], cap)[0])
-            before = np.stack([row_before[slot[mine]], row_before[slot[mine] + LANES]], axis=1).astype(float)
-            node, weight = _corners((at - grid_origin[k]) / rate_spacing, squares.shape[2:])
-            sums = np.zeros((2, *squares.shape[2:]))
-            for total, value in zip(sums, (s, before)):
+        if not settings.begin:
+            steps = stats.iteration[w]
+            extrapolation = float(_aitken(np.array([steps.step_last]), steps.step_before, settings.cap)[0])
+            node, weight = _corners((at - reading.grid_origin[k]) / settings.rate_spacing, reading.squares.shape[2:])
+            sums = np.zeros((2, *reading.squares.shape[2:]))
+            for total, value in zip(sums, (s, _by_row(rows.before, seen.slot))):
                 np.add.at(total, (node[..., 1], node[..., 0]), weight * (value**2).sum(axis=1)[:, None])
-            near = _aitken(*((weight * total[node[..., 1], node[..., 0]]).sum(axis=1) for total in sums), cap)
-        rate[packed] = near
+            near = _aitken(*((weight * total[node[..., 1], node[..., 0]]).sum(axis=1) for total in sums), settings.cap)
+        reading.rate[packed] = near
         wide = 1.0 + extrapolation
-        world_scale[k] = sigma, size, extrapolation, sigma * wide
-        step[packed] = s
+        reading.scale[k] = sigma, size, extrapolation, sigma * wide
+        reading.step[packed] = s
 
-        body_sum[body_start[w] : body_start[w + 1]] = 0.0
-        for b, sign in zip(bodies, (-1.0, 1.0)):
-            np.add.at(body_sum, b, np.column_stack([sign * _world(axes, s), np.ones(count), np.zeros(count)]))
-        since = np.zeros_like(x) if begin else (x - known[mine]) / sigma
-        limit = mu * x[:, 0]
-        used = np.divide(x[:, 1], limit, out=np.zeros(count), where=limit > 0.0)
-        masses = [v[:, 3] for v in velocities]  # inverse
+        reading.body_sum[model.body_start[w] : model.body_start[w + 1]] = 0.0
+        for b, sign in zip(seen.bodies, (-1.0, 1.0)):
+            sums = np.column_stack([sign * _world(seen.axes, s), np.ones(count), np.zeros(count)])
+            np.add.at(reading.body_sum, b, sums)
+        since = np.zeros_like(seen.x) if settings.begin else (seen.x - reading.known[seen.mine]) / sigma
+        n, limit = seen.axes[:, 0], seen.mu * seen.x[:, 0]
+        used = np.divide(seen.x[:, 1], limit, out=np.zeros(count), where=limit > 0.0)
+        masses = [v[:, 3] for v in seen.velocities]  # inverse
         shared = {
-            "closed": x[:, 0] > 0.0,
+            "closed": seen.x[:, 0] > 0.0,
             "sliding": np.abs(used) > ON_CONE,
-            "new": age[mine] == 0,
+            "new": contacts.age[seen.mine] == 0,
             "normal_cos": n[:, 0] ** 2 - n[:, 1] ** 2,
             "normal_sin": 2.0 * n[:, 0] * n[:, 1],
         }
@@ -132,76 +127,64 @@ def kernels(dtype: str, variant: str) -> Kernels:
             **_pair("step", np.arcsinh(s / sigma)),
             **_pair("local", np.arcsinh(stopped / sigma)),
             **_pair("since", 0.5 * np.arcsinh(since)),
-            **_pair("impulse", 0.25 * np.arcsinh(x / sigma)),
+            **_pair("impulse", 0.25 * np.arcsinh(seen.x / sigma)),
             "cone": used,
             **shared,
             **_pair("free", np.arcsinh(free / sigma)),
             "share_a": masses[0] / (masses[0] + masses[1] + TINY),
             "rate": 0.5 * np.log(wide),
-            "begin": begin,
-            "sweeps": 0.25 * np.log1p(counters[w * COUNTERS]),
+            "begin": settings.begin,
+            "sweeps": 0.25 * np.log1p(stats.iteration[w].sweeps),
             "size": 0.25 * np.log(sigma / size),
-            "left": 0.25 * np.log(sigma / (tolerance + TINY)),
-            "accelerated": accelerated,
+            "left": 0.25 * np.log(sigma / (settings.tolerance + TINY)),
+            "accelerated": settings.accelerated,
             "contacts": 0.25 * np.log(count),
             "rate_near": 0.5 * np.log1p(near),
         }
-        place[packed] = at
-        for side, b, mass, center in zip("ab", bodies, masses, (place_a, place_b)):
+        reading.place[packed] = at
+        for side, b, mass, center in zip("ab", seen.bodies, masses, (reading.place_a, reading.place_b)):
             moves = mass > 0.0
-            total = np.where(moves[:, None], body_sum[b], 0.0)
-            values |= _pair(f"body_{side}", np.arcsinh(_along(axes, total[:, :2]) / sigma))
+            total = np.where(moves[:, None], reading.body_sum[b], 0.0)
+            values |= _pair(f"body_{side}", np.arcsinh(_along(seen.axes, total[:, :2]) / sigma))
             values[f"degree_{side}"] = 0.25 * total[:, 2]
-            center[packed] = np.where(moves[:, None], position[b], at)
-        local[packed] = _columns(LOCAL, values, count)
+            center[packed] = np.where(moves[:, None], state.position[b], at)
+        reading.local[packed] = _columns(LOCAL, values, count)
 
         channels: dict[str, Any] = {"contacts": 1.0, **shared}
-        for name, p, weight in (("step", s / sigma, 1.0), ("since", since, 0.5), ("impulse", x / sigma, 0.25)):
-            vector = _world(axes, p)
+        for name, p, weight in (("step", s / sigma, 1.0), ("since", since, 0.5), ("impulse", seen.x / sigma, 0.25)):
+            vector = _world(seen.axes, p)
             length = np.hypot(vector[:, 0], vector[:, 1]) + TINY
             vector *= (weight * np.arcsinh(length) / length)[:, None]
             for (i, a), (j, b) in itertools.product(enumerate("xy"), repeat=2):
                 channels[f"{name}_{a}{b}"] = vector[:, i] * n[:, j]
-        image_value[packed] = _columns(IMAGE, channels, count)
+        reading.image_value[packed] = _columns(IMAGE, channels, count)
 
     return {"solve_features": solve_features, "correct_impulses": correct_impulses}
 
 
 def correct_impulses(
-    tid: int,
-    world_offset: int,
-    limit_factor: float,
-    active: Array,
-    packed_start: Array,
-    output: Array,
-    step: Array,
-    rate: Array,
-    world_scale: Array,
-    contact_start: Array,
-    friction: Array,
-    impulse: Array,
-    before: Array,
-    known: Array,
-    replaced: Array,
+    tid: int, world_offset: int, settings: Any, output: Array, contacts: Any, reading: Any, stats: Any
 ) -> None:
-    """Impulses plus (1 + A near) o_step s + (1 + A) sigma (o_free + o_carried x / RMS of x), on the friction cone."""
+    """Add (1 + A near) o_step s + (1 + A) sigma (o_free + o_carried x / RMS of x), and stop at the friction cone."""
     k = tid + world_offset
-    packed = slice(packed_start[k], packed_start[k + 1])
+    packed = slice(reading.packed_start[k], reading.packed_start[k + 1])
     if packed.start == packed.stop:
         return
-    w = active[k]
-    mine = slice(contact_start[w], contact_start[w] + packed.stop - packed.start)
-    x = impulse[mine].astype(float)
-    before[mine] = known[mine] = x
-    _, size, _, expected = world_scale[k].astype(float)
+    w = reading.active[k]
+    first = contacts.contact_start[w]
+    mine = slice(first, first + packed.stop - packed.start)
+    x = contacts.impulse[mine].astype(float)
+    reading.before[mine] = reading.known[mine] = x
+    _, size, _, expected = reading.scale[k].astype(float)
     given = dict(zip(OUTPUT, output[packed].astype(float).T))
     by_step, free, carried = (np.stack([given[f"{part}_n"], given[f"{part}_t"]], axis=1) for part in PARTS)
     with np.errstate(all="ignore"):  # what is not finite is refused below
-        change = (1.0 + rate[packed, None]) * by_step * step[packed] + expected * (free + carried * x / size)
-        taken = _rms(change) <= limit_factor * expected
+        by_step = (1.0 + reading.rate[packed, None]) * by_step * reading.step[packed]
+        change = by_step + expected * (free + carried * x / size)
+        taken = _rms(change) <= settings.limit * expected
     if taken:
-        impulse[mine] = known[mine] = project(x + change, friction[mine])
-        replaced[w] = 1
+        contacts.impulse[mine] = reading.known[mine] = project(x + change, contacts.friction[mine])
+        stats.replaced[w] = 1
 
 
 def project(x: Array, friction: Array) -> Array:

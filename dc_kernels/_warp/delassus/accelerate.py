@@ -89,7 +89,7 @@ def functions(dtype: str) -> SimpleNamespace:
 
     @wp.func(module=module)
     def nncg(now: real, problem: t.Problem, search: t.Search, progress: wp.array(dtype=t.Progress)):
-        """Move on along the direction before and turn it (Silcowitz, Niebe and Erleben 2010); restart where steps grow."""
+        """Move on along the direction before and turn it (Silcowitz et al. 2010); begin anew where steps grow."""
         beta = zero
         before = progress[0].last_step
         if progress[0].sweeps > 1 and now <= before and before > tiny:

@@ -5,21 +5,61 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels._warp.common import cross, kernel_module, scalar_types, tangent
-from dc_kernels.solve.iteration import COUNTERS, NORMS
+from dc_kernels._warp.common import cross, kernel_module, tangent
+from dc_kernels._warp.groups import array_struct, group_types, scalar_struct
+from dc_kernels._warp.solve.accelerate.aitken import series_limit
+from dc_kernels._warp.solve.laws import relative_speed
+from dc_kernels.learn.channels import Channel, Feature, Output
+from dc_kernels.learn.groups import READING, SETTINGS
 from dc_kernels.solve.rows import COLUMNS, LANES
 
 N_LANES = wp.constant(LANES)
-N_COUNTERS = wp.constant(COUNTERS)
-N_NORMS = wp.constant(NORMS)
 UNKNOWN = wp.constant(4.0)  # A before the first sweep
+ON_CONE = wp.constant(0.999)  # of the limit, from which on a contact slides
+
+
+@wp.func
+def squash(x: Any):
+    """asinh: linear for small values, logarithmic for large ones."""
+    y = wp.min(wp.abs(x), type(x)(1e18))  # whose square is finite: at exact rest the step is none
+    z = wp.log(y + wp.sqrt(y * y + type(x)(1.0)))
+    if x < type(x)(0.0):
+        return -z
+    return z
+
+
+@wp.func
+def extrapolation_of(now: Any, before: Any, cap: Any):
+    """A = r / (1 - r) of the ratio r of two steps, from their squares, up to a cap."""
+    return series_limit(wp.sqrt(now / (before + type(now)(1e-20))), cap)
+
+
+@wp.func
+def stopped(x: Any, friction: Any):
+    """Impulses with the normal one stopped at 0, then the tangential one at its limit, as a sweep does."""
+    n = wp.max(x[0], type(friction)(0.0))
+    limit = friction * n
+    return type(x)(n, wp.clamp(x[1], -limit, limit))
+
+
+@wp.func
+def corner_weight(found: Any, corner: int):
+    """Bilinear weight of one of the four nodes: lower left, lower right, upper left, upper right."""
+    x = found[2]
+    if corner % 2 == 0:
+        x = type(x)(1.0) - x
+    y = found[3]
+    if corner / 2 == 0:
+        y = type(y)(1.0) - y
+    return x * y
 
 
 @cache
 def kernels(dtype: str, variant: str) -> dict[str, Any]:
     """``solve_features`` and ``correct_impulses``; a thread each world that is asked for."""
-    t = scalar_types(dtype)
+    t = group_types(dtype)
     real, vec2, vec4 = t.real, t.vec2, t.vec4
+    Reading, Settings = array_struct("Reading", dtype, READING), scalar_struct("ReadingSettings", dtype, SETTINGS)
     module = kernel_module("in_flight", dtype, variant)
     columns = COLUMNS[variant]
     width = wp.constant(len(columns) * LANES)
@@ -28,73 +68,31 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     tiny = real(1e-20)
 
     @wp.func(module=module)
-    def squash(x: real):
-        """asinh: linear for small values, logarithmic for large ones."""
-        y = wp.min(wp.abs(x), real(1e18))  # whose square is finite: at exact rest the step is none
-        z = wp.log(y + wp.sqrt(y * y + real(1.0)))
-        if x < real(0.0):
-            return -z
-        return z
-
-    @wp.func(module=module)
-    def local_step(
-        c: int,
-        slot: wp.array(dtype=wp.int32),
-        rows: wp.array(dtype=real),
-        body_a: wp.array(dtype=wp.int32),
-        body_b: wp.array(dtype=wp.int32),
-        normal: wp.array(dtype=vec2),
-        arm_a: wp.array(dtype=vec2),
-        arm_b: wp.array(dtype=vec2),
-        friction: wp.array(dtype=real),
-        solved: wp.array(dtype=vec4),
-        x: vec2,
-    ):
+    def local_step(c: int, x: vec2, contacts: t.Contacts, rows: t.Rows, motion: t.Motion):
         """Unprojected normal and tangential steps of a contact alone, and the projected ones [N s]."""
-        i = slot[c]
+        i = rows.slot[c]
         r = (i / (2 * N_LANES)) * width + i % (2 * N_LANES)
-        n = normal[c]
+        n = contacts.normal[c]
         tan = tangent(n)
-        va = solved[body_a[c]]
-        vb = solved[body_b[c]]
-        dvx = vb[0] - va[0]
-        dvy = vb[1] - va[1]
-        vn = n[0] * dvx + n[1] * dvy + (cross(arm_b[c], n) * vb[2] - cross(arm_a[c], n) * va[2])
-        vt = tan[0] * dvx + tan[1] * dvy + (cross(arm_b[c], tan) * vb[2] - cross(arm_a[c], tan) * va[2])
-        free_n = -rows[r + EN] * (vn + rows[r + BIAS])
-        free_t = -rows[r + ET] * vt
-        new_n = wp.max(x[0] + free_n, real(0.0))
-        limit = friction[c] * new_n
-        new_t = wp.clamp(x[1] + free_t, -limit, limit)
-        return vec4(free_n, free_t, new_n - x[0], new_t - x[1])
+        va = motion.solved[contacts.body_a[c]]
+        vb = motion.solved[contacts.body_b[c]]
+        arm_a = contacts.arm_a[c]
+        arm_b = contacts.arm_b[c]
+        vn = relative_speed(n, va, vb, cross(arm_a, n), cross(arm_b, n))
+        vt = relative_speed(tan, va, vb, cross(arm_a, tan), cross(arm_b, tan))
+        free_n = -rows.column[r + EN] * (vn + rows.column[r + BIAS])
+        free_t = -rows.column[r + ET] * vt
+        new = stopped(vec2(x[0] + free_n, x[1] + free_t), contacts.friction[c])
+        return vec4(free_n, free_t, new[0] - x[0], new[1] - x[1])
 
     @wp.func(module=module)
-    def aitken(now: real, before: real, cap: real):
-        """R / (1 - r) of the ratio r of two steps, from their squares, up to a cap."""
-        ratio = wp.sqrt(now / (before + tiny))
-        if ratio < cap * (one - ratio):
-            return ratio / (one - ratio)
-        return cap
-
-    @wp.func(module=module)
-    def cell(at: vec2, origin: vec2, spacing: real, squares: wp.array4d(dtype=real)):
+    def cell(k: int, at: vec2, settings: Settings, reading: Reading):
         """The lower left of four nodes around a place, moved into the grid, and the place's shares of the cell."""
-        x = wp.max((at[0] - origin[0]) / spacing, real(0.0))
-        y = wp.max((at[1] - origin[1]) / spacing, real(0.0))
-        i = wp.min(int(x), squares.shape[3] - 2)
-        j = wp.min(int(y), squares.shape[2] - 2)
-        return vec4(real(i), real(j), wp.min(x - real(i), real(1.0)), wp.min(y - real(j), real(1.0)))
-
-    @wp.func(module=module)
-    def corner_weight(found: vec4, corner: int):
-        """Bilinear weight of one of the four nodes: lower left, lower right, upper left, upper right."""
-        x = found[2]
-        if corner % 2 == 0:
-            x = real(1.0) - x
-        y = found[3]
-        if corner / 2 == 0:
-            y = real(1.0) - y
-        return x * y
+        x = wp.max((at[0] - reading.grid_origin[k][0]) / settings.rate_spacing, zero)
+        y = wp.max((at[1] - reading.grid_origin[k][1]) / settings.rate_spacing, zero)
+        i = wp.min(int(x), reading.squares.shape[3] - 2)
+        j = wp.min(int(y), reading.squares.shape[2] - 2)
+        return vec4(real(i), real(j), wp.min(x - real(i), one), wp.min(y - real(j), one))
 
     @wp.func(module=module)
     def add_squares(k: int, found: vec4, now: real, before: real, squares: wp.array4d(dtype=real)):
@@ -109,306 +107,295 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     @wp.func(module=module)
     def rate_near(k: int, found: vec4, cap: real, squares: wp.array4d(dtype=real)):
         """Extrapolation of the steps around a place."""
-        now = real(0.0)
-        before = real(0.0)
+        now = zero
+        before = zero
         for corner in range(4):
             weight = corner_weight(found, corner)
             i = int(found[0]) + corner % 2
             j = int(found[1]) + corner / 2
             now += weight * squares[k, 0, j, i]
             before += weight * squares[k, 1, j, i]
-        return aitken(now, before, cap)
+        return extrapolation_of(now, before, cap)
+
+    @wp.func(module=module)
+    def read_steps(
+        k: int,
+        settings: Settings,
+        model: t.Model,
+        contacts: t.Contacts,
+        rows: t.Rows,
+        motion: t.Motion,
+        reading: Reading,
+    ):
+        """Steps of the contacts, their sums at the bodies, and the RMS of steps and of impulses."""
+        base = reading.packed_start[k]
+        count = reading.packed_start[k + 1] - base
+        w = reading.active[k]
+        for b in range(model.body_start[w], model.body_start[w + 1]):
+            reading.body_sum[b] = vec4(zero, zero, zero, zero)
+        total = zero
+        carried = zero
+        for k0 in range(count):
+            c = contacts.contact_start[w] + k0
+            x = contacts.impulse[c]
+            s = vec2(zero, zero)
+            if settings.begin == 1:
+                found = local_step(c, x, contacts, rows, motion)
+                s = vec2(found[2], found[3])
+            else:
+                i = rows.slot[c]
+                s = vec2(rows.change[i], rows.change[i + N_LANES])
+            reading.step[base + k0] = s
+            total += wp.dot(s, s)
+            carried += wp.dot(x, x)
+            n = contacts.normal[c]
+            world_step = s[0] * n + s[1] * tangent(n)
+            a = contacts.body_a[c]
+            b = contacts.body_b[c]
+            reading.body_sum[a] = reading.body_sum[a] + vec4(-world_step[0], -world_step[1], one, zero)
+            reading.body_sum[b] = reading.body_sum[b] + vec4(world_step[0], world_step[1], one, zero)
+        return vec2(wp.sqrt(total / real(count)) + tiny, wp.sqrt(carried / real(count)) + tiny)
+
+    @wp.func(module=module)
+    def contact_point(c: int, state: t.State, contacts: t.Contacts):
+        return state.position[contacts.body_a[c]] + contacts.arm_a[c]
+
+    @wp.func(module=module)
+    def splat_squares(k: int, settings: Settings, state: t.State, contacts: t.Contacts, rows: t.Rows, reading: Reading):
+        """Squared steps of the last two sweeps on the coarse grid."""
+        base = reading.packed_start[k]
+        for j in range(reading.squares.shape[2]):
+            for i in range(reading.squares.shape[3]):
+                reading.squares[k, 0, j, i] = zero
+                reading.squares[k, 1, j, i] = zero
+        for k0 in range(reading.packed_start[k + 1] - base):
+            c = contacts.contact_start[reading.active[k]] + k0
+            i = rows.slot[c]
+            s = reading.step[base + k0]
+            last = vec2(rows.before[i], rows.before[i + N_LANES])
+            around = cell(k, contact_point(c, state, contacts), settings, reading)
+            add_squares(k, around, wp.dot(s, s), wp.dot(last, last), reading.squares)
+
+    @wp.func(module=module)
+    def put_pair(row: int, column: int, n: real, tan: real, values: wp.array2d(dtype=real)):
+        """Normal and tangential value side by side."""
+        values[row, column] = n
+        values[row, column + 1] = tan
+
+    @wp.func(module=module)
+    def put_vector(row: int, column: int, x: vec2, scale: real, weight: real, n: vec2, values: wp.array2d(dtype=real)):
+        """Put four channels, the squashed vector p of components x times n: what a contact passes on, from any side."""
+        u = (x[0] * n + x[1] * tangent(n)) * scale
+        length = wp.length(u) + tiny
+        u = u * (weight * squash(length) / length)
+        values[row, column] = u[0] * n[0]
+        values[row, column + 1] = u[0] * n[1]
+        values[row, column + 2] = u[1] * n[0]
+        values[row, column + 3] = u[1] * n[1]
+
+    @wp.func(module=module)
+    def flag(condition: bool):
+        if condition:
+            return one
+        return zero
+
+    @wp.func(module=module)
+    def put_body(
+        row: int,
+        column: int,
+        degree: int,
+        total: vec4,
+        moves: bool,
+        sigma: real,
+        n: vec2,
+        local: wp.array2d(dtype=real),
+    ):
+        """The steps that act on a body, along normal and tangent, and how many they are; 0 where it does not move."""
+        moving = zero
+        if moves:
+            moving = one / sigma
+        tan = tangent(n)
+        along_n = squash((total[0] * n[0] + total[1] * n[1]) * moving)
+        along_t = squash((total[0] * tan[0] + total[1] * tan[1]) * moving)
+        put_pair(row, column, along_n, along_t, local)
+        local[row, degree] = real(0.25) * total[2] * moving * sigma
+
+    @wp.func(module=module)
+    def read_contact(
+        k: int,
+        c: int,
+        m: int,
+        settings: Settings,
+        state: t.State,
+        contacts: t.Contacts,
+        rows: t.Rows,
+        motion: t.Motion,
+        reading: Reading,
+    ):
+        """Columns of one contact that are not the whole world's."""
+        local = reading.local
+        image = reading.image_value
+        sigma = reading.scale[k][0]
+        inverse = one / sigma
+        x = contacts.impulse[c]
+        at = contact_point(c, state, contacts)
+        near = reading.scale[k][2]
+        if settings.begin == 0:
+            near = rate_near(k, cell(k, at, settings, reading), settings.cap, reading.squares)
+        reading.rate[m] = near
+        s = reading.step[m] * inverse
+        found = local_step(c, x, contacts, rows, motion) * inverse
+        since = (x - reading.known[c]) * inverse
+        if settings.begin == 1:
+            since = vec2(zero, zero)
+        n = contacts.normal[c]
+        a = contacts.body_a[c]
+        b = contacts.body_b[c]
+        ma = motion.solved[a][3]
+        mb = motion.solved[b][3]
+        limit = contacts.friction[c] * x[0]
+        used = zero
+        if limit > zero:
+            used = x[1] / limit
+        sliding = flag(wp.abs(used) > real(ON_CONE))
+        closed = flag(x[0] > zero)
+        new = flag(contacts.age[c] == 0)
+        double_cos = n[0] * n[0] - n[1] * n[1]
+        double_sin = real(2.0) * n[0] * n[1]
+        put_pair(m, Feature.STEP_N, squash(s[0]), squash(s[1]), local)
+        put_pair(m, Feature.LOCAL_N, squash(found[2]), squash(found[3]), local)
+        put_pair(m, Feature.SINCE_N, squash(since[0]) * real(0.5), squash(since[1]) * real(0.5), local)
+        carried_n = squash(x[0] * inverse) * real(0.25)
+        put_pair(m, Feature.IMPULSE_N, carried_n, squash(x[1] * inverse) * real(0.25), local)
+        local[m, Feature.CONE] = used
+        local[m, Feature.CLOSED] = closed
+        local[m, Feature.SLIDING] = sliding
+        local[m, Feature.NEW] = new
+        put_pair(m, Feature.NORMAL_COS, double_cos, double_sin, local)
+        put_pair(m, Feature.FREE_N, squash(found[0]), squash(found[1]), local)
+        put_body(m, Feature.BODY_A_N, Feature.DEGREE_A, reading.body_sum[a], ma > zero, sigma, n, local)
+        put_body(m, Feature.BODY_B_N, Feature.DEGREE_B, reading.body_sum[b], mb > zero, sigma, n, local)
+        local[m, Feature.SHARE_A] = ma / (ma + mb + tiny)
+        local[m, Feature.RATE_NEAR] = wp.log(one + near) * real(0.5)
+        put_vector(m, Channel.STEP_XX, s, one, one, n, image)
+        put_vector(m, Channel.SINCE_XX, since, one, real(0.5), n, image)
+        put_vector(m, Channel.IMPULSE_XX, x, inverse, real(0.25), n, image)
+        image[m, Channel.CONTACTS] = one
+        put_pair(m, Channel.NORMAL_COS, double_cos, double_sin, image)
+        image[m, Channel.NEW] = new
+        image[m, Channel.CLOSED] = closed
+        image[m, Channel.SLIDING] = sliding
+        # the centre of what does not move says nothing of the contact
+        reading.place[m] = at
+        reading.place_a[m] = at
+        if ma > zero:
+            reading.place_a[m] = state.position[a]
+        reading.place_b[m] = at
+        if mb > zero:
+            reading.place_b[m] = state.position[b]
 
     @wp.kernel(module=module, enable_backward=False)
     def solve_features(
         world_offset: int,
-        begin: int,
-        accelerated: int,
-        tolerance: real,
-        cap: real,
-        rate_spacing: real,
-        # What is asked for:
-        active: wp.array(dtype=wp.int32),
-        packed_start: wp.array(dtype=wp.int32),
-        # Contacts, bodies and rows in:
-        contact_start: wp.array(dtype=wp.int32),
-        body_start: wp.array(dtype=wp.int32),
-        body_a: wp.array(dtype=wp.int32),
-        body_b: wp.array(dtype=wp.int32),
-        normal: wp.array(dtype=vec2),
-        arm_a: wp.array(dtype=vec2),
-        arm_b: wp.array(dtype=vec2),
-        friction: wp.array(dtype=real),
-        age: wp.array(dtype=wp.int32),
-        position: wp.array(dtype=vec2),
-        slot: wp.array(dtype=wp.int32),
-        rows: wp.array(dtype=real),
-        # Solve in flight in:
-        impulse: wp.array(dtype=vec2),
-        row_change: wp.array(dtype=real),
-        row_before: wp.array(dtype=real),
-        solved: wp.array(dtype=vec4),
-        counters: wp.array(dtype=wp.int32),
-        norms: wp.array(dtype=real),
-        known: wp.array(dtype=vec2),
-        grid_origin: wp.array(dtype=vec2),
-        # Scratch:
-        body_sum: wp.array(dtype=vec4),
-        squares: wp.array4d(dtype=real),
+        settings: Settings,
+        model: t.Model,
+        state: t.State,
+        contacts: t.Contacts,
+        rows: t.Rows,
+        motion: t.Motion,
+        stats: t.Stats,
         # out:
-        local: wp.array2d(dtype=real),
-        image_value: wp.array2d(dtype=real),
-        place: wp.array(dtype=vec2),
-        place_a: wp.array(dtype=vec2),
-        place_b: wp.array(dtype=vec2),
-        step: wp.array(dtype=vec2),
-        rate: wp.array(dtype=real),
-        world_scale: wp.array(dtype=vec4),
+        reading: Reading,
     ):
-        """Features of the contacts of the worlds ``active``, packed one world after the other (``solve_channels``).
-
-        ``place`` holds the contact points, ``place_a`` and ``place_b`` the bodies' centres; ``known`` the impulses
-        after the last correction; ``rate`` the extrapolation A = r / (1 - r) of the steps near the contact.
-        ``world_scale``: RMS of the step and of the impulses, A of the world, 1 + A times the RMS of the step.
-        """
+        """Read the contacts of the worlds that are asked for: columns, images, places (``Feature``, ``Channel``)."""
         k = wp.tid() + world_offset
-        base = packed_start[k]
-        count = packed_start[k + 1] - base
+        base = reading.packed_start[k]
+        count = reading.packed_start[k + 1] - base
         if count == 0:
             return
-        w = active[k]
-        first = contact_start[w]
-        for b in range(body_start[w], body_start[w + 1]):
-            body_sum[b] = vec4(zero, zero, zero, zero)
-        q = w * N_COUNTERS
-        p = w * N_NORMS
-        total = zero
-        carried = zero
+        w = reading.active[k]
+        rms = read_steps(k, settings, model, contacts, rows, motion, reading)
+        sigma = rms[0]
+        size = rms[1]
+        rate = real(UNKNOWN)
+        if settings.begin == 0:
+            rate = extrapolation_of(stats.iteration[w].step_last, stats.iteration[w].step_before, settings.cap)
+            splat_squares(k, settings, state, contacts, rows, reading)
+        wide = one + rate
+        reading.scale[k] = vec4(sigma, size, rate, sigma * wide)
+        log_rate = wp.log(wide) * real(0.5)
+        log_sweeps = wp.log(one + real(stats.iteration[w].sweeps)) * real(0.25)
+        log_size = wp.log(sigma / size) * real(0.25)
+        log_left = wp.log(sigma / (settings.tolerance + tiny)) * real(0.25)
+        log_count = wp.log(real(count)) * real(0.25)
+        local = reading.local
         for k0 in range(count):
-            c = first + k0
-            x = impulse[c]
-            s = vec2(zero, zero)
-            if begin == 1:
-                found = local_step(
-                    c, slot, rows, body_a, body_b, normal, arm_a, arm_b, friction, solved, x
-                )  # fmt: skip
-                s = vec2(found[2], found[3])
-            else:
-                i = slot[c]
-                s = vec2(row_change[i], row_change[i + N_LANES])
-            step[base + k0] = s
-            total += wp.dot(s, s)
-            carried += wp.dot(x, x)
-            n = normal[c]
-            world_step = s[0] * n + s[1] * tangent(n)
-            a = body_a[c]
-            b = body_b[c]
-            body_sum[a] = body_sum[a] + vec4(-world_step[0], -world_step[1], one, zero)
-            body_sum[b] = body_sum[b] + vec4(world_step[0], world_step[1], one, zero)
-        sigma = wp.sqrt(total / real(count)) + tiny
-        size = wp.sqrt(carried / real(count)) + tiny
-        extrapolation = real(UNKNOWN)
-        if begin == 0:
-            extrapolation = aitken(norms[p + 5], norms[p + 4], cap)
-            for j in range(squares.shape[2]):
-                for i in range(squares.shape[3]):
-                    squares[k, 0, j, i] = zero
-                    squares[k, 1, j, i] = zero
-            for k0 in range(count):
-                c = first + k0
-                row = slot[c]
-                s = step[base + k0]
-                last = vec2(row_before[row], row_before[row + N_LANES])
-                around = cell(position[body_a[c]] + arm_a[c], grid_origin[k], rate_spacing, squares)
-                add_squares(k, around, wp.dot(s, s), wp.dot(last, last), squares)
-        wide = one + extrapolation
-        world_scale[k] = vec4(sigma, size, extrapolation, sigma * wide)
-        inverse = one / sigma
-        global_rate = wp.log(wide) * real(0.5)
-        global_sweeps = wp.log(one + real(counters[q])) * real(0.25)
-        global_size = wp.log(sigma / size) * real(0.25)
-        global_left = wp.log(sigma / (tolerance + tiny)) * real(0.25)
-        global_count = wp.log(real(count)) * real(0.25)
-        for k0 in range(count):
-            c = first + k0
             m = base + k0
-            x = impulse[c]
-            near = extrapolation
-            if begin == 0:
-                around = cell(position[body_a[c]] + arm_a[c], grid_origin[k], rate_spacing, squares)
-                near = rate_near(k, around, cap, squares)
-            rate[m] = near
-            s = step[m] * inverse
-            found = local_step(c, slot, rows, body_a, body_b, normal, arm_a, arm_b, friction, solved, x) * inverse
-            since = (x - known[c]) * inverse
-            if begin == 1:
-                since = vec2(zero, zero)
-            n = normal[c]
-            tan = tangent(n)
-            a = body_a[c]
-            b = body_b[c]
-            ma = solved[a][3]
-            mb = solved[b][3]
-            limit = friction[c] * x[0]
-            used = zero
-            sliding = zero
-            if limit > zero:
-                used = x[1] / limit
-                if wp.abs(used) > real(0.999):
-                    sliding = one
-            closed = zero
-            if x[0] > zero:
-                closed = one
-            fresh = zero
-            if age[c] == 0:
-                fresh = one
-            double_x = n[0] * n[0] - n[1] * n[1]
-            double_y = real(2.0) * n[0] * n[1]
-            sum_a = body_sum[a]
-            sum_b = body_sum[b]
-            moving_a = zero
-            if ma > zero:
-                moving_a = inverse
-            moving_b = zero
-            if mb > zero:
-                moving_b = inverse
-            local[m, 0] = squash(s[0])
-            local[m, 1] = squash(s[1])
-            local[m, 2] = squash(found[2])
-            local[m, 3] = squash(found[3])
-            local[m, 4] = squash(since[0]) * real(0.5)
-            local[m, 5] = squash(since[1]) * real(0.5)
-            local[m, 6] = squash(x[0] * inverse) * real(0.25)
-            local[m, 7] = squash(x[1] * inverse) * real(0.25)
-            local[m, 8] = used
-            local[m, 9] = closed
-            local[m, 10] = sliding
-            local[m, 11] = fresh
-            local[m, 12] = double_x
-            local[m, 13] = double_y
-            local[m, 14] = squash(found[0])
-            local[m, 15] = squash(found[1])
-            local[m, 16] = squash((sum_a[0] * n[0] + sum_a[1] * n[1]) * moving_a)
-            local[m, 17] = squash((sum_a[0] * tan[0] + sum_a[1] * tan[1]) * moving_a)
-            local[m, 18] = squash((sum_b[0] * n[0] + sum_b[1] * n[1]) * moving_b)
-            local[m, 19] = squash((sum_b[0] * tan[0] + sum_b[1] * tan[1]) * moving_b)
-            local[m, 20] = real(0.25) * sum_a[2] * moving_a * sigma
-            local[m, 21] = real(0.25) * sum_b[2] * moving_b * sigma
-            local[m, 22] = ma / (ma + mb + tiny)
-            local[m, 23] = global_rate
-            local[m, 24] = real(begin)
-            local[m, 25] = global_sweeps
-            local[m, 26] = global_size
-            local[m, 27] = global_left
-            local[m, 28] = real(accelerated)
-            local[m, 29] = global_count
-            local[m, 30] = wp.log(one + near) * real(0.5)
-            # p x n: what a contact passes on, the same from either side
-            for j in range(3):
-                u = s[0] * n + s[1] * tan
-                weight = one
-                if j == 1:
-                    u = since[0] * n + since[1] * tan
-                    weight = real(0.5)
-                if j == 2:
-                    u = (x[0] * n + x[1] * tan) * inverse
-                    weight = real(0.25)
-                length = wp.length(u) + tiny
-                u = u * (weight * squash(length) / length)
-                image_value[m, 4 * j] = u[0] * n[0]
-                image_value[m, 4 * j + 1] = u[0] * n[1]
-                image_value[m, 4 * j + 2] = u[1] * n[0]
-                image_value[m, 4 * j + 3] = u[1] * n[1]
-            image_value[m, 12] = one
-            image_value[m, 13] = double_x
-            image_value[m, 14] = double_y
-            image_value[m, 15] = fresh
-            image_value[m, 16] = closed
-            image_value[m, 17] = sliding
-            at = position[a] + arm_a[c]
-            place[m] = at
-            # the centre of what does not move says nothing of the contact
-            place_a[m] = at
-            if ma > zero:
-                place_a[m] = position[a]
-            place_b[m] = at
-            if mb > zero:
-                place_b[m] = position[b]
+            read_contact(k, contacts.contact_start[w] + k0, m, settings, state, contacts, rows, motion, reading)
+            local[m, Feature.RATE] = log_rate
+            local[m, Feature.BEGIN] = real(settings.begin)
+            local[m, Feature.SWEEPS] = log_sweeps
+            local[m, Feature.SIZE] = log_size
+            local[m, Feature.LEFT] = log_left
+            local[m, Feature.ACCELERATED] = real(settings.accelerated)
+            local[m, Feature.CONTACTS] = log_count
 
     @wp.func(module=module)
-    def correction(
-        m: int,
-        x: vec2,
-        output: wp.array2d(dtype=real),
-        step: wp.array(dtype=vec2),
-        rate: wp.array(dtype=real),
-        scale: vec4,
-    ):
+    def correction(m: int, x: vec2, scale: vec4, reading: Reading, output: wp.array2d(dtype=real)):
         """What an output adds to the impulses x of a contact, before the cone."""
-        s = step[m]
-        dn = (one + rate[m]) * output[m, 0] * s[0] + scale[3] * (output[m, 2] + output[m, 4] * x[0] / scale[1])
-        dt = (one + rate[m]) * output[m, 1] * s[1] + scale[3] * (output[m, 3] + output[m, 5] * x[1] / scale[1])
+        s = reading.step[m]
+        wide = one + reading.rate[m]
+        free_n = output[m, Output.FREE_N] + output[m, Output.CARRIED_N] * x[0] / scale[1]
+        free_t = output[m, Output.FREE_T] + output[m, Output.CARRIED_T] * x[1] / scale[1]
+        dn = wide * output[m, Output.STEP_N] * s[0] + scale[3] * free_n
+        dt = wide * output[m, Output.STEP_T] * s[1] + scale[3] * free_t
         return vec2(dn, dt)
 
     @wp.kernel(module=module, enable_backward=False)
     def correct_impulses(
         world_offset: int,
-        limit_factor: real,
-        # What is asked for:
-        active: wp.array(dtype=wp.int32),
-        packed_start: wp.array(dtype=wp.int32),
+        settings: Settings,
         output: wp.array2d(dtype=real),
-        step: wp.array(dtype=vec2),
-        rate: wp.array(dtype=real),
-        world_scale: wp.array(dtype=vec4),
-        # Contacts in:
-        contact_start: wp.array(dtype=wp.int32),
-        friction: wp.array(dtype=real),
         # in, out:
-        impulse: wp.array(dtype=vec2),
+        contacts: t.Contacts,
+        reading: Reading,
         # out:
-        before: wp.array(dtype=vec2),
-        known: wp.array(dtype=vec2),
-        replaced: wp.array(dtype=wp.int32),
+        stats: t.Stats,
     ):
-        """Impulses plus the network's correction, on the friction cone; ``before``, ``known``: those before and after.
+        """Add the network's correction to the impulses and stop them at their cones.
 
-        Correction: [o_0, o_1] of 1 + A times the step, with the A near the contact; and of the RMS expected, 1 + A
-        times that of the step, [o_2, o_3] alike for all and [o_4, o_5] by the impulse carried over its RMS. A world
-        with an output that is not finite, or a correction of more than ``limit_factor`` times the RMS expected, is left
-        as it is.
+        The correction (columns ``Output``) is multiples of 1 + A times the step, with the A near the contact; and, of
+        the RMS expected, 1 + A times that of the step, parts alike for all contacts and parts by the impulse carried
+        over its RMS. A world with an output that is not finite, or with a correction of more than ``limit`` times the
+        RMS expected, is left as it is.
         """
         k = wp.tid() + world_offset
-        base = packed_start[k]
-        count = packed_start[k + 1] - base
+        base = reading.packed_start[k]
+        count = reading.packed_start[k + 1] - base
         if count == 0:
             return
-        w = active[k]
-        first = contact_start[w]
-        scale = world_scale[k]
+        w = reading.active[k]
+        first = contacts.contact_start[w]
+        scale = reading.scale[k]
         squares = zero
         for k0 in range(count):
             c = first + k0
-            m = base + k0
-            x = impulse[c]
-            before[c] = x
-            known[c] = x
-            change = correction(m, x, output, step, rate, scale)
+            x = contacts.impulse[c]
+            reading.before[c] = x
+            reading.known[c] = x
+            change = correction(base + k0, x, scale, reading, output)
             squares += change[0] * change[0] + change[1] * change[1]
         rms = wp.sqrt(squares / real(count))
         # a comparison with NaN is false
-        if not (rms <= limit_factor * scale[3]):
+        if not (rms <= settings.limit * scale[3]):
             return
         for k0 in range(count):
             c = first + k0
-            m = base + k0
-            x = impulse[c]
-            change = correction(m, x, output, step, rate, scale)
-            new_n = wp.max(x[0] + change[0], zero)
-            limit = friction[c] * new_n
-            x = vec2(new_n, wp.clamp(x[1] + change[1], -limit, limit))
-            impulse[c] = x
-            known[c] = x
-        replaced[w] = 1
+            x = contacts.impulse[c]
+            change = correction(base + k0, x, scale, reading, output)
+            x = stopped(x + change, contacts.friction[c])
+            contacts.impulse[c] = x
+            reading.known[c] = x
+        stats.replaced[w] = 1
 
     return {"solve_features": solve_features, "correct_impulses": correct_impulses}
