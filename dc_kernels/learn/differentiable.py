@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dc_kernels.learn.packed import Column
 from dc_kernels.measure import contact_slots
 from dc_kernels.runtime.inputs import check_array, check_count, check_start
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.optional import require
 from dc_kernels.solve.rows import COLUMNS, LANES
-from dc_kernels.torch_ops.sweeps import ROW, launch
+from dc_kernels.torch_ops.sweeps import launch
 
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
@@ -117,17 +118,26 @@ class ContactProblem:
         inverse = torch.stack([self.inv_mass, self.inv_mass, self.inv_inertia], dim=1)
         keep(self, "_inverse", inverse)
         keep(self, "_mass", torch.where(inverse > 0, inverse.reciprocal(), 0.0))
-        keep(self, "_row", self.velocity.new_empty((contacts, ROW)))
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        values.update(
-            contact_start=self._contact_start,
-            body_a=self._row_body[:, 0].contiguous(),
-            body_b=self._row_body[:, 1].contiguous(),
-            given_mass=int(self.effective_mass is not None),
-            effective_mass=self.normal if self.effective_mass is None else self.effective_mass,
-            row=self._row,
-        )
-        launch("pack_problem", 1, values)
+        keep(self, "_row", self._pack_rows())
+
+    def _pack_rows(self) -> Any:
+        """Put all that a sweep reads of a contact side by side, (M, len(Column))."""
+        row = self.normal.new_empty((len(self.normal), len(Column)))
+        row[:, Column.NX : Column.NY + 1] = self.normal
+        row[:, Column.BIAS], row[:, Column.MU] = self.bias, self.friction
+        if self.effective_mass is not None:
+            row[:, Column.EN : Column.ET + 1] = self.effective_mass
+        values = {
+            "given_mass": int(self.effective_mass is not None),
+            "contact_start": self._contact_start,
+            "row_body": self._row_body,
+            "inverse": self._inverse,
+            "arm_a": self.arm_a,
+            "arm_b": self.arm_b,
+            "row": row,
+        }
+        launch("complete_rows", 1, values)
+        return row
 
     if TYPE_CHECKING:
         _row_body: Any

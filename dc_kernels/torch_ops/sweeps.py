@@ -16,11 +16,9 @@ from dc_kernels.runtime.optional import require
 
 torch = require("torch", "pipeline")
 
-ROW = 16  # columns of a packed row
-
 
 def sweep_kernels(backend: str, dtype: str) -> dict[str, Any]:
-    """Look up the kernels: pack_problem, push_impulses, pull_velocities, step_problem, sweep_problem, pull_problem."""
+    """Look up the kernels that fill in rows, multiply by J, sweep, and step backwards."""
     return make_kernels(backend, "learn.differentiable", dtype)
 
 
@@ -82,7 +80,7 @@ def _sweep(
 ) -> tuple[Any, ...]:
     impulse, velocity, change = impulse.clone(), velocity.clone(), torch.zeros_like(impulse)
     active = torch.empty((sweeps, len(row)), dtype=torch.int8)
-    arrays = {"contact_start": contact_start, "row": row, "row_body": row_body, "sweeps": sweeps}
+    arrays = {"contact_start": contact_start, "row": row, "row_body": row_body}
     results = {"impulse": impulse, "velocity": velocity, "change": change, "active": active}
     launch("sweep_problem", threads, {**arrays, **results})
     return impulse, velocity, change, active
@@ -92,7 +90,7 @@ def _sweep(
     "deep_contact::pull_problem",
     mutates_args=(),
     schema="(Tensor by_impulse, Tensor by_velocity, Tensor by_change, Tensor active, "
-    f"{_PROBLEM}, *, int sweeps, float leak) -> Tensor",
+    f"{_PROBLEM}, float leak) -> Tensor",
 )
 def _pull_problem(
     by_impulse: Any,
@@ -104,13 +102,11 @@ def _pull_problem(
     row_body: Any,
     contact_start: Any,
     threads: int,
-    *,
-    sweeps: int,
     leak: float,
 ) -> Any:
     """The cotangent of the impulses that ``sweep_problem`` began with, (M, 2)."""
     result = by_impulse.clone(memory_format=torch.contiguous_format)
-    arrays = {"contact_start": contact_start, "row": row, "row_body": row_body, "sweeps": sweeps, "leak": leak}
+    arrays = {"contact_start": contact_start, "row": row, "row_body": row_body, "leak": leak}
     given = {"active": active, "by_change": by_change, "by_velocity": inverse * by_velocity}
     launch("pull_problem", threads, {**arrays, **given, "by_impulse": result})
     return result
@@ -133,7 +129,7 @@ def _(impulse: Any, velocity: Any, inverse: Any, row: Any, *rest: Any) -> tuple[
 
 
 @_pull_problem.register_fake
-def _(by_impulse: Any, *rest: Any, **settings: Any) -> Any:
+def _(by_impulse: Any, *rest: Any) -> Any:
     return torch.empty_like(by_impulse, memory_format=torch.contiguous_format)
 
 
@@ -152,13 +148,12 @@ def _push_backward(ctx: Any, by_velocity: Any) -> tuple[Any, ...]:
 
 def _sweep_setup(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
     ctx.save_for_backward(output[3], *inputs[2:6])
-    ctx.threads, ctx.sweeps, ctx.leak = inputs[6:]
+    ctx.threads, _, ctx.leak = inputs[6:]
 
 
 def _sweep_backward(ctx: Any, by_impulse: Any, by_velocity: Any, by_change: Any, _: Any) -> tuple[Any, ...]:
     cotangents = (by.contiguous() for by in (by_impulse, by_velocity, by_change))
-    pull = torch.ops.deep_contact.pull_problem
-    result = pull(*cotangents, *ctx.saved_tensors, ctx.threads, sweeps=ctx.sweeps, leak=ctx.leak)
+    result = torch.ops.deep_contact.pull_problem(*cotangents, *ctx.saved_tensors, ctx.threads, ctx.leak)
     return result, *(None,) * 8
 
 

@@ -16,6 +16,7 @@ from pipeline.scenes import Mixed, Thesis
 
 torch = pytest.importorskip("torch")
 from dc_kernels.learn.differentiable import ContactProblem, sweeps_torch  # noqa: E402
+from dc_kernels.learn.packed import Column  # noqa: E402
 from dc_kernels.torch_ops.sweeps import sweep_kernels  # noqa: E402
 
 torch.set_num_threads(1)
@@ -268,11 +269,10 @@ def test_kernels_agree_with_the_oracle(dtype):
     values: dict[str, Any] = {
         **{name: array.astype(np.int32) if array.dtype.kind == "i" else array for name, array in given.items()},
         "world_offset": 0,
-        "given_mass": 0,
-        "sweeps": 3,
         "leak": 0.2,
-        "effective_mass": np.zeros((count, 2), dtype),
-        "row": np.zeros((count, 16), dtype),
+        "given_mass": 0,
+        "inverse": np.stack([given["inv_mass"], given["inv_mass"], given["inv_inertia"]], axis=1),
+        "row": np.zeros((count, len(Column)), dtype),
         "row_body": np.stack([given["body_a"], given["body_b"]], axis=1).astype(np.int32),
         "impulse": draw.normal(0.3, 0.5, (count, 2)).astype(dtype),
         "active": np.zeros((3, count), np.int8),
@@ -280,6 +280,9 @@ def test_kernels_agree_with_the_oracle(dtype):
         **{name: draw.normal(size=(count, 2)).astype(dtype) for name in ("speed", "step", "change")},
         **{name: draw.normal(size=(count, 2)).astype(dtype) for name in ("by_impulse", "by_change")},
     }
+    columns = {"normal": slice(Column.NX, Column.NY + 1), "bias": Column.BIAS, "friction": Column.MU}
+    for key, column in columns.items():
+        values["row"][:, column] = given[key]
     atol = 1e-13 if dtype == "float64" else 2e-6
     for name in tables["warp"]:
         names = argument_names(tables["warp"][name])
@@ -301,8 +304,7 @@ def test_kernels_agree_with_the_oracle(dtype):
             if isinstance(values[key], np.ndarray) and (name, key) != ("pull_problem", "by_velocity"):
                 found, expected = (results[backend][key] for backend in ("warp", "numpy"))
                 np.testing.assert_allclose(found, expected, rtol=0, atol=atol, err_msg=f"{name}: {key}")
-        if name in ("pack_problem", "sweep_problem"):
-            values.update({key: results["numpy"][key] for key in ("row", "active")})
+        values.update({key: results["numpy"][key] for key in ("row", "active") if key in names})
     assert {1, 2, 3, 4, 5} <= set(np.unique(values["active"]))
 
 
@@ -354,7 +356,7 @@ def test_operators_keep_torchs_rules():
     fixed = x.detach()
     torch.library.opcheck(ops.pull_velocities, (p.velocity, *packed))
     active = torch.ones(2, len(x), dtype=torch.int8)
-    torch.library.opcheck(ops.pull_problem, (fixed, p.velocity, fixed, active, *packed), {"sweeps": 2, "leak": 0.1})
+    torch.library.opcheck(ops.pull_problem, (fixed, p.velocity, fixed, active, *packed, 0.1))
 
 
 # ---------------------------------------------------------------------- refusals

@@ -138,9 +138,7 @@ def assert_features(reader: SolveReader, begin: bool) -> None:
         rows = reader.asked if name == "scale" else reader.count
         found, right = reader.reading.numpy(name)[:rows], getattr(wanted, name)[:rows]
         unit = right if name == "scale" else 1.0
-        np.testing.assert_allclose(
-            found / unit, right / unit, rtol=0, atol=BOUND[reader.sim.dtype.name], err_msg=name
-        )
+        np.testing.assert_allclose(found / unit, right / unit, rtol=0, atol=BOUND[reader.sim.dtype.name], err_msg=name)
 
 
 CASES = {

@@ -1,6 +1,6 @@
 """Sweeps over contact problems from small dense Jacobians; their adjoint as the transpose of their derivative.
 
-A row's sixteen columns are those of the Warp kernels; velocities of a pair are V = (v_A, w_A, v_B, w_B), (6,).
+Velocities of a pair are V = (v_A, w_A, v_B, w_B), (6,).
 """
 
 from __future__ import annotations
@@ -11,14 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from dc_kernels._numpy.common import Array, Kernels, cross, tangent
-
-PRESSING, UPPER, LOWER = 1, 2, 4
+from dc_kernels.learn.packed import Active, Column
 
 
 def kernels(dtype: str) -> Kernels:
     """The kernels by name."""
     return {
-        "pack_problem": pack_problem,
+        "complete_rows": complete_rows,
         "push_impulses": push_impulses,
         "pull_velocities": pull_velocities,
         "step_problem": step_problem,
@@ -48,48 +47,46 @@ class _Row(NamedTuple):
 
 def _rows(w: int, contact_start: Array, row: Array, row_body: Array) -> Iterator[tuple[int, _Row]]:
     for c in range(contact_start[w], contact_start[w + 1]):
-        nx, ny, ran, rbn, rat, rbt, ma, mb, kan, kbn, kat, kbt, en, et, bias, friction = row[c].astype(np.float64)
-        n = np.array([nx, ny])
-        t = tangent(n)
-        jacobian = np.array([[*-n, -ran, *n, rbn], [*-t, -rat, *t, rbt]])
-        response = np.array([[*(-ma * n), -kan, *(mb * n), kbn], [*(-ma * t), -kat, *(mb * t), kbt]])
-        yield c, _Row(jacobian, response, np.array([en, et]), bias, friction, row_body[c])
+        r = {column.name.lower(): value for column, value in zip(Column, row[c].astype(np.float64))}
+        n = np.array([r["nx"], r["ny"]])
+        axes = (("normal", n), ("tangent", tangent(n)))
+        jacobian = np.array([[*-d, -r[f"{of}_arm_a"], *d, r[f"{of}_arm_b"]] for of, d in axes])
+        response = np.array(
+            [[*(-r["inv_mass_a"] * d), -r[f"{of}_turn_a"], *(r["inv_mass_b"] * d), r[f"{of}_turn_b"]] for of, d in axes]
+        )
+        yield c, _Row(jacobian, response, np.array([r["en"], r["et"]]), r["bias"], r["mu"], row_body[c])
 
 
-def pack_problem(
+def complete_rows(
     tid: int,
     world_offset: int,
     given_mass: int,
     contact_start: Array,
-    body_a: Array,
-    body_b: Array,
-    normal: Array,
+    row_body: Array,
+    inverse: Array,
     arm_a: Array,
     arm_b: Array,
-    friction: Array,
-    bias: Array,
-    inv_mass: Array,
-    inv_inertia: Array,
-    effective_mass: Array,
     row: Array,
 ) -> None:
-    """Rows of a world's contacts; effective masses 1 / (J M^-1 J^T) unless they are given."""
+    """Fill in arms, inverse masses and, unless they are given, effective masses 1 / (J M^-1 J^T) of a world."""
     w = tid + world_offset
     for c in range(contact_start[w], contact_start[w + 1]):
-        a, b, n = body_a[c], body_b[c], normal[c].astype(np.float64)
+        n = row[c, [Column.NX, Column.NY]].astype(np.float64)
         arms = np.array([[cross(arm, d) for arm in (arm_a[c], arm_b[c])] for d in (n, tangent(n))])  # (2, 2)
-        turn = arms * (inv_inertia[a], inv_inertia[b])
-        total = inv_mass[a] + inv_mass[b] + (arms * turn).sum(axis=1)
-        mass = np.divide(1.0, total, out=np.zeros(2), where=total > 0)
-        if given_mass:
-            mass = effective_mass[c]
-        row[c] = [*n, *arms.ravel(), inv_mass[a], inv_mass[b], *turn.ravel(), *mass, bias[c], friction[c]]
+        masses = inverse[row_body[c]]
+        turn = arms * masses[:, 2]
+        row[c, Column.NORMAL_ARM_A : Column.TANGENT_ARM_B + 1] = arms.ravel()
+        row[c, Column.INV_MASS_A : Column.INV_MASS_B + 1] = masses[:, 0]
+        row[c, Column.NORMAL_TURN_A : Column.TANGENT_TURN_B + 1] = turn.ravel()
+        if not given_mass:
+            total = masses[:, 0].sum() + (arms * turn).sum(axis=1)
+            row[c, Column.EN : Column.ET + 1] = np.divide(1.0, total, out=np.zeros(2), where=total > 0)
 
 
 def push_impulses(
     tid: int, world_offset: int, contact_start: Array, row: Array, row_body: Array, impulse: Array, velocity: Array
 ) -> None:
-    """V += M^-1 J^T impulse (2.26)."""
+    """Add M^-1 J^T impulse to the velocities (seed, equation 2.26)."""
     for c, r in _rows(tid + world_offset, contact_start, row, row_body):
         r.push(velocity, impulse[c])
 
@@ -97,7 +94,7 @@ def push_impulses(
 def pull_velocities(
     tid: int, world_offset: int, contact_start: Array, row: Array, row_body: Array, velocity: Array, speed: Array
 ) -> None:
-    """J V: normal and tangential speed of each contact."""
+    """Compute J V: normal and tangential speed of each contact."""
     for c, r in _rows(tid + world_offset, contact_start, row, row_body):
         speed[c] = r.speed(velocity)
 
@@ -112,7 +109,7 @@ def step_problem(
     velocity: Array,
     step: Array,
 ) -> None:
-    """What each row alone would change its impulses by, all at the same velocities."""
+    """Compute what each row alone would change its impulses by, all at the same velocities."""
     for c, r in _rows(tid + world_offset, contact_start, row, row_body):
         free = impulse[c] - r.mass * (r.speed(velocity) + np.array([r.bias, 0.0]))
         n = max(free[0], 0.0)
@@ -122,7 +119,6 @@ def step_problem(
 def sweep_problem(
     tid: int,
     world_offset: int,
-    sweeps: int,
     contact_start: Array,
     row: Array,
     row_body: Array,
@@ -131,11 +127,11 @@ def sweep_problem(
     change: Array,
     active: Array,
 ) -> None:
-    """Projected Gauss-Seidel, normal before tangent, from ``velocity`` as predicted; ``active`` is the tape."""
+    """Sweep as often as the tape ``active`` is long, normal before tangent, from ``velocity`` as predicted."""
     w = tid + world_offset
     push_impulses(tid, world_offset, contact_start, row, row_body, impulse, velocity)
     rows = list(_rows(w, contact_start, row, row_body))
-    for k in range(sweeps):
+    for k in range(len(active)):
         for c, r in rows:
             before = impulse[c].copy()
             free_n = impulse[c, 0] - r.mass[0] * (r.speed(velocity)[0] + r.bias)
@@ -146,13 +142,13 @@ def sweep_problem(
             impulse[c, 1] = np.clip(free_t, -limit, limit)
             r.push(velocity, np.array([0.0, impulse[c, 1] - before[1]]))
             change[c] = impulse[c] - before
-            active[k, c] = PRESSING * (free_n > 0) + UPPER * (free_t > limit) + LOWER * (free_t < -limit)
+            active[k, c] = Active.PRESSING * (free_n > 0)
+            active[k, c] += Active.UPPER * (free_t > limit) + Active.LOWER * (free_t < -limit)
 
 
 def pull_problem(
     tid: int,
     world_offset: int,
-    sweeps: int,
     leak: float,
     contact_start: Array,
     row: Array,
@@ -181,16 +177,16 @@ def pull_problem(
         for c, r in rows:
             r.push(v, x[c])
         step = np.zeros_like(by_end)
-        for k in range(sweeps):
+        for k in range(len(active)):
             for c, r in rows:
                 before, code = x[c].copy(), active[k, c]
                 x[c, 0] -= r.mass[0] * r.speed(v)[0]
-                if not code & PRESSING:
+                if not code & Active.PRESSING:
                     x[c, 0] *= leak
                 r.push(v, np.array([x[c, 0] - before[0], 0.0]))
                 x[c, 1] -= r.mass[1] * r.speed(v)[1]
-                if code & (UPPER | LOWER):
-                    x[c, 1] = leak * x[c, 1] + (r.friction if code & UPPER else -r.friction) * x[c, 0]
+                if code & (Active.UPPER | Active.LOWER):
+                    x[c, 1] = leak * x[c, 1] + (r.friction if code & Active.UPPER else -r.friction) * x[c, 0]
                 r.push(v, np.array([0.0, x[c, 1] - before[1]]))
                 step[c - world.start] = x[c] - before
         result[index] = (by_end * x[world]).sum() + (by_change[world] * step).sum()

@@ -1,7 +1,7 @@
 """Plain sweeps over batches of contact problems, their adjoint, and products with the Jacobian; one thread a world.
 
-The arithmetic is that of ``row.row_functions`` for general rows and omega = 1. Contacts are swept in index order, of
-which nobody says that neighbours have no body in common, so a row holds all of a contact side by side instead of lanes.
+The arithmetic is that of the solver for general rows with omega = 1 (``solve.row``). Contacts are swept in index order,
+in which neighbours may have bodies in common, so a row holds all of a contact side by side instead of lanes.
 """
 
 from functools import cache
@@ -10,12 +10,8 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.common import cross, kernel_module, scalar_types, tangent
-
-# columns of a row, 64 bytes in float32: normal; arms crossed with normal and tangent; inverse masses; inverse inertias
-# times arms; effective masses; bias; friction
-NX, NY, RAN, RBN, RAT, RBT, MA, MB, KAN, KBN, KAT, KBT, EN, ET, BIAS, MU = range(16)
-# bits of the tape, what a row did in a sweep: its normal pressed, its tangent stopped at +mu n or at -mu n
-PRESSING, UPPER, LOWER = (wp.constant(bit) for bit in (1, 2, 4))
+from dc_kernels._warp.solve.laws import inverse_or_zero, relative_speed
+from dc_kernels.learn.packed import Active, Column
 
 
 @cache
@@ -27,80 +23,82 @@ def kernels(dtype: str) -> dict[str, Any]:
     module = kernel_module("differentiable", dtype)
 
     @wp.func(module=module)
-    def inverse(x: real):
-        if x > real(0.0):
-            return real(1.0) / x
-        return real(0.0)
-
-    @wp.func(module=module)
     def normal_speed(r: row_type, va: vec3, vb: vec3):
-        return r[NX] * (vb[0] - va[0]) + r[NY] * (vb[1] - va[1]) + (r[RBN] * vb[2] - r[RAN] * va[2])
+        n = vec2(r[Column.NX], r[Column.NY])
+        return relative_speed(n, va, vb, r[Column.NORMAL_ARM_A], r[Column.NORMAL_ARM_B])
 
     @wp.func(module=module)
     def tangent_speed(r: row_type, va: vec3, vb: vec3):
-        return r[NY] * (vb[0] - va[0]) - r[NX] * (vb[1] - va[1]) + (r[RBT] * vb[2] - r[RAT] * va[2])
+        tan = vec2(r[Column.NY], -r[Column.NX])
+        return relative_speed(tan, va, vb, r[Column.TANGENT_ARM_A], r[Column.TANGENT_ARM_B])
+
+    # a store to the ground, which many rows share, would make each wait for the last
+    @wp.func(module=module)
+    def moves_a(r: row_type):
+        """Whether the contact changes body A."""
+        turns = r[Column.NORMAL_TURN_A] != real(0.0) or r[Column.TANGENT_TURN_A] != real(0.0)
+        return r[Column.INV_MASS_A] > real(0.0) or turns
 
     @wp.func(module=module)
-    def moves(r: row_type, mass: int, normal_turn: int, tangent_turn: int):
-        """Whether a row changes a body: a store to the ground, which many rows share, makes each wait for the last."""
-        return r[mass] > real(0.0) or r[normal_turn] != real(0.0) or r[tangent_turn] != real(0.0)
+    def moves_b(r: row_type):
+        """Whether the contact changes body B."""
+        turns = r[Column.NORMAL_TURN_B] != real(0.0) or r[Column.TANGENT_TURN_B] != real(0.0)
+        return r[Column.INV_MASS_B] > real(0.0) or turns
 
     @wp.func(module=module)
     def push_a(r: row_type, v: vec3, n: real, t: real):
         """Velocity of body A after a normal and a tangential impulse."""
-        px = r[NX] * n + r[NY] * t
-        py = r[NY] * n - r[NX] * t
-        return vec3(v[0] - r[MA] * px, v[1] - r[MA] * py, v[2] - (r[KAN] * n + r[KAT] * t))
+        px = r[Column.NX] * n + r[Column.NY] * t
+        py = r[Column.NY] * n - r[Column.NX] * t
+        turn = r[Column.NORMAL_TURN_A] * n + r[Column.TANGENT_TURN_A] * t
+        return vec3(v[0] - r[Column.INV_MASS_A] * px, v[1] - r[Column.INV_MASS_A] * py, v[2] - turn)
 
     @wp.func(module=module)
     def push_b(r: row_type, v: vec3, n: real, t: real):
         """Velocity of body B after a normal and a tangential impulse."""
-        px = r[NX] * n + r[NY] * t
-        py = r[NY] * n - r[NX] * t
-        return vec3(v[0] + r[MB] * px, v[1] + r[MB] * py, v[2] + (r[KBN] * n + r[KBT] * t))
+        px = r[Column.NX] * n + r[Column.NY] * t
+        py = r[Column.NY] * n - r[Column.NX] * t
+        turn = r[Column.NORMAL_TURN_B] * n + r[Column.TANGENT_TURN_B] * t
+        return vec3(v[0] + r[Column.INV_MASS_B] * px, v[1] + r[Column.INV_MASS_B] * py, v[2] + turn)
 
     @wp.kernel(module=module, enable_backward=False)
-    def pack_problem(
+    def complete_rows(
         world_offset: int,
         given_mass: int,
         contact_start: wp.array(dtype=wp.int32),
-        body_a: wp.array(dtype=wp.int32),
-        body_b: wp.array(dtype=wp.int32),
-        normal: wp.array(dtype=vec2),
+        row_body: wp.array(dtype=wp.vec2i),
+        inverse: wp.array(dtype=vec3),
         arm_a: wp.array(dtype=vec2),
         arm_b: wp.array(dtype=vec2),
-        friction: wp.array(dtype=real),
-        bias: wp.array(dtype=real),
-        inv_mass: wp.array(dtype=real),
-        inv_inertia: wp.array(dtype=real),
-        effective_mass: wp.array(dtype=vec2),
-        # out:
+        # in, out:
         row: wp.array(dtype=row_type),
     ):
-        """Rows of a world's contacts; effective masses 1 / (J M^-1 J^T) unless they are given."""
+        """Fill in arms, inverse masses and, unless they are given, effective masses 1 / (J M^-1 J^T) of a world."""
         w = wp.tid() + world_offset
         for c in range(contact_start[w], contact_start[w + 1]):
-            a = body_a[c]
-            b = body_b[c]
-            ma = inv_mass[a]
-            mb = inv_mass[b]
-            ia = inv_inertia[a]
-            ib = inv_inertia[b]
-            n = normal[c]
+            r = row[c]
+            a = inverse[row_body[c][0]]
+            b = inverse[row_body[c][1]]
+            n = vec2(r[Column.NX], r[Column.NY])
             tan = tangent(n)
             ran = cross(arm_a[c], n)
             rbn = cross(arm_b[c], n)
             rat = cross(arm_a[c], tan)
             rbt = cross(arm_b[c], tan)
-            en = inverse(ma + mb + ia * ran * ran + ib * rbn * rbn)
-            et = inverse(ma + mb + ia * rat * rat + ib * rbt * rbt)
-            if given_mass != 0:
-                en = effective_mass[c][0]
-                et = effective_mass[c][1]
-            row[c] = row_type(
-                n[0], n[1], ran, rbn, rat, rbt, ma, mb,
-                ia * ran, ib * rbn, ia * rat, ib * rbt, en, et, bias[c], friction[c],
-            )  # fmt: skip
+            r[Column.NORMAL_ARM_A] = ran
+            r[Column.NORMAL_ARM_B] = rbn
+            r[Column.TANGENT_ARM_A] = rat
+            r[Column.TANGENT_ARM_B] = rbt
+            r[Column.INV_MASS_A] = a[0]
+            r[Column.INV_MASS_B] = b[0]
+            r[Column.NORMAL_TURN_A] = a[2] * ran
+            r[Column.NORMAL_TURN_B] = b[2] * rbn
+            r[Column.TANGENT_TURN_A] = a[2] * rat
+            r[Column.TANGENT_TURN_B] = b[2] * rbt
+            if given_mass == 0:
+                r[Column.EN] = inverse_or_zero(a[0] + b[0] + a[2] * ran * ran + b[2] * rbn * rbn)
+                r[Column.ET] = inverse_or_zero(a[0] + b[0] + a[2] * rat * rat + b[2] * rbt * rbt)
+            row[c] = r
 
     @wp.func(module=module)
     def push_world(
@@ -129,7 +127,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         # in, out:
         velocity: wp.array(dtype=vec3),
     ):
-        """V += M^-1 J^T impulse (2.26)."""
+        """Add M^-1 J^T impulse to the velocities (seed, equation 2.26)."""
         push_world(wp.tid() + world_offset, contact_start, row, row_body, impulse, velocity)
 
     @wp.kernel(module=module, enable_backward=False)
@@ -142,7 +140,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         # out:
         speed: wp.array(dtype=vec2),
     ):
-        """J V: normal and tangential speed of each contact."""
+        """Compute J V: normal and tangential speed of each contact."""
         w = wp.tid() + world_offset
         for c in range(contact_start[w], contact_start[w + 1]):
             r = row[c]
@@ -161,22 +159,21 @@ def kernels(dtype: str) -> dict[str, Any]:
         # out:
         step: wp.array(dtype=vec2),
     ):
-        """What each row alone would change its impulses by, all at the same velocities."""
+        """Compute what each row alone would change its impulses by, all at the same velocities."""
         w = wp.tid() + world_offset
         for c in range(contact_start[w], contact_start[w + 1]):
             r = row[c]
             va = velocity[row_body[c][0]]
             vb = velocity[row_body[c][1]]
             x = impulse[c]
-            n = wp.max(x[0] - r[EN] * (normal_speed(r, va, vb) + r[BIAS]), real(0.0))
-            limit = r[MU] * n
-            t = wp.min(wp.max(x[1] - r[ET] * tangent_speed(r, va, vb), -limit), limit)
+            n = wp.max(x[0] - r[Column.EN] * (normal_speed(r, va, vb) + r[Column.BIAS]), real(0.0))
+            limit = r[Column.MU] * n
+            t = wp.min(wp.max(x[1] - r[Column.ET] * tangent_speed(r, va, vb), -limit), limit)
             step[c] = vec2(n - x[0], t - x[1])
 
     @wp.kernel(module=module, enable_backward=False)
     def sweep_problem(
         world_offset: int,
-        sweeps: int,
         contact_start: wp.array(dtype=wp.int32),
         row: wp.array(dtype=row_type),
         row_body: wp.array(dtype=wp.vec2i),
@@ -187,11 +184,11 @@ def kernels(dtype: str) -> dict[str, Any]:
         change: wp.array(dtype=vec2),
         active: wp.array2d(dtype=wp.int8),
     ):
-        """Projected Gauss-Seidel, normal before tangent, from ``velocity`` as predicted; ``active`` is the tape."""
+        """Sweep as often as the tape ``active`` is long, normal before tangent, from ``velocity`` as predicted."""
         w = wp.tid() + world_offset
         none = real(0.0)
         push_world(w, contact_start, row, row_body, impulse, velocity)
-        for k in range(sweeps):
+        for k in range(active.shape[0]):
             for c in range(contact_start[w], contact_start[w + 1]):
                 r = row[c]
                 a = row_body[c][0]
@@ -200,22 +197,22 @@ def kernels(dtype: str) -> dict[str, Any]:
                 vb = velocity[b]
                 x = impulse[c]
                 code = int(0)
-                free_n = x[0] - r[EN] * (normal_speed(r, va, vb) + r[BIAS])
+                free_n = x[0] - r[Column.EN] * (normal_speed(r, va, vb) + r[Column.BIAS])
                 if free_n > none:
-                    code = PRESSING
+                    code = Active.PRESSING
                 n = wp.max(free_n, none)
                 va = push_a(r, va, n - x[0], none)
                 vb = push_b(r, vb, n - x[0], none)
-                limit = r[MU] * n
-                free_t = x[1] - r[ET] * tangent_speed(r, va, vb)
+                limit = r[Column.MU] * n
+                free_t = x[1] - r[Column.ET] * tangent_speed(r, va, vb)
                 if free_t > limit:
-                    code += UPPER
+                    code += Active.UPPER
                 if free_t < -limit:
-                    code += LOWER
+                    code += Active.LOWER
                 t = wp.min(wp.max(free_t, -limit), limit)
-                if moves(r, MA, KAN, KAT):
+                if moves_a(r):
                     velocity[a] = push_a(r, va, none, t - x[1])
-                if moves(r, MB, KBN, KBT):
+                if moves_b(r):
                     velocity[b] = push_b(r, vb, none, t - x[1])
                 impulse[c] = vec2(n, t)
                 change[c] = vec2(n - x[0], t - x[1])
@@ -224,7 +221,6 @@ def kernels(dtype: str) -> dict[str, Any]:
     @wp.kernel(module=module, enable_backward=False)
     def pull_problem(
         world_offset: int,
-        sweeps: int,
         leak: real,
         contact_start: wp.array(dtype=wp.int32),
         row: wp.array(dtype=row_type),
@@ -246,6 +242,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         first = contact_start[w]
         last = contact_start[w + 1]
         none = real(0.0)
+        sweeps = active.shape[0]
         for back in range(sweeps):
             k = sweeps - 1 - back
             for i in range(last - first):
@@ -265,22 +262,22 @@ def kernels(dtype: str) -> dict[str, Any]:
                 y_t = y[1] + pull_t
                 y_n = y[0]
                 free_t = y_t
-                if code >= UPPER:
+                if code >= Active.UPPER:
                     free_t = leak * y_t
-                    if code < LOWER:
-                        y_n = y_n + r[MU] * y_t
+                    if code < Active.LOWER:
+                        y_n = y_n + r[Column.MU] * y_t
                     else:
-                        y_n = y_n - r[MU] * y_t
-                va = push_a(r, va, none, -(r[ET] * free_t))
-                vb = push_b(r, vb, none, -(r[ET] * free_t))
+                        y_n = y_n - r[Column.MU] * y_t
+                va = push_a(r, va, none, -(r[Column.ET] * free_t))
+                vb = push_b(r, vb, none, -(r[Column.ET] * free_t))
                 pull_n = normal_speed(r, va, vb)
                 free_n = y_n + pull_n
-                if code % UPPER == 0:
+                if code % Active.UPPER == 0:
                     free_n = leak * free_n
-                if moves(r, MA, KAN, KAT):
-                    by_velocity[a] = push_a(r, va, -(r[EN] * free_n), none)
-                if moves(r, MB, KBN, KBT):
-                    by_velocity[b] = push_b(r, vb, -(r[EN] * free_n), none)
+                if moves_a(r):
+                    by_velocity[a] = push_a(r, va, -(r[Column.EN] * free_n), none)
+                if moves_b(r):
+                    by_velocity[b] = push_b(r, vb, -(r[Column.EN] * free_n), none)
                 by_impulse[c] = vec2(free_n - pull_n - z[0], free_t - pull_t - z[1])
         for c in range(first, last):
             r = row[c]
@@ -289,7 +286,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             by_impulse[c] = by_impulse[c] + vec2(normal_speed(r, va, vb), tangent_speed(r, va, vb))
 
     return {
-        "pack_problem": pack_problem,
+        "complete_rows": complete_rows,
         "push_impulses": push_impulses,
         "pull_velocities": pull_velocities,
         "step_problem": step_problem,
