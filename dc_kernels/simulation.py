@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dc_kernels.model.arrays import Contacts, Joints, Model, State, uniform
-from dc_kernels.model.config import ACCELERATIONS, SolverConfig
+from dc_kernels.model.config import ACCELERATIONS, CONFIG, SolverConfig
 from dc_kernels.model.enums import CAPACITY_FLAGS, BodyType, ShapeType
 from dc_kernels.model.fields import GROUPS, LAUNCH
 from dc_kernels.runtime.backends import Launch, bind, kernel_file, kernel_table
@@ -547,4 +547,4 @@ class Simulation:
 
 def _scalars(groups: Any, dtype: str, name: str, values: Mapping[str, Any]) -> Any:
     """Numbers as one argument of the kernels."""
-    return groups.scalars(name, dtype, values)
+    return groups.scalars(name, dtype, values, {"config": CONFIG, "launch": LAUNCH}[name])

@@ -26,9 +26,9 @@ def contacts_of(sim, world=0):
 
 def pairs_of(sim, world=0):
     """The world's candidate pairs (n, 2), as shape indices of the model."""
-    first = int(sim.pairs.numpy("pair_start")[world])
-    last = first + int(sim.pairs.numpy("pair_count")[world])
-    return np.stack([sim.pairs.numpy(name)[first:last] for name in ("pair_a", "pair_b")], axis=1)
+    first = int(sim.pairs.numpy("start")[world])
+    last = first + int(sim.pairs.numpy("count")[world])
+    return np.stack([sim.pairs.numpy(name)[first:last] for name in ("shape_a", "shape_b")], axis=1)
 
 
 def shapes_of_key(key):

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
 
-from dc_kernels.model.arrays import ArrayGroup
+import numpy as np
+
+from dc_kernels.model.arrays import FLOATS, ArrayGroup, aligned_zeros, struct_dtype
+from dc_kernels.model.fields import Field
 
 
 def array_group(group: ArrayGroup, name: str) -> ArrayGroup:
@@ -13,6 +17,12 @@ def array_group(group: ArrayGroup, name: str) -> ArrayGroup:
     return group
 
 
-def scalars(name: str, dtype: str, values: dict[str, Any]) -> Any:
-    """Numbers by name, "config" or "launch"."""
+def scalars(name: str, dtype: str, values: Mapping[str, Any], table: Mapping[str, Field]) -> Any:
+    """Numbers by name."""
     return SimpleNamespace(**values)
+
+
+def struct_array(name: str, dtype: str, table: Mapping[str, Field]) -> tuple[np.ndarray, np.ndarray]:
+    """An array of one struct, as kernels take it, with its fields as attributes, and as NumPy sees it."""
+    values = aligned_zeros((1,), struct_dtype(table, FLOATS[dtype]))
+    return values.view(np.recarray), values

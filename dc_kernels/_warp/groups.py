@@ -1,13 +1,15 @@
 """Groups of arrays as Warp structs, made from the tables of fields: kernels take these instead of single arrays."""
 
+from collections.abc import Mapping
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from dc_kernels._warp.common import scalar_types
-from dc_kernels.model.arrays import FLOATS, ArrayGroup, numpy_spec, warp_dtype
+from dc_kernels.model.arrays import FLOATS, ArrayGroup, aligned_zeros, struct_dtype, warp_dtype
 from dc_kernels.model.config import CONFIG
 from dc_kernels.model.fields import CONTACTS, GROUPS, ITERATION, LAUNCH, ROW, SPAN, Field
 
@@ -15,15 +17,36 @@ from dc_kernels.model.fields import CONTACTS, GROUPS, ITERATION, LAUNCH, ROW, SP
 FOUND = ("key", "body_a", "body_b", "normal", "arm_a", "arm_b", "gap", "friction", "restitution")
 
 
-def struct_of(name: str, dtype: str, annotations: dict[str, Any]) -> Any:
-    """A Warp struct with the given fields; it lies in a module of its own, so that all kernels share one type."""
-    module = wp.get_module(f"dc_kernels.groups.{dtype}")
-    return wp.struct(type(name, (), {"__annotations__": annotations, "__module__": __name__}), module=module)
+_structs: dict[tuple[str, str], Any] = {}
 
 
-def scalar_struct(name: str, dtype: str, table: dict[str, Field]) -> Any:
+def _struct_of(name: str, dtype: str, annotations: Mapping[str, Any]) -> Any:
+    """The one Warp struct of a name and scalar type; it lies in a module of its own, so that all kernels share it."""
+    if (name, dtype) not in _structs:
+        module = wp.get_module(f"dc_kernels.groups.{dtype}")
+        fields = type(name, (), {"__annotations__": dict(annotations), "__module__": __name__})
+        _structs[name, dtype] = wp.struct(fields, module=module)
+    return _structs[name, dtype]
+
+
+def _class_name(name: str) -> str:
+    """The struct of a group: "delassus_problem" is a ``DelassusProblem``."""
+    return "".join(part.capitalize() for part in name.split("_"))
+
+
+def scalar_struct(name: str, dtype: str, table: Mapping[str, Field]) -> Any:
     """The struct of a table whose fields are numbers and small vectors, as the settings and an iteration in flight."""
-    return struct_of(name, dtype, {field.name: warp_dtype(field, FLOATS[dtype]) for field in table.values()})
+    return _struct_of(name, dtype, {field.name: warp_dtype(field, FLOATS[dtype]) for field in table.values()})
+
+
+def array_struct(name: str, dtype: str, table: Mapping[str, Field]) -> Any:
+    """The struct of a table whose fields are arrays."""
+    real = FLOATS[dtype]
+    types = {
+        field.name: iteration_struct(dtype) if field.dtype == "iteration" else warp_dtype(field, real)
+        for field in table.values()
+    }
+    return _struct_of(name, dtype, {n: wp.array(dtype=types[n], ndim=len(field.axes)) for n, field in table.items()})
 
 
 @cache
@@ -34,44 +57,53 @@ def group_types(dtype: str) -> SimpleNamespace:
     ``Stats`` with an array for each field; ``Config``, ``Launch``, ``Contact``, ``Row`` and ``Span`` with numbers; and
     ``Iteration``, of which ``Stats.iteration`` holds one for each world.
     """
-    tables = {"Config": CONFIG, "Launch": LAUNCH, "Row": ROW, "Span": SPAN}
+    contact = {name: CONTACTS[name] for name in FOUND}
+    tables = {"Config": CONFIG, "Launch": LAUNCH, "Contact": contact, "Row": ROW, "Span": SPAN}
     types = {name: scalar_struct(name, dtype, table) for name, table in tables.items()}
     types["Iteration"] = iteration_struct(dtype)
-    types["Contact"] = scalar_struct("Contact", dtype, {name: CONTACTS[name] for name in FOUND})
     for name, table in GROUPS.items():
-        annotations = {
-            field.name: wp.array(dtype=warp_dtype(field, FLOATS[dtype]), ndim=len(field.axes))
-            for field in table.values()
-        }
-        types[name.capitalize()] = struct_of(name.capitalize(), dtype, annotations)
+        types[_class_name(name)] = array_struct(_class_name(name), dtype, table)
     return SimpleNamespace(**vars(scalar_types(dtype)), **types)
 
 
 @cache
 def iteration_struct(dtype: str) -> Any:
-    """The struct of ``ITERATION``; its memory is that of the structured NumPy dtype of the same fields."""
+    """The struct of ``ITERATION``."""
     struct = scalar_struct("Iteration", dtype, ITERATION)
-    wanted, _ = numpy_spec(Field("iteration", "world", "iteration", "", ""), FLOATS[dtype])
-    found = struct.numpy_dtype()
-    if [wanted.fields[name][1] for name in found["names"]] != found["offsets"] or wanted.itemsize != found["itemsize"]:
-        raise RuntimeError(f"Warp lays out Iteration as {found}, NumPy as {wanted}: no view can serve both")
+    _check_layout(struct, struct_dtype(ITERATION, FLOATS[dtype]))
     return struct
+
+
+def _check_layout(struct: Any, wanted: np.dtype) -> None:
+    """Raise RuntimeError where the memory of a struct is not that of the structured NumPy dtype of its fields."""
+    found = struct.numpy_dtype()
+    offsets = [wanted.fields[name][1] for name in found["names"]]  # type: ignore[index]
+    if offsets != found["offsets"] or wanted.itemsize != found["itemsize"]:
+        raise RuntimeError(f"Warp lays out {struct.key} as {found}, NumPy as {wanted}: no view can serve both")
 
 
 def array_group(group: ArrayGroup, name: str) -> Any:
     """The arrays of a group as kernels take them: one struct; it keeps the arrays alive."""
-    struct = getattr(group_types(group.dtype.name), name.capitalize())()
+    struct = array_struct(_class_name(name), group.dtype.name, group.table)()
     for field in group.table:
         setattr(struct, field, group.array(field))
     return struct
 
 
-def scalars(name: str, dtype: str, values: dict[str, Any]) -> Any:
-    """Numbers as one struct, "config" or "launch"."""
-    struct = getattr(group_types(dtype), name.capitalize())()
+def scalars(name: str, dtype: str, values: Mapping[str, Any], table: Mapping[str, Field]) -> Any:
+    """Numbers as kernels take them: one struct, whose fields may be set later."""
+    struct = scalar_struct(_class_name(name), dtype, table)()
     for key, value in values.items():
         setattr(struct, key, value)
     return struct
+
+
+def struct_array(name: str, dtype: str, table: Mapping[str, Field]) -> tuple[Any, np.ndarray]:
+    """An array of one struct in the CPU's memory, as kernels take it and as NumPy sees it."""
+    struct, layout = scalar_struct(_class_name(name), dtype, table), struct_dtype(table, FLOATS[dtype])
+    _check_layout(struct, layout)
+    values = aligned_zeros((1,), layout)
+    return wp.array(values, dtype=struct, device="cpu", copy=False), values
 
 
 @cache
@@ -83,7 +115,7 @@ def contiguous_groups(dtype: str) -> Any:
     access: a broadphase would take a tenth longer.
     """
     for name, table in GROUPS.items():
-        struct = getattr(group_types(dtype), name.capitalize())
+        struct = getattr(group_types(dtype), _class_name(name))
         known = [field.name for field in table.values() if len(field.axes) == 1]
         assumptions = [f"__builtin_assume(group.{name}.strides[0] == sizeof(*group.{name}.data));" for name in known]
 

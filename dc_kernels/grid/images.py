@@ -328,7 +328,9 @@ class Images:
         sim = self.sim
         self._bound = (sim.layout_version, sim.config)
         self._room = room = sim.contacts.sizes["contact"]
-        common = {**sim.values, **self._scalars, "grid_origin": self._origin}
+        groups = (sim.model, sim.state, sim.contacts)
+        arrays = {name: group.array(name) for group in groups for name in group.table}
+        common = {**arrays, **self._scalars, "grid_origin": self._origin}
         self._contacts: dict[str, Any] = {
             **common,
             "bins": self.bins,

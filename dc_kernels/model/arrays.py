@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dc_kernels.model.fields import CONTACTS, ITERATION, JOINTS, MODEL, STATE, Field
+from dc_kernels.runtime.backends import kernel_file
 from dc_kernels.runtime.building import start_warp
 from dc_kernels.runtime.optional import require
 
@@ -34,8 +35,7 @@ def float_dtype(dtype: Any) -> np.dtype:
 def numpy_spec(field: Field, real: np.dtype) -> tuple[np.dtype, tuple[int, ...]]:
     """Scalar dtype and trailing shape of a field: ("vec2", float32) -> (float32, (2,))."""
     if field.dtype == "iteration":
-        parts = [(name, *numpy_spec(part, real)) for name, part in ITERATION.items()]
-        return np.dtype(parts, align=True), ()
+        return struct_dtype(ITERATION, real), ()
     components = _COMPONENTS.get(field.dtype)
     shape = () if components is None else (components,)
     if field.dtype == "vec2d":
@@ -45,6 +45,11 @@ def numpy_spec(field: Field, real: np.dtype) -> tuple[np.dtype, tuple[int, ...]]
     if components is not None or field.dtype == "real":
         return real, shape
     return np.dtype(field.dtype), shape
+
+
+def struct_dtype(table: Mapping[str, Field], real: np.dtype) -> np.dtype:
+    """The structured dtype of a table whose fields are numbers and small vectors, laid out as C does."""
+    return np.dtype([(name, *numpy_spec(field, real)) for name, field in table.items()], align=True)
 
 
 def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype, alignment: int = 64) -> np.ndarray:
@@ -60,9 +65,7 @@ def warp_dtype(field: Field, real: np.dtype) -> Any:
     import warp as wp
 
     if field.dtype == "iteration":
-        from dc_kernels._warp.groups import iteration_struct
-
-        return iteration_struct(real.name)
+        return kernel_file("warp", "groups").iteration_struct(real.name)
     scalar, shape = numpy_spec(field, real)
     base = wp.dtype_from_numpy(scalar)
     return wp.types.vector(shape[0], base) if shape else base

@@ -23,7 +23,6 @@ import numpy as np
 import dc_kernels as dc
 from dc_kernels.learn.in_flight import SolveReader
 from dc_kernels.runtime.optional import require
-from dc_kernels.solve.iteration import NORMS
 from pipeline.checks import check_least
 from pipeline.starts.start import Clock, Report, Started
 
@@ -254,7 +253,7 @@ class LearnedSolve:
 
     def _step(self) -> np.ndarray:
         """Return the squared step of the last sweep of each world, (W,) [N^2 s^2]."""
-        return self.sim.stats.numpy("norms").reshape(-1, NORMS)[:, 5]
+        return self.sim.stats.numpy("iteration")["step_last"]
 
     def _judge(self, asking: np.ndarray) -> None:
         """Take back what did harm; a world whose sweeps take no smaller steps leaves out a call."""

@@ -138,7 +138,7 @@ def test_worlds_without_moving_bodies():
     builder.add_body((1, 1), mass=1.0)
     sim = simulate(builder)
     sim.run(3, 0.01)
-    assert not sim.pairs.numpy("pair_count").any()
+    assert not sim.pairs.numpy("count").any()
     assert np.allclose(sim.state.numpy("time"), 0.03)
 
 

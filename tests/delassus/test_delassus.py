@@ -409,9 +409,8 @@ def test_refine_leaves_what_is_solved_and_undoes_what_is_worse(monkeypatch):
     assert refine(sim, 1e-6) == {}
     from dc_kernels.delassus import world as delassus_world
 
-    groups = {
-        "impulse": sim.contacts, "solved": sim.motion, "residual": sim.stats, "sweeps": sim.stats, "counters": sim.stats
-    }  # fmt: skip
+    groups = dict.fromkeys(("residual", "sweeps", "iteration"), sim.stats)
+    groups |= {"impulse": sim.contacts, "solved": sim.motion}
     kept = {name: group.numpy(name).copy() for name, group in groups.items()}
     true = delassus_world.solve
 

@@ -7,6 +7,7 @@ kernels compute what they should.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,9 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels.model.arrays import to_numpy
+from dc_kernels.model.config import CONFIG
 from dc_kernels.model.enums import CAPACITY_FLAGS, Flag
-from dc_kernels.model.fields import MOTION, STATE
+from dc_kernels.model.fields import GROUPS, LAUNCH, MOTION, STATE
 from dc_kernels.runtime.backends import argument_names, bind, kernel_table
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR
 
@@ -211,6 +213,11 @@ def assert_close(name: str, got: np.ndarray, want: np.ndarray, bound: float) -> 
     np.testing.assert_allclose(got, want, rtol=0, atol=bound * max(1.0, usual.max(initial=0.0)), err_msg=name)
 
 
+def numbers_of(struct: Any, table: Mapping[str, Any]) -> SimpleNamespace:
+    """The numbers of a Warp struct by name, as the oracle takes them."""
+    return SimpleNamespace(**{name: getattr(struct, name) for name in table})
+
+
 class Pair:
     """A simulation on Warp and the oracle's kernels for it."""
 
@@ -222,15 +229,29 @@ class Pair:
     def run(self, name: str, dim: int | tuple[int, int] | None = None, **more: Any) -> None:
         """Launch a kernel of both backends on equal arrays and compare all of them; Warp's results remain."""
         dim = self.sim.model.world_count if dim is None else dim
-        shared = {"world_offset": 0, "padding_body": self.sim.model.body_count}
-        shared |= {"history_offset": 0, "history_step": 0}
-        values: Mapping[str, Any] = {**self.sim.values, **shared, **more}
-        arrays = [key for key in argument_names(self.oracle[name]) if not np.isscalar(values[key])]
-        copies = {key: to_numpy(values[key]).copy() for key in arrays}
-        bind(self.oracle[name], dim, {**values, **copies}, "cpu")()
+        values = {**self.sim.launch_values(0, {}), **more}
+        used = [key for key in argument_names(self.oracle[name]) if key in GROUPS]
+        copies = {key: self.copied(key) for key in used}
+        numbers = {key: numbers_of(values[key], table) for key, table in (("config", CONFIG), ("launch", LAUNCH))}
+        bind(self.oracle[name], dim, {**more, **numbers, **copies}, "cpu")()
         bind(self.sim.kernels[name], dim, values, "cpu")()
-        for key in set(arrays) - SCRATCH:
-            assert_close(f"{name}: {key}", copies[key], to_numpy(values[key]), self.bound)
+        for key in used:
+            group = getattr(self.sim, key)
+            for field in set(group.table) - SCRATCH:
+                got, want = getattr(copies[key], field), group.numpy(field)
+                for part in want.dtype.names or (None,):
+                    assert_close(
+                        f"{name}: {key}.{field} {part or ''}",
+                        got if part is None else got[part],
+                        want if part is None else want[part],
+                        self.bound,
+                    )
+
+    def copied(self, name: str) -> SimpleNamespace:
+        """A group of the simulation as the oracle may write to it."""
+        group = getattr(self.sim, name)
+        arrays = {field: group.numpy(field).copy() for field in group.table}
+        return SimpleNamespace(**{field: a.view(np.recarray) if a.dtype.names else a for field, a in arrays.items()})
 
     def colors(self) -> list[tuple[int, int]]:
         """Colours with rows and their widest world's rows."""
@@ -274,7 +295,7 @@ def test_each_kernel_agrees(case: str, dtype: str) -> None:
     pair = Pair(sim)
     for name in ("predict", "update_pairs"):
         pair.run(name)
-    sim.pairs.numpy("pair_valid")[...] = 0
+    sim.pairs.numpy("valid")[...] = 0
     for name in ("update_pairs", "narrowphase", "match_contacts", "color_constraints", "pack_rows"):
         pair.run(name)
     count = sim.contacts.numpy("contact_count")
@@ -297,7 +318,7 @@ def test_collision_of_a_crowd_agrees(seed: int, dtype: str) -> None:
     sim = simulation(lambda builder: crowd(builder, seed), dtype, "warp")
     sim.collide(DT)
     pair = Pair(sim)
-    sim.pairs.numpy("pair_valid")[...] = 0
+    sim.pairs.numpy("valid")[...] = 0
     for name in ("predict", "update_pairs", "narrowphase", "match_contacts", "color_constraints", "pack_rows"):
         pair.run(name)
     assert sim.contacts.numpy("contact_count").sum() > 20
@@ -306,7 +327,7 @@ def test_collision_of_a_crowd_agrees(seed: int, dtype: str) -> None:
 @pytest.mark.parametrize(
     ("kernel", "start", "flag"),
     [
-        ("update_pairs", ("pairs", "pair_start"), Flag.PAIR_OVERFLOW),
+        ("update_pairs", ("pairs", "start"), Flag.PAIR_OVERFLOW),
         ("narrowphase", ("contacts", "contact_start"), Flag.CONTACT_OVERFLOW),
         ("pack_rows", ("rows", "block_start"), Flag.ROW_OVERFLOW),
     ],
@@ -315,7 +336,7 @@ def test_overflow_is_flagged_alike(kernel: str, start: tuple[str, str], flag: Fl
     sim = simulation(worlds, "float64", "warp")
     sim.run(12, DT)
     sim.collide(DT)
-    sim.pairs.numpy("pair_valid")[...] = 0
+    sim.pairs.numpy("valid")[...] = 0
     getattr(sim, start[0]).numpy(start[1])[...] = 0  # no room at all
     Pair(sim).run(kernel)
     assert sim.state.numpy("flags").tolist() == [flag, 0, flag, flag]  # the second world is empty

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import dc_kernels as dc
-from dc_kernels.solve.iteration import NORMS
 from pipeline.options import RunOptions
 from pipeline.scenes import Mixed, Thesis
 
@@ -57,6 +56,12 @@ def test_a_solve_that_pauses_has_the_bits_of_one_that_does_not(scene, method, ac
         np.testing.assert_array_equal(a, b)
 
 
+def squared_steps(sim):
+    """Squared steps of the last two sweeps before a pause, (W, 2)."""
+    iteration = sim.stats.numpy("iteration")
+    return np.column_stack([iteration["step_before"], iteration["step_last"]])
+
+
 @pytest.mark.parametrize("acceleration", ["none", "aitken"])
 def test_the_oracle_pauses_at_the_same_sweeps(acceleration):
     made = {}
@@ -67,8 +72,7 @@ def test_the_oracle_pauses_at_the_same_sweeps(acceleration):
         rows = []
         for _ in range(4):
             sim.resume(pause=5)
-            norms = sim.stats.numpy("norms").reshape(-1, NORMS)[:, 4:6]
-            rows.append(np.column_stack([sim.stats.numpy("sweeps"), sim.running, norms]))
+            rows.append(np.column_stack([sim.stats.numpy("sweeps"), sim.running, squared_steps(sim)]))
         sim.stats.assign("replaced", np.ones(2, np.int32))
         sim.contacts.assign("impulse", 1.1 * sim.contacts.numpy("impulse"))
         sim.resume()
@@ -90,7 +94,7 @@ def test_a_pause_knows_the_last_two_steps():
     sim.solve(pause=0)
     sim.resume(pause=9)
     np.testing.assert_array_equal(sim.stats.numpy("sweeps"), [9, 9, 9])
-    norms = sim.stats.numpy("norms").reshape(-1, NORMS)[:, 4:6]
+    norms = squared_steps(sim)
     first = sim.contacts.numpy("contact_start")
     for w, count in enumerate(sim.contacts.numpy("contact_count")):
         steps = np.diff(np.array(after)[:, first[w] : first[w] + count], axis=0)
