@@ -1,9 +1,11 @@
 """Groups of arrays as Warp structs, made from the tables of fields: kernels take these instead of single arrays."""
 
+from collections.abc import Mapping
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from dc_kernels._warp.common import scalar_types
@@ -21,9 +23,34 @@ def struct_of(name: str, dtype: str, annotations: dict[str, Any]) -> Any:
     return wp.struct(type(name, (), {"__annotations__": annotations, "__module__": __name__}), module=module)
 
 
-def scalar_struct(name: str, dtype: str, table: dict[str, Field]) -> Any:
-    """The struct of a table whose fields are numbers and small vectors, as the settings and an iteration in flight."""
-    return struct_of(name, dtype, {field.name: warp_dtype(field, FLOATS[dtype]) for field in table.values()})
+_structs: dict[tuple[str, str], Any] = {}
+
+
+def scalar_struct(name: str, dtype: str, table: Mapping[str, Field]) -> Any:
+    """The struct of a table whose fields are numbers and small vectors, as the settings and an iteration in flight.
+
+    It is made once for a name, which no other table may have.
+    """
+    if (name, dtype) not in _structs:
+        annotations = {field.name: warp_dtype(field, FLOATS[dtype]) for field in table.values()}
+        _structs[name, dtype] = struct_of(name, dtype, annotations)
+    return _structs[name, dtype]
+
+
+def array_struct(name: str, dtype: str, table: Mapping[str, Field]) -> Any:
+    """The struct of a table with an array for each field; made once for a name, which no other table may have."""
+    if (name, dtype) not in _structs:
+        annotations = {
+            field.name: wp.array(dtype=warp_dtype(field, FLOATS[dtype]), ndim=len(field.axes))
+            for field in table.values()
+        }
+        _structs[name, dtype] = struct_of(name, dtype, annotations)
+    return _structs[name, dtype]
+
+
+def struct_name(name: str) -> str:
+    """The name of the struct of an argument: "delassus_problem" -> "DelassusProblem"."""
+    return name.title().replace("_", "")
 
 
 @cache
@@ -39,11 +66,7 @@ def group_types(dtype: str) -> SimpleNamespace:
     types["Iteration"] = iteration_struct(dtype)
     types["Contact"] = scalar_struct("Contact", dtype, {name: CONTACTS[name] for name in FOUND})
     for name, table in GROUPS.items():
-        annotations = {
-            field.name: wp.array(dtype=warp_dtype(field, FLOATS[dtype]), ndim=len(field.axes))
-            for field in table.values()
-        }
-        types[name.capitalize()] = struct_of(name.capitalize(), dtype, annotations)
+        types[name.capitalize()] = array_struct(name.capitalize(), dtype, table)
     return SimpleNamespace(**vars(scalar_types(dtype)), **types)
 
 
@@ -60,15 +83,18 @@ def iteration_struct(dtype: str) -> Any:
 
 def array_group(group: ArrayGroup, name: str) -> Any:
     """The arrays of a group as kernels take them: one struct; it keeps the arrays alive."""
-    struct = getattr(group_types(group.dtype.name), name.capitalize())()
+    struct = array_struct(struct_name(name), group.dtype.name, group.table)()
     for field in group.table:
         setattr(struct, field, group.array(field))
     return struct
 
 
-def scalars(name: str, dtype: str, values: dict[str, Any]) -> Any:
-    """Numbers as one struct, "config" or "launch"."""
-    struct = getattr(group_types(dtype), name.capitalize())()
+def scalars(name: str, dtype: str, values: Mapping[str, Any], table: Mapping[str, Field] | None = None) -> Any:
+    """Numbers as one struct: "config", "launch", or that of a table."""
+    if table is None:
+        struct = getattr(group_types(dtype), name.capitalize())()
+    else:
+        struct = scalar_struct(struct_name(name), dtype, table)()
     for key, value in values.items():
         setattr(struct, key, value)
     return struct
@@ -91,3 +117,22 @@ def contiguous_groups(dtype: str) -> Any:
         def contiguous(group: struct): ...
 
     return contiguous
+
+
+def struct_array(name: str, dtype: str, table: Mapping[str, Field]) -> tuple[Any, np.ndarray]:
+    """One struct of numbers in an array, as kernels write it, and its memory, a structured NumPy array to be kept."""
+    struct = scalar_struct(struct_name(name), dtype, table)
+    memory = np.zeros(1, memory_dtype(struct))
+    # by its address: given the memory itself, Warp derives the struct's layout anew each time
+    return wp.array(ptr=memory.ctypes.data, dtype=struct, shape=(1,), device="cpu"), memory
+
+
+@cache
+def memory_dtype(struct: Any) -> np.dtype:
+    """The structured NumPy dtype of a struct's memory."""
+    return np.dtype(struct.numpy_dtype())
+
+
+def no_arrays(name: str, dtype: str, table: Mapping[str, Field]) -> Any:
+    """A group without arrays, for kernels that don't touch it."""
+    return array_struct(struct_name(name), dtype, table)()

@@ -10,8 +10,7 @@ from dc_kernels.delassus.problem import DelassusProblem, assemble_blocks
 from dc_kernels.delassus.search import DelassusSolution
 from dc_kernels.delassus.solver import solve
 from dc_kernels.model.arrays import to_numpy
-from dc_kernels.solve.iteration import COUNTERS
-from dc_kernels.solve.rows import COLUMNS, LANES
+from dc_kernels.solve.rows import read_column
 
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
@@ -37,9 +36,13 @@ def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
     if sim.state.numpy("flags")[world]:
         raise ValueError(f"world {world} does not advance (flags {sim.state.numpy('flags')[world]}): it has no problem")
     contacts, joints = sim.contacts, sim.joints
+
+    def row_values(name: str, slot: np.ndarray) -> np.ndarray:
+        return read_column(sim.rows.numpy("column"), sim.variant, name, slot).astype(np.float64)
+
     first = int(contacts.numpy("contact_start")[world])
     slots = np.arange(first, first + int(contacts.numpy("contact_count")[world]))
-    bias = _column(sim, "bias", sim.rows.numpy("slot")[slots])
+    bias = row_values("bias", sim.rows.numpy("slot")[slots])
     gap = contacts.numpy("gap")[slots].astype(np.float64)
     with np.errstate(divide="ignore"):
         acts = (gap <= 0.0) | (bias * float(sim.motion.numpy("step_dt")[world]) < OPEN * gap)
@@ -59,13 +62,13 @@ def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
     if len(lines):
         at = sim.rows.numpy("joint_slot")[lines]
         more = np.zeros((len(lines), 2, 2, 3))
-        more[:, :, 0, :2] = np.stack([_column(sim, "nx", at), _column(sim, "ny", at)], axis=1)[:, None]
-        more[:, 0, 0, 2], more[:, 1, 0, 2] = _column(sim, "rAn", at), _column(sim, "rBn", at)
+        more[:, :, 0, :2] = np.stack([row_values("nx", at), row_values("ny", at)], axis=1)[:, None]
+        more[:, 0, 0, 2], more[:, 1, 0, 2] = row_values("rAn", at), row_values("rBn", at)
         more[:, 0] *= -1.0
         jacobian = np.concatenate([jacobian, more])
         ends = np.stack([joints.numpy("joint_body_a")[lines], joints.numpy("joint_body_b")[lines]], axis=1)
         body = np.concatenate([body, ends])
-        bias = np.concatenate([bias, _column(sim, "bias", at)])
+        bias = np.concatenate([bias, row_values("bias", at)])
         mu = np.concatenate([mu, np.zeros(len(lines))])
     predicted = sim.motion.numpy("predicted").astype(np.float64)[body]  # (n, 2, 4)
     q = np.einsum("nskv,nsv->nk", jacobian, predicted[..., :3])
@@ -86,13 +89,6 @@ def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
         bilateral=bilateral,
         slot=np.concatenate([slots, lines]),
     )
-
-
-def _column(sim: Simulation, name: str, slot: np.ndarray) -> np.ndarray:
-    """Read a column of the solver's rows at the given slots of the impulses, float64."""
-    columns = COLUMNS[sim.variant]
-    block, lane = np.divmod(slot, 2 * LANES)
-    return sim.rows.numpy("rows")[(block * len(columns) + columns.index(name)) * LANES + lane].astype(np.float64)
 
 
 def _delassus(jacobian: np.ndarray, body: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -169,13 +165,11 @@ def write_impulses(sim: Simulation, world: int, given: DelassusProblem, solution
     joints = slice(*sim.model.numpy("joint_start")[world : world + 2])
     bodies = slice(*sim.model.numpy("body_start")[world : world + 2])
     stats = sim.stats
-    counters = stats.numpy("counters")[world * COUNTERS : (world + 1) * COUNTERS]
     arrays = [
         sim.contacts.numpy("impulse")[slots],
         sim.joints.numpy("joint_impulse")[joints],
         sim.motion.numpy("solved")[bodies],
-        counters,
-        *(stats.numpy(name)[world : world + 1] for name in ("sweeps", "change", "residual")),
+        *(stats.numpy(name)[world : world + 1] for name in ("iteration", "sweeps", "change", "residual")),
     ]
     before = [array.copy() for array in arrays]
     impulse, _, _, _, sweeps, change, residual = arrays

@@ -18,7 +18,7 @@ from dc_kernels.measure import contact_slots
 from dc_kernels.runtime.inputs import check_array, check_count, check_start
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.optional import require
-from dc_kernels.solve.rows import COLUMNS, LANES
+from dc_kernels.solve.rows import read_column
 from dc_kernels.torch_ops.sweeps import launch
 
 if TYPE_CHECKING:
@@ -186,12 +186,9 @@ class ContactProblem:
         slots, world = slots[shown], place[world[shown]]
         order = np.lexsort((row_slot[slots], world))
         slots, world = slots[order], world[order]
-        columns = COLUMNS[sim.variant]
-        block, lane = np.divmod(row_slot[slots], 2 * LANES)
-        rows = sim.rows.numpy("rows")
 
         def column(name: str) -> np.ndarray:
-            return rows[(block * len(columns) + columns.index(name)) * LANES + lane]
+            return read_column(sim.rows.numpy("column"), sim.variant, name, row_slot[slots])
 
         velocity = sim.motion.numpy("predicted")[body, :3].copy()
         velocity[~np.repeat(live[chosen], count)] = 0

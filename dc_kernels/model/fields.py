@@ -37,13 +37,14 @@ class Field:
         return tuple(self.per.split(","))
 
 
-def _table(*rows: tuple[str, str, str, str, str]) -> dict[str, Field]:
+def field_table(*rows: tuple[str, str, str, str, str]) -> dict[str, Field]:
+    """Make a table from rows of name, axis, dtype, unit and meaning."""
     return {row[0]: Field(*row) for row in rows}
 
 
 # axes: world W, world+1, body, body+1 (behind the bodies: padding bodies of empty solver lanes), shape, shape+1,
 # vertex, joint, contact (capacity), pair (capacity), block (capacity, of LANES solver rows), bucket
-MODEL = _table(
+MODEL = field_table(
     ("body_start", "world+1", "int32", "1", "first body of each world"),
     ("shape_start", "world+1", "int32", "1", "first shape of each world"),
     ("joint_start", "world+1", "int32", "1", "first joint of each world"),
@@ -72,7 +73,7 @@ MODEL = _table(
     ("vertex_normals", "vertex", "vec2", "1", "outward normal of the edge from this vertex to the next"),
 )
 
-STATE = _table(
+STATE = field_table(
     ("position", "body", "vec2", "m", "centre of mass, relative to the world's origin"),
     ("angle", "body", "real", "rad", "rotation, counter-clockwise"),
     ("velocity", "body", "vec2", "m/s", "of the centre of mass"),
@@ -83,7 +84,7 @@ STATE = _table(
     ("flags", "world", "int32", "1", "Flag bits; a world with any bit set does not advance"),
 )
 
-CONTACTS = _table(
+CONTACTS = field_table(
     ("contact_start", "world+1", "int32", "1", "first reserved slot of each world"),
     ("contact_count", "world", "int32", "1", "contacts of each world, in slots from contact_start, sorted by key"),
     ("contact_dt", "world", "real", "s", "time step of the impulses, 0 before the first"),
@@ -101,7 +102,7 @@ CONTACTS = _table(
     ("age", "contact", "int32", "1", "steps since the contact began, 0 when new"),
 )
 
-JOINTS = _table(
+JOINTS = field_table(
     ("joint_body_a", "joint", "int32", "1", "body A"),
     ("joint_body_b", "joint", "int32", "1", "body B"),
     ("joint_anchor_a", "joint", "vec2", "m", "in the frame of body A, relative to its centre of mass"),
@@ -112,7 +113,7 @@ JOINTS = _table(
 )
 
 
-CACHE = _table(
+CACHE = field_table(
     ("count", "world", "int32", "1", "contacts of the last finished step"),
     ("key", "contact", "int64", "1", "their keys, sorted"),
     ("impulse", "contact", "vec2", "N s", "their solved impulses"),
@@ -121,7 +122,7 @@ CACHE = _table(
     ("joint_impulse", "joint", "real", "N s", "solved impulses of the joints in the last finished step"),
 )
 
-PAIRS = _table(
+PAIRS = field_table(
     ("bucket_start", "world+1", "int32", "1", "first bucket of each world; a power of two of them and one more"),
     ("bucket", "bucket", "int32", "1", "first entry of each bucket in sorted_shape"),
     ("cell", "shape", "vec3i", "1", "cell of the shape's box: column, row, level"),
@@ -138,7 +139,7 @@ PAIRS = _table(
     ("temp_b", "pair", "int32", "1", "shape B, half sorted"),
 )
 
-ROWS = _table(
+ROWS = field_table(
     ("contact_needed", "world", "int32", "1", "contacts found, also those without room"),
     ("slot", "contact", "int32", "1", "where the contact's normal impulse lies in rows.impulse"),
     ("joint_slot", "joint", "int32", "1", "where the joint's impulse lies in rows.impulse"),
@@ -159,7 +160,7 @@ ROWS = _table(
     ("deepest", "world", "real", "m", "least gap, 0 where nothing overlaps"),
 )
 
-MOTION = _table(
+MOTION = field_table(
     ("step_dt", "world", "real", "s", "time step"),
     ("weight", "world", "real", "N", "gravity times the geometric mean of the dynamic bodies' masses"),
     ("reach", "world", "real", "m", "speculative distance of the step"),
@@ -169,7 +170,7 @@ MOTION = _table(
     ("displacement", "body+1", "vec4", "m", "of the step: by velocity and position correction, turn [rad]"),
 )
 
-STATS = _table(
+STATS = field_table(
     ("sweeps", "world", "int32", "1", "sweeps of the last solve"),
     ("change", "world", "real", "N s", "largest impulse change of its last sweep"),
     ("residual", "world", "real", "1", "relative natural map at its end"),
@@ -180,7 +181,7 @@ STATS = _table(
 )
 
 # A world's iteration in flight; "squared step" is the sum of squares of what a sweep changed the impulses by.
-ITERATION = _table(
+ITERATION = field_table(
     ("sweeps", "world", "int32", "1", "sweeps done"),
     ("finished", "world", "int32", "1", "1 where the solve has ended"),
     ("change", "world", "real", "N s", "largest impulse change of the last sweep"),
@@ -215,7 +216,7 @@ ITERATION = _table(
 )
 
 # What one launch over worlds is given beside the groups.
-LAUNCH = _table(
+LAUNCH = field_table(
     ("world_offset", "launch", "int32", "1", "first world of the launch"),
     ("padding_body", "launch", "int32", "1", "body behind the others that empty solver lanes point at"),
     ("past_offset", "launch", "int32", "1", "where the first world's part of rows.past begins"),
@@ -225,7 +226,7 @@ LAUNCH = _table(
 )
 
 # Where a world's part of the rows lies, and when its solve stops; made once in a solve.
-SPAN = _table(
+SPAN = field_table(
     ("world", "span", "int32", "1", "index of the world"),
     ("first", "span", "int32", "1", "first block of its rows"),
     ("serial", "span", "int32", "1", "first block of the serial colour"),
@@ -240,7 +241,7 @@ SPAN = _table(
 )
 
 # One row of the solver before it is packed: a contact with its friction, or a joint (solve/rows.py).
-ROW = _table(
+ROW = field_table(
     ("body_a", "row", "int32", "1", "body A"),
     ("body_b", "row", "int32", "1", "body B"),
     ("normal", "row", "vec2", "1", "unit vector from A to B"),

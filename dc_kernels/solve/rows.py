@@ -7,6 +7,8 @@ A row is a contact's normal and tangent, or a joint. Value of column k, lane l, 
 
 from __future__ import annotations
 
+import numpy as np
+
 # contacts solved, nodes or neighbours weighed, side by side; 16 contacts gained under 5 % and pad small worlds far more
 LANES = 8
 COLORS = 64  # colours of the contact graph: bits of a mask; the last one is the serial overflow colour
@@ -21,3 +23,17 @@ COLUMNS = {
 }
 """Columns by variant. "discs": no normal arm; dA, dB lever arms of the surfaces [m], k = arm / inertia. "joints": lo is
 the least normal impulse, 0 for contacts and -inf for joints."""
+
+
+def read_column(columns: np.ndarray, variant: str, name: str, slot: np.ndarray) -> np.ndarray:
+    """Read a column of the rows whose normal impulses lie at the given slots, (n,).
+
+    Args:
+        columns: ``rows.column`` of a simulation.
+        variant: key of ``COLUMNS``.
+        name: of the column.
+        slot: places in ``rows.impulse``, as ``rows.slot`` and ``rows.joint_slot`` hold them, (n,).
+    """
+    names = COLUMNS[variant]
+    block, lane = np.divmod(slot, 2 * LANES)
+    return columns[(block * len(names) + names.index(name)) * LANES + lane]
