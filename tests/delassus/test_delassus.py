@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -256,6 +257,17 @@ def test_same_bits_again(pile):
     first, second = (solve(pile, "auto", tolerance=1e-11) for _ in range(2))
     np.testing.assert_array_equal(first.impulses, second.impulses)
     np.testing.assert_array_equal(first.history, second.history)
+
+
+@pytest.mark.parametrize("method", ["anderson", "hybrid", "auto"])
+def test_threads_solve_one_problem_at_once(method, pile):
+    """Memory is lent from solve to solve: each thread has its own, and nothing of an earlier solve shows."""
+    alone = solve(pile, method, tolerance=1e-9)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda tolerance: solve(pile, method, tolerance=tolerance), [1e-9, 1e-5] * 6))
+    for solution in found[::2]:
+        np.testing.assert_array_equal(solution.impulses, alone.impulses)
+        np.testing.assert_array_equal(solution.history, alone.history)
 
 
 def test_history_counts_sweeps(pile):
