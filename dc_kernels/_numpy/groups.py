@@ -26,3 +26,8 @@ def struct_array(name: str, dtype: str, table: Mapping[str, Field]) -> tuple[np.
     """An array of one struct, as kernels take it, with its fields as attributes, and as NumPy sees it."""
     values = aligned_zeros((1,), struct_dtype(table, FLOATS[dtype]))
     return values.view(np.recarray), values
+
+
+def no_arrays(name: str, dtype: str, table: Mapping[str, Field]) -> None:
+    """A group without arrays, for kernels that do not touch it."""
+    return None

@@ -99,11 +99,24 @@ def scalars(name: str, dtype: str, values: Mapping[str, Any], table: Mapping[str
 
 
 def struct_array(name: str, dtype: str, table: Mapping[str, Field]) -> tuple[Any, np.ndarray]:
-    """An array of one struct in the CPU's memory, as kernels take it and as NumPy sees it."""
+    """One struct of numbers in an array, as kernels write it, and its memory, a structured NumPy array to be kept."""
+    struct, layout = _checked_struct(name, dtype, tuple(table.items()))
+    memory = aligned_zeros((1,), layout)
+    # by its address: given the memory itself, Warp derives the struct's layout anew each time
+    return wp.array(ptr=memory.ctypes.data, dtype=struct, shape=(1,), device="cpu"), memory
+
+
+@cache
+def _checked_struct(name: str, dtype: str, rows: tuple[tuple[str, Field], ...]) -> tuple[Any, np.dtype]:
+    table = dict(rows)
     struct, layout = scalar_struct(_class_name(name), dtype, table), struct_dtype(table, FLOATS[dtype])
     _check_layout(struct, layout)
-    values = aligned_zeros((1,), layout)
-    return wp.array(values, dtype=struct, device="cpu", copy=False), values
+    return struct, layout
+
+
+def no_arrays(name: str, dtype: str, table: Mapping[str, Field]) -> Any:
+    """A group without arrays, for kernels that do not touch it."""
+    return array_struct(_class_name(name), dtype, table)()
 
 
 @cache

@@ -22,11 +22,14 @@ PATCH = 80  # contacts of a patch
 
 
 def lemke(problem: DelassusProblem, max_pivots: int | None = None) -> np.ndarray | None:
-    """Impulses (n, 2) [N s], from dense tables of up to (4n)^2; None where a ray or the last pivot is met.
+    """Solve a problem by pivots on dense tables of up to (4n)^2.
 
     Args:
         problem: of up to some hundred contacts.
         max_pivots: at most; None: 20 for each unknown.
+
+    Returns:
+        Impulses (n, 2) [N s]; None where a ray or the last pivot is met.
     """
     n = problem.count
     impulse, speed = problem.units
@@ -63,7 +66,7 @@ def lemke(problem: DelassusProblem, max_pivots: int | None = None) -> np.ndarray
 
 
 def _pivot(matrix: np.ndarray, right: np.ndarray, max_pivots: int) -> np.ndarray | None:
-    """Lemke's method with a covering vector of ones: which of z are basic in the end, (m,) bool."""
+    """Run Lemke's method with a covering vector of ones; return which of z are basic in the end, (m,) bool, or None."""
     m = len(right)
     if m == 0 or right.min() >= 0.0:
         return np.zeros(m, bool)
@@ -100,11 +103,14 @@ def _pivot(matrix: np.ndarray, right: np.ndarray, max_pivots: int) -> np.ndarray
 
 
 def solve_patch(problem: DelassusProblem, impulses: np.ndarray) -> np.ndarray | None:
-    """The contact with the largest natural map and those around it solved, all others held; None as ``lemke``.
+    """Solve the contact with the largest natural map and those around it by pivots, with all others held.
 
     Args:
         problem: of any size.
         impulses: (n, 2) [N s].
+
+    Returns:
+        Impulses (n, 2) [N s]; None where ``lemke`` finds none.
     """
     n, u = problem.count, problem.velocity(impulses)
     wrong = natural_map(problem.diagonal[:, :1, 0] * impulses, u, problem.mu, problem.bilateral)

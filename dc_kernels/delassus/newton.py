@@ -37,7 +37,9 @@ AFTER = 10  # sweeps without regularisation after each problem
 
 
 def search_automatically(search: Search, *, newton_only: bool = False) -> None:
-    """Sweeps; pivots where they stall, Newton where that fails too, sweeps again; or 60 sweeps and Newton.
+    """Sweep; pivot where sweeps stall, take Newton's method where that fails too, and sweep again.
+
+    With ``newton_only`` Newton's method follows 60 sweeps.
 
     Raises:
         ImportError: ``newton_only`` without SciPy.
@@ -72,7 +74,7 @@ def _has_scipy() -> bool:
 
 
 def _pivots(search: Search) -> None:
-    """Small problems by pivots and the sweeps that round them off; large ones patch by patch, while that helps."""
+    """Solve small problems by pivots and sweeps that round them off; large ones patch by patch, while that helps."""
     patience = PATCHES
     x = search.best
     while not search.done and patience > 0 and search.sweeps < search.max_sweeps:
@@ -97,7 +99,7 @@ def _newton(search: Search, patches: bool, most: int = FACTORIZATIONS) -> None:
 
 
 class Newton:
-    """The method on one problem, in the units in which it is of order 1; impulses are flat, (2n,)."""
+    """Newton's method on one problem, in the units in which it is of order 1; impulses are flat, (2n,)."""
 
     def __init__(self, search: Search, patches: bool, most: int) -> None:
         """Set up W as a sparse matrix.
@@ -143,7 +145,7 @@ class Newton:
     # ------------------------------------------------------------------ the outer iteration
 
     def run(self) -> None:
-        """Until the search is done, or all factorisations or sweeps are spent."""
+        """Solve regularised problems until the search is done, or all factorisations or sweeps are spent."""
         search = self.search
         x = search.best.ravel() / self.unit
         now = search.worst(search.maps)
@@ -173,7 +175,7 @@ class Newton:
                 x, now = y, then
 
     def patched(self, x: np.ndarray) -> np.ndarray:
-        """Impulses with the worst patch solved by pivots, and sweeps after it; as they were with Newton alone."""
+        """Solve the worst patch by pivots and sweep after it; with Newton's method alone, change nothing."""
         if not self.patches:
             return x
         self.search.pivotings += 1
@@ -181,13 +183,17 @@ class Newton:
         return x if found is None else self.sweep(found.ravel() / self.unit, x, 0.0, AFTER_PATCH, 0.0)
 
     def offer(self, x: np.ndarray) -> float:
-        """Keep impulses if they are the best; their map."""
+        """Keep impulses if they are the best, and return their natural map."""
         impulses = x.reshape(-1, 2) * self.unit
         self.search.offer(impulses)
         return self.search.worst((float(self.search.rows[-1][0, 1]), float(self.search.rows[-1][0, 2])))
 
     def proximal(self, start: np.ndarray, reg: float, goal: float, sweeps: int) -> tuple[np.ndarray, bool, int]:
-        """The problem regularised about ``start``: its solution, or how far one came; Newton steps taken."""
+        """Solve the problem regularised about ``start``.
+
+        Returns:
+            Impulses, whether they solve it to ``goal``, and the Newton steps taken.
+        """
         x = start
         u = self.matrix @ x + self.q
         error, failures = self.residual(x, u), 0
@@ -215,13 +221,13 @@ class Newton:
         return x, error <= goal, INNER
 
     def regular_velocity(self, x: np.ndarray, start: np.ndarray, reg: float) -> np.ndarray:
-        """Velocity in the problem that is regularised about ``start``."""
+        """Compute the velocity in the problem that is regularised about ``start``."""
         return self.matrix @ x + self.q + reg * self.diagonal * (x - start)
 
     # ------------------------------------------------------------------ one regularised problem
 
     def residual(self, x: np.ndarray, u: np.ndarray) -> float:
-        """Norm of Alart and Curnier's function, each impulse as the velocity it changes."""
+        """Compute the norm of the function of Alart and Curnier (1991), each impulse as the velocity it changes."""
         d = self.diagonal
         z = x - u / d
         normal = np.where(self.problem.bilateral, z[::2], np.maximum(z[::2], 0.0))
@@ -232,7 +238,7 @@ class Newton:
         return float(np.linalg.norm(d * wrong))
 
     def newton_point(self, x: np.ndarray, u: np.ndarray, reg: float) -> np.ndarray | None:
-        """Where all equations hold on the present active sets; None where the factorisation fails.
+        """Find where all equations hold on the present active sets; None where the factorisation fails.
 
         Unknown are the normal impulses of contacts that press and the tangential ones of those that stick; the friction
         of a contact that slips is +-mu times its normal impulse, all others are 0.
@@ -274,7 +280,7 @@ class Newton:
         return np.where(source >= 0, weight * found[source], 0.0) if np.isfinite(found).all() else None
 
     def sweep(self, x: np.ndarray, start: np.ndarray, reg: float, sweeps: int, goal: float) -> np.ndarray:
-        """Sweeps on the problem regularised about ``start``: Anderson's with reg, Aitken's without; the last ones."""
+        """Sweep on the problem regularised about ``start`` by Anderson's acceleration, or Aitken's where reg is 0."""
         search = self.search
         sweeps = min(sweeps, search.max_sweeps - search.sweeps)
         if sweeps <= 0:

@@ -140,7 +140,7 @@ class DelassusProblem:
 
     @property
     def count(self) -> int:
-        """Contacts, bilateral rows included."""
+        """Number of contacts, bilateral rows included."""
         return len(self.mu)
 
     @functools.cached_property
@@ -150,7 +150,7 @@ class DelassusProblem:
 
     @functools.cached_property
     def diagonal(self) -> np.ndarray:
-        """Blocks of the diagonal of W, (n, 2, 2) [1/kg]; 0 where none is given."""
+        """The blocks of the diagonal of W, (n, 2, 2) [1/kg]; 0 where none is given."""
         diagonal = np.zeros((self.count, 2, 2))
         own = self.row == self.column
         diagonal[self.row[own]] = self.block[own]
@@ -174,8 +174,8 @@ class DelassusProblem:
     def natural_map(self, impulses: Any) -> float:
         """Measure the error |r - P(r_n - u_n - mu |u_t|, r_t - u_t)| / |q|, where P projects on the friction cones.
 
-        This is the error that FCLIB's solvers report (Acary and Bremond 2014). It depends on the units: impulses [N s]
-        and velocities [m/s] are subtracted as numbers. With q = 0 it is not divided; r = 0 is the solution then.
+        Problems in FCLIB's form (Acary et al. 2014) are judged by it. It depends on units: impulses [N s] and
+        velocities [m/s] are subtracted as numbers. With q = 0 it is not divided; r = 0 is the solution then.
         """
         return self.natural_maps(impulses)[0]
 
@@ -272,6 +272,8 @@ def assemble_blocks(
 
 def natural_map(x: np.ndarray, u: np.ndarray, mu: np.ndarray, bilateral: np.ndarray) -> np.ndarray:
     """Return impulses minus the projection of (r_n - u_n - mu |u_t|, r_t - u_t) on the friction cones.
+
+    What a solve reports is measured by this function, in float64 and apart from the kernels, whose law it checks.
 
     Args:
         x: impulses (..., n, 2).

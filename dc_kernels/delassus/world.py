@@ -37,12 +37,12 @@ def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
         raise ValueError(f"world {world} does not advance (flags {sim.state.numpy('flags')[world]}): it has no problem")
     contacts, joints = sim.contacts, sim.joints
 
-    def read(name: str, slot: np.ndarray) -> np.ndarray:
+    def row_values(name: str, slot: np.ndarray) -> np.ndarray:
         return read_column(sim.rows.numpy("column"), sim.variant, name, slot).astype(np.float64)
 
     first = int(contacts.numpy("contact_start")[world])
     slots = np.arange(first, first + int(contacts.numpy("contact_count")[world]))
-    bias = read("bias", sim.rows.numpy("slot")[slots])
+    bias = row_values("bias", sim.rows.numpy("slot")[slots])
     gap = contacts.numpy("gap")[slots].astype(np.float64)
     with np.errstate(divide="ignore"):
         acts = (gap <= 0.0) | (bias * float(sim.motion.numpy("step_dt")[world]) < OPEN * gap)
@@ -62,13 +62,13 @@ def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
     if len(lines):
         at = sim.rows.numpy("joint_slot")[lines]
         more = np.zeros((len(lines), 2, 2, 3))
-        more[:, :, 0, :2] = np.stack([read("nx", at), read("ny", at)], axis=1)[:, None]
-        more[:, 0, 0, 2], more[:, 1, 0, 2] = read("rAn", at), read("rBn", at)
+        more[:, :, 0, :2] = np.stack([row_values("nx", at), row_values("ny", at)], axis=1)[:, None]
+        more[:, 0, 0, 2], more[:, 1, 0, 2] = row_values("rAn", at), row_values("rBn", at)
         more[:, 0] *= -1.0
         jacobian = np.concatenate([jacobian, more])
         ends = np.stack([joints.numpy("joint_body_a")[lines], joints.numpy("joint_body_b")[lines]], axis=1)
         body = np.concatenate([body, ends])
-        bias = np.concatenate([bias, read("bias", at)])
+        bias = np.concatenate([bias, row_values("bias", at)])
         mu = np.concatenate([mu, np.zeros(len(lines))])
     predicted = sim.motion.numpy("predicted").astype(np.float64)[body]  # (n, 2, 4)
     q = np.einsum("nskv,nsv->nk", jacobian, predicted[..., :3])

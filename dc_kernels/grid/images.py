@@ -328,7 +328,7 @@ class Images:
         sim = self.sim
         self._bound = (sim.layout_version, sim.config)
         self._room = room = sim.contacts.sizes["contact"]
-        groups = (sim.model, sim.state, sim.contacts)
+        groups = (sim.model, sim.state, sim.contacts, sim.motion)
         arrays = {name: group.array(name) for group in groups for name in group.table}
         common = {**arrays, **self._scalars, "grid_origin": self._origin}
         self._contacts: dict[str, Any] = {

@@ -35,7 +35,7 @@ class ContactProblem:
 
     Worlds lie one after the other, as do their bodies; contacts are swept in index order. Tensors are read where they
     lie, but what a sweep reads of a contact is packed once, when the problem is made: later changes are not seen.
-    Conventions of ``types``: a normal points from A to B, impulses act on B.
+    A normal points from A to B, and impulses act on B (``model.fields``).
     """
 
     contact_start: Any
@@ -149,7 +149,7 @@ class ContactProblem:
 
     @classmethod
     def from_simulation(cls, sim: Simulation, worlds: Sequence[int] | None = None) -> ContactProblem:
-        """The problem that ``sim.solve()`` solves, copied: between ``collide`` and ``advance``.
+        """Copy the problem that ``sim.solve()`` solves, between ``collide`` and ``advance``.
 
         Contacts come in the order in which the solver sweeps them: ``sim.contacts.numpy("impulse")[problem.slot]``
         are their impulses. The solver begins with these clamped to the friction cone. A flagged world has no contacts,
@@ -208,7 +208,7 @@ class ContactProblem:
         return cls(**{name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in arrays.items()})
 
     def velocities(self, impulse: Any, *, threads: int = 1) -> Any:
-        """Predicted velocities + M^-1 J^T impulse, differentiable by the impulse.
+        """Add M^-1 J^T impulse to the predicted velocities, differentiable by the impulse.
 
         Args:
             impulse: normal and tangential of each contact, (M, 2), contiguous, of the problem's dtype, finite [N s].
@@ -223,11 +223,11 @@ class ContactProblem:
         return torch.ops.deep_contact.push_impulses(impulse, self.velocity, *self._packed(impulse, threads))
 
     def energy(self, impulse_error: Any, *, threads: int = 1) -> Any:
-        """Kinetic energy of the velocities that an error of the impulses makes, 1/2 e^T J M^-1 J^T e.
+        """Compute the kinetic energy of the velocities that an error of the impulses makes, 1/2 e^T J M^-1 J^T e.
 
         Args:
             impulse_error: (M, 2) [N s]; see ``velocities``.
-            threads: see ``velocities``.
+            threads: worlds are shared by so many threads.
 
         Returns:
             Of each world, (W,) [J]; differentiable.
@@ -241,14 +241,14 @@ class ContactProblem:
         return energy.new_zeros(len(self._contact_start) - 1).index_add(0, self._world_of, energy)
 
     def natural_map(self, impulse: Any, *, threads: int = 1) -> Any:
-        """What a sweep over each row alone would change: the projected step at the given impulses, all at once.
+        """Compute what each row alone would change its impulses by: the projected step at the given impulses.
 
         The normal steps and stops at 0; the tangent steps and stops at +-mu times the new normal impulse. Zero at a
         solution, and only there.
 
         Args:
-            impulse: (M, 2) [N s]; see ``velocities``.
-            threads: see ``velocities``.
+            impulse: normal and tangential of each contact, (M, 2), contiguous, of the problem's dtype [N s].
+            threads: worlds are shared by so many threads.
 
         Returns:
             (M, 2) [N s], without a gradient.
@@ -266,7 +266,7 @@ class ContactProblem:
         return {"contact_start": self._contact_start, "row": self._row, "row_body": self._row_body}
 
     def _packed(self, impulse: Any, threads: int) -> tuple[Any, ...]:
-        """The trailing arguments of the operators; the impulses are checked here."""
+        """Check the impulses and return the trailing arguments of the operators."""
         array = tensor_array("impulse", impulse)
         check_array("impulse", array, (len(self._row), 2), tensor_array("velocity", self.velocity).dtype)
         return self._inverse, self._row, self._row_body, self._contact_start, check_count("threads", threads)
@@ -275,7 +275,7 @@ class ContactProblem:
 def sweeps_torch(
     impulse: Any, problem: ContactProblem, sweeps: int, *, leak: float = 0.0, threads: int = 1
 ) -> tuple[Any, Any, Any]:
-    """Plain projected Gauss-Seidel sweeps, normal before tangent, contacts in index order.
+    """Sweep by plain projected Gauss-Seidel, normal before tangent, contacts in index order.
 
     Args:
         impulse: to begin with, (M, 2), contiguous, of the problem's dtype, finite [N s]; unlike the solver's it is

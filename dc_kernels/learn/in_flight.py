@@ -1,4 +1,4 @@
-"""A solve in flight as a network reads it, and the network's correction of the impulses: no copy either way.
+"""Reads a solve in flight for a network, and corrects its impulses by the network's answer, without copies.
 
 reader = SolveReader(sim, grid)
 sim.solve(pause=0)                             # contacts.impulse is taken up, no sweep done
@@ -38,7 +38,7 @@ def in_flight_kernels(backend: str, dtype: str, variant: str) -> dict[str, Any]:
 
 
 class SolveReader:
-    """Features of a solve that pauses, of any of its worlds, packed one world after the other.
+    """Reads a solve that pauses: features and images of any of its worlds, packed one world after the other.
 
     Attributes:
         local: (room, len(LOCAL)); the first ``count`` rows are the contacts of the last ``read``.
@@ -122,21 +122,21 @@ class SolveReader:
         return self.count
 
     def features(self) -> Any:
-        """``local`` of the contacts read, as a torch tensor (count, len(LOCAL)), the same memory."""
+        """Return ``local`` of the contacts read as a torch tensor (count, len(LOCAL)) on its memory."""
         return to_torch(self.local)[: self.count]
 
     def images(self) -> Any:
-        """Images of the worlds read, as a torch tensor (asked, len(IMAGE), rows, columns), the same memory."""
+        """Return the images of the worlds read as a torch tensor (asked, len(IMAGE), rows, columns) on their memory."""
         return to_torch(self.image)[: self.asked]
 
     def gather(self, image: Any) -> tuple[Any, Any, Any]:
-        """An image of the worlds read, bilinearly at the contacts, at their bodies A and at their bodies B.
+        """Interpolate an image of the worlds read bilinearly at the contacts, at their bodies A and at their bodies B.
 
         Args:
             image: (asked, C, rows, columns), contiguous, of the simulation's dtype, on the CPU, read where it lies.
 
         Returns:
-            Three torch tensors (count, C), the same memory each time.
+            Three torch tensors (count, C); the next call with so many channels overwrites them.
 
         Raises:
             ValueError: for an image of another dtype, shape, layout or device.
@@ -192,7 +192,7 @@ class SolveReader:
         return kernel_array(values, self.sim.backend)
 
     def _bind_gather(self, channels: int) -> tuple[np.ndarray, list[Fed]]:
-        """What gathers an image of so many channels at the three places, and where to."""
+        """Bind what gathers an image of so many channels at the three places; where to, and the launches."""
         values = np.zeros((len(PLACES), self._room, channels), self.sim.dtype)
         image = self._array(np.zeros((1, channels, *self.grid.shape), self.sim.dtype))
         given = {**self._points, **self._bilinear, "image": image}

@@ -6,6 +6,7 @@ One buffer serves every user: on the CPU an array is allocated once, 64-byte ali
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -54,7 +55,7 @@ def struct_dtype(table: Mapping[str, Field], real: np.dtype) -> np.dtype:
 
 def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype, alignment: int = 64) -> np.ndarray:
     """Zeros whose first byte is aligned for SIMD loads."""
-    count = int(np.prod(shape))
+    count = math.prod(shape)
     raw = np.zeros(count * dtype.itemsize + alignment, np.uint8)
     offset = -raw.ctypes.data % alignment
     return raw[offset : offset + count * dtype.itemsize].view(dtype).reshape(shape)

@@ -38,7 +38,7 @@ class Field:
 
 
 def field_table(*rows: tuple[str, str, str, str, str]) -> dict[str, Field]:
-    """Make a table of fields by name from rows of their name, axis, dtype, unit and meaning."""
+    """Make a table from rows of name, axis, dtype, unit and meaning."""
     return {row[0]: Field(*row) for row in rows}
 
 

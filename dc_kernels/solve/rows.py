@@ -1,8 +1,8 @@
 """Layout of solver rows: contacts and joints of a world, packed colour by colour into blocks of LANES.
 
 A row is a contact's normal and tangent, or a joint. Value of column k, lane l, block b:
-``rows.column[(b * len(columns) + k) * LANES + l]``; bodies A and B: ``rows.body[(2 b) * LANES + l]`` and
-``rows.body[(2 b + 1) * LANES + l]``; normal and tangential impulse in the same way in ``rows.impulse``.
+``rows[(b * len(columns) + k) * LANES + l]``; bodies A and B: ``row_body[(2 b) * LANES + l]`` and
+``row_body[(2 b + 1) * LANES + l]``; normal and tangential impulse in the same way in ``row_impulse``.
 """
 
 from __future__ import annotations
@@ -25,18 +25,15 @@ COLUMNS = {
 the least normal impulse, 0 for contacts and -inf for joints."""
 
 
-def read_column(column: np.ndarray, variant: str, name: str, slot: np.ndarray) -> np.ndarray:
-    """One column of packed rows.
+def read_column(columns: np.ndarray, variant: str, name: str, slot: np.ndarray) -> np.ndarray:
+    """Read a column of the rows whose normal impulses lie at the given slots, (n,).
 
     Args:
-        column: ``rows.column``.
-        variant: of the rows, a key of ``COLUMNS``.
+        columns: ``rows.column`` of a simulation.
+        variant: key of ``COLUMNS``.
         name: of the column.
-        slot: where the rows' normal impulses lie in ``rows.impulse``, (n,).
-
-    Returns:
-        Its values, (n,).
+        slot: places in ``rows.impulse``, as ``rows.slot`` and ``rows.joint_slot`` hold them, (n,).
     """
-    columns = COLUMNS[variant]
+    names = COLUMNS[variant]
     block, lane = np.divmod(slot, 2 * LANES)
-    return column[(block * len(columns) + columns.index(name)) * LANES + lane]
+    return columns[(block * len(names) + names.index(name)) * LANES + lane]

@@ -55,7 +55,7 @@ def _push(impulse: Any, velocity: Any, inverse: Any, row: Any, row_body: Any, co
     "deep_contact::pull_velocities", mutates_args=(), schema=f"(Tensor velocity, {_PROBLEM}) -> Tensor"
 )
 def _pull(velocity: Any, inverse: Any, row: Any, row_body: Any, contact_start: Any, threads: int) -> Any:
-    """J M^-1 velocity, (M, 2): the adjoint of ``push_impulses``."""
+    """Compute J M^-1 velocity, (M, 2): the adjoint of ``push_impulses``."""
     speed = row.new_empty((len(row), 2))
     arrays = {"contact_start": contact_start, "row": row, "row_body": row_body}
     launch("pull_velocities", threads, {**arrays, "velocity": inverse * velocity, "speed": speed})
@@ -104,7 +104,7 @@ def _pull_problem(
     threads: int,
     leak: float,
 ) -> Any:
-    """The cotangent of the impulses that ``sweep_problem`` began with, (M, 2)."""
+    """Compute the cotangent of the impulses that ``sweep_problem`` began with, (M, 2)."""
     result = by_impulse.clone(memory_format=torch.contiguous_format)
     arrays = {"contact_start": contact_start, "row": row, "row_body": row_body, "leak": leak}
     given = {"active": active, "by_change": by_change, "by_velocity": inverse * by_velocity}

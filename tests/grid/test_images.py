@@ -132,6 +132,8 @@ def test_the_oracle_finds_the_same_features(bins):
             ("contact_features", CONTACT_CHANNELS, room),
         ):
             for area in (0, 1) if kernel == "body_features" else (0,):
+                groups = (sim.model, sim.state, sim.contacts, sim.motion)
+                flat = {k: group.array(k) for group in groups for k in group.table}
                 out = {
                     "point_count": np.full(3, -1, np.int32),
                     "point": np.zeros((count, 2)),
@@ -141,11 +143,11 @@ def test_the_oracle_finds_the_same_features(bins):
                 codes = np.array([channel.code for channel in channels.values()], np.int32)[::-1].copy()
                 arrays = {"body_channel": codes, "contact_channel": codes, **out}
                 arrays |= {f"area_{n}": getattr(cells, n) for n in ("start", "body", "point", "weight")}
-                values = {k: dc.to_numpy(v) if hasattr(v, "shape") else v for k, v in sim.values.items()} | arrays
+                values = {k: dc.to_numpy(v) if hasattr(v, "shape") else v for k, v in flat.items()} | arrays
                 arguments = {**values, "world_offset": 0, "area": area, "bins": bins}
                 if name == "warp":
                     vectors = {"point", "area_point"}
-                    arguments = sim.values | {"world_offset": 0, "area": area, "bins": bins}
+                    arguments = flat | {"world_offset": 0, "area": area, "bins": bins}
                     arguments |= {
                         k: (transfer.kernel_vectors if k in vectors else transfer.kernel_array)(v, "warp")
                         for k, v in arrays.items()

@@ -17,11 +17,6 @@ from dc_kernels._warp.native import native_code
 from dc_kernels._warp.solve.laws import natural_map_squared
 from dc_kernels.delassus.groups import Acceleration, Reason
 
-AITKEN, NNCG, ANDERSON, HYBRID = (
-    wp.constant(int(a)) for a in (Acceleration.AITKEN, Acceleration.NNCG, Acceleration.ANDERSON, Acceleration.HYBRID)
-)
-SPENT, CONVERGED, STALLED = (wp.constant(int(r)) for r in (Reason.SWEEPS, Reason.CONVERGED, Reason.STALLED))
-
 
 @cache
 def sweep_function(dtype: str) -> Any:
@@ -93,7 +88,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     def begin(settings: t.Settings, progress: wp.array(dtype=t.Progress)):
         progress[0].sweeps = 0
         progress[0].looks = 0
-        progress[0].reason = SPENT
+        progress[0].reason = Reason.SWEEPS
         progress[0].least = huge
         progress[0].mark = huge
         progress[0].marked = 0
@@ -115,10 +110,10 @@ def kernels(dtype: str) -> dict[str, Any]:
             progress[0].mark = worst
             progress[0].marked = progress[0].looks
         if worst <= one:
-            progress[0].reason = CONVERGED
+            progress[0].reason = Reason.CONVERGED
             return 0
         if settings.patience > 0 and progress[0].looks - progress[0].marked >= settings.patience:
-            progress[0].reason = STALLED
+            progress[0].reason = Reason.STALLED
             return 0
         return 1
 
@@ -136,7 +131,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         begin(settings, progress)
         running = int(1)
         while running == 1:
-            moving = settings.method == HYBRID and progress[0].plain == 0
+            moving = settings.method == Acceleration.HYBRID and progress[0].plain == 0
             if moving:
                 onward(problem, search, progress)
             now = sweep(settings.omega, problem, search)
@@ -149,14 +144,14 @@ def kernels(dtype: str) -> dict[str, Any]:
             if running == 1:
                 if moving:
                     momentum(now, settings, problem, search, progress)
-                elif settings.method == AITKEN:
+                elif settings.method == Acceleration.AITKEN:
                     aitken(now, settings, problem, search, progress)
-                elif settings.method == HYBRID:
+                elif settings.method == Acceleration.HYBRID:
                     aitken(now, settings, problem, search, progress)
                     end_plain(search, progress)
-                elif settings.method == NNCG:
+                elif settings.method == Acceleration.NNCG:
                     nncg(now, problem, search, progress)
-                elif settings.method == ANDERSON:
+                elif settings.method == Acceleration.ANDERSON:
                     anderson(now, settings, problem, search, memory, progress)
 
     return {"map_delassus": map_delassus, "solve_delassus": solve_delassus}

@@ -6,6 +6,7 @@ last one. Where a period gained little the next is twice as long; where extrapol
 
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import warp as wp
 
@@ -16,6 +17,15 @@ from dc_kernels._warp.solve.ranges import range_functions
 from dc_kernels._warp.solve.world import world_functions
 
 
+@wp.func
+def series_limit(ratio: Any, cap: Any):
+    """What a geometric series of that ratio adds to its last term, over that: r / (1 - r), at most ``cap``."""
+    one = type(ratio)(1.0)
+    if ratio < cap * (one - ratio):
+        return ratio / (one - ratio)
+    return cap
+
+
 @cache
 def functions(dtype: str, variant: str) -> SimpleNamespace:
     """``reset`` and ``after_sweep``; ``step`` and ``end_period`` are what the adaptive acceleration takes of it."""
@@ -24,7 +34,6 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
     module = kernel_module("solver", dtype, variant)
     extrapolate, squares = lane_functions(dtype, variant).extrapolate, range_functions(dtype).squares
     apply = world_functions(dtype, variant).apply
-    one = real(1.0)
     huge = real(3e38)
 
     @wp.func(module=module)
@@ -54,10 +63,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         before = iteration[w].before_end
         now = squares(rows.change, span.low, span.high)
         if now < before and move == 1:
-            ratio = wp.sqrt(now / before)
-            alpha = config.aitken_cap
-            if ratio < config.aitken_cap * (one - ratio):
-                alpha = ratio / (one - ratio)
+            alpha = series_limit(wp.sqrt(now / before), config.aitken_cap)
             extrapolate(rows.column, rows.impulse, rows.change, span.first, span.last, alpha)
             apply(span, motion, rows, rows.change)
         period = iteration[w].period
