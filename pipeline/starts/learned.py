@@ -161,6 +161,7 @@ class LearnedSolve:
             self._solve(started or _nothing)
 
     def _solve(self, started: Started) -> None:
+        """Solve; ``started`` is called before the first sweep."""
         sim, options, stats = self.sim, self.options, self.stats
         self._timed("solve", sim.solve, pause=0)
         running = sim.running
@@ -279,6 +280,7 @@ class LearnedSolve:
         self.stats.failed += failed
 
     def _timed(self, part: str, function: Any, *arguments: Any, **options: Any) -> Any:
+        """Call a function, whose wall time counts for a part."""
         with self.clock.part(part):
             return function(*arguments, **options)
 
