@@ -20,6 +20,7 @@ from dc_kernels.grid.transfer import Splat, allocate_image, chunks_of, stencil_s
 from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
 from dc_kernels.model.arrays import aligned_zeros, kernel_array, kernel_vectors, to_torch
 from dc_kernels.runtime.backends import make_kernels
+from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_count
 from dc_kernels.runtime.interop import address
 from dc_kernels.runtime.program import Fed, Kernel, Program
@@ -93,6 +94,7 @@ class SolveReader:
 
     def begin(self) -> None:
         """Take the impulses that the solves begin with as those known: ``since`` then counts from there."""
+        refuse_recording("a solve that is read", "the host reads what the kernels leave")
         if self._bound != (self.sim.layout_version, self.sim.config):
             self._bind()
         np.copyto(self.known, self.sim.contacts.numpy("impulse"))
@@ -110,6 +112,7 @@ class SolveReader:
         Raises:
             ValueError: for a world that is not there, out of order or not paused, or acceleration "nncg".
         """
+        refuse_recording("a solve that is read", "the host reads what the kernels leave")
         self._check(worlds)
         if self._bound != (self.sim.layout_version, self.sim.config):
             self._bind()
@@ -144,6 +147,7 @@ class SolveReader:
         Raises:
             ValueError: for an image of another dtype, shape, layout or device.
         """
+        refuse_recording("a solve that is read", "the host reads what the kernels leave")
         pointer, shape = address(image, "image", self.sim.dtype)
         if len(shape) != 4 or (shape[0], *shape[2:]) != (self.asked, *self.grid.shape):
             raise ValueError(
@@ -169,6 +173,7 @@ class SolveReader:
         Raises:
             ValueError: for an output of another dtype, shape, layout or device.
         """
+        refuse_recording("a solve that is read", "the host reads what the kernels leave")
         pointer, shape = address(output, "output", self.sim.dtype)
         if shape != (self.count, len(OUTPUT)):
             raise ValueError(f"output has shape {shape}; it must be ({self.count}, {len(OUTPUT)})")

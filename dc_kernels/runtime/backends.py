@@ -5,6 +5,7 @@ Kernels name their arguments after the arrays they take, so a launch is bound by
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import inspect
 from collections.abc import Callable, Mapping
@@ -15,6 +16,7 @@ from dc_kernels.runtime.capture import refuse_recording
 
 BACKENDS = ("warp", "numpy")
 Launch = Callable[[], None]
+_made: dict[tuple[Any, ...], dict[str, Any]] = {}
 
 
 def check_backend(backend: str) -> str:
@@ -46,11 +48,12 @@ def make_kernels(backend: str, path: str, *options: Any, factory: str = "kernels
         options: what they are made for, as the factory takes it.
         factory: name of the function that makes them once.
     """
-    make = getattr(kernel_file(backend, path), factory)
-    if backend == "numpy":
-        return make(*options)
-    with building():
-        return make(*options)
+    key = (backend, path, factory, *options)
+    if key not in _made:
+        make = getattr(kernel_file(backend, path), factory)
+        with building() if backend == "warp" else contextlib.nullcontext():
+            _made[key] = make(*options)
+    return _made[key]
 
 
 def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool) -> dict[str, Any]:
