@@ -7,6 +7,8 @@ r = |s| / |step before| and A = r / (1 - r) what a geometric series would still 
 
 from __future__ import annotations
 
+from enum import IntEnum
+
 LOCAL = (
     "step_n",  # squashed step of the last sweep
     "step_t",
@@ -54,3 +56,16 @@ IMAGE = (
 OUTPUT = ("step_n", "step_t", "free_n", "free_t", "carried_n", "carried_t")
 """Correction: multiples of the step times 1 + A, with the A near the contact; and, times sigma and 1 + A of the world,
 parts that are the same for all contacts and parts of the impulse carried over its RMS."""
+
+
+class Scale(IntEnum):
+    """Columns of the scales of a world that ``SolveReader.scale`` holds."""
+
+    STEP = 0
+    """RMS of the step of the last sweep, sigma [N s]."""
+    IMPULSE = 1
+    """RMS of the impulses carried [N s]."""
+    RATE = 2
+    """A of the world [1]."""
+    EXPECTED = 3
+    """RMS that is expected of a correction, (1 + A) sigma [N s]."""

@@ -47,7 +47,7 @@ class SolveReader:
         place, place_a, place_b: contact points and centres of their bodies [m], (room, 2).
         step: step of the last sweep [N s], (room, 2); before the first, that of each contact alone.
         rate: A near each contact, (room,).
-        scale: RMS of the step and of the impulses [N s], A, RMS expected of the correction [N s], (W, 4).
+        scale: scales of each world, its columns those of ``channels.Scale``, (W, 4).
         before, known: impulses before and after the last correction, (slots of ``sim.contacts``, 2) [N s].
         active, packed_start: the worlds asked for, and the first row of each.
         asked, count: worlds and contacts of the last ``read``.
