@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, Field
+from dc_kernels.runtime.backends import on_numpy
 from dc_kernels.runtime.building import start_warp
 from dc_kernels.runtime.optional import require
 
@@ -64,7 +65,7 @@ def warp_dtype(field: Field, real: np.dtype) -> Any:
 def allocate(field: Field, count: int, real: np.dtype, device: str, backend: str) -> Any:
     """One zeroed array of ``count`` elements on the device of a backend."""
     scalar, shape = numpy_spec(field, real)
-    if backend == "numpy":
+    if on_numpy(backend):
         return aligned_zeros((count, *shape), scalar)
     import warp as wp
 
@@ -96,7 +97,7 @@ def to_torch(array: Any) -> Any:
 
 def kernel_array(array: np.ndarray, backend: str) -> Any:
     """An array as the kernels of a backend take it, the same memory."""
-    if backend == "numpy":
+    if on_numpy(backend):
         return array
     import warp as wp
 
@@ -111,7 +112,7 @@ def kernel_arrays(arrays: Mapping[str, np.ndarray], backend: str) -> dict[str, A
 
 def kernel_vectors(array: np.ndarray, backend: str) -> Any:
     """An array (n, k) as the kernels of a backend take it: vectors of k for Warp, the same memory."""
-    if backend == "numpy":
+    if on_numpy(backend):
         return array
     import warp as wp
 
@@ -137,7 +138,7 @@ class ArrayGroup:
             sizes: elements on each axis that the table names.
             dtype: float32 or float64, the scalar of "real", "vec2" and "vec4" fields.
             device: "cpu" or a CUDA device of Warp; "cpu" only for the numpy backend.
-            backend: "warp" or "numpy".
+            backend: a name in ``runtime.backends.BACKENDS``.
         """
         self.sizes = dict(sizes)
         self.dtype = float_dtype(dtype)
@@ -190,7 +191,7 @@ class ArrayGroup:
                 getattr(array, "dtype", None),
                 getattr(array, "shape", None),
             )
-            if self.backend == "numpy":
+            if on_numpy(self.backend):
                 wanted: tuple[Any, ...] = ("ndarray", scalar, (count, *shape))
                 whole = isinstance(array, np.ndarray) and array.flags.c_contiguous
             else:

@@ -160,8 +160,8 @@ def _search(method: str, backend: str) -> Search | None:
     """How a method searches one world; None for "hash", which takes all of them."""
     if method not in METHODS:
         raise ValueError(f"method is {method!r}; it must be one of {METHODS}")
-    if check_backend(backend) == "numpy" and method != "hash":
-        raise ValueError(f"backend is 'numpy' and method is {method!r}; only 'hash' has an oracle")
+    if check_backend(backend) != "warp" and method != "hash":
+        raise ValueError(f"backend is {backend!r} and method is {method!r}; only 'hash' has an oracle")
     return {"hash": None, "kdtree": _kdtree, "tree": _tree, "all": _all}[method]
 
 
