@@ -54,8 +54,8 @@ def run_together(work: Callable[[], Any], threads: int) -> None:
         others = [thread_pool(threads - 1).submit(work) for _ in range(threads - 1)]
         work()
     finally:
-        # what has not begun finds nothing left to do; a cancelled task is not waited for, as it only counts as done when
-        # a thread takes it up, and all may be waiting here
+        # what has not begun finds nothing left to do; a cancelled task is not waited for, as it only counts as done
+        # when a thread takes it up, and all may be waiting here
         begun = [other for other in others if not other.cancel()]
         wait(begun)
     for other in begun:
