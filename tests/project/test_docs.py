@@ -21,7 +21,10 @@ from pipeline import cli
 from pipeline.scenes import SCENES
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", ROOT / "bench" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CHANGELOG.md", "bench/README.md")),
+    *sorted((ROOT / "docs").glob("*.md")),
+]
 TEXTS = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in PAGES}
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 FOLDERS = "dc_kernels|pipeline|bench|docs|tests"
@@ -93,7 +96,7 @@ def test_the_fragments_compile(page, code):
 
 @pytest.mark.parametrize("page", TEXTS)
 def test_every_link_leads_to_a_file(page):
-    for target in re.findall(r"\]\(([^)\s]+)\)", TEXTS[page]):
+    for target in re.findall(r"\]\((?!https?://)([^)\s]+)\)", TEXTS[page]):
         path, _, anchor = target.partition("#")
         found = (ROOT / page).parent / path if path else ROOT / page
         assert found.exists(), target
