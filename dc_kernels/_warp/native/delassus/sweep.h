@@ -1,6 +1,13 @@
 // One sweep of projected Gauss-Seidel over all contacts of a problem, the normal of each before its friction; returns
 // the squared norm of its step. A store and the next row's load of it are what a sweep waits for: plain pointers, no
 // strides, two sums a direction. Macro: REAL.
+#if defined(__CUDA_ARCH__)
+#define LARGER(a, b) ((a) > (b) ? (a) : (b))
+#define SMALLER(a, b) ((a) < (b) ? (a) : (b))
+#else
+#define LARGER __builtin_elementwise_max
+#define SMALLER __builtin_elementwise_min
+#endif
 const int* const start = block_start.data;
 const int* const col = block_col.data;
 const REAL* const w = (const REAL*)block.data;
@@ -24,12 +31,12 @@ for (int c = 0; c < n; ++c) {
     un += vn;
     ut += vt;
     const REAL rn = x[2 * c], rt = x[2 * c + 1];
-    const REAL n1 = __builtin_elementwise_max(rn - omega * inv[2 * c] * un, low.data[c]);
-    const REAL limit = __builtin_elementwise_max(mu.data[c] * n1, none);
+    const REAL n1 = LARGER(rn - omega * inv[2 * c] * un, low.data[c]);
+    const REAL limit = LARGER(mu.data[c] * n1, none);
     const REAL dn = n1 - rn;
     ut += couple.data[c] * dn;
     const REAL free = rt - omega * inv[2 * c + 1] * ut;
-    const REAL t1 = __builtin_elementwise_min(__builtin_elementwise_max(free, -limit), limit);
+    const REAL t1 = SMALLER(LARGER(free, -limit), limit);
     const REAL dt = t1 - rt;
     x[2 * c] = n1;
     x[2 * c + 1] = t1;
@@ -38,3 +45,5 @@ for (int c = 0; c < n; ++c) {
     total += dn * dn + dt * dt;
 }
 return total;
+#undef LARGER
+#undef SMALLER
