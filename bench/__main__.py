@@ -23,6 +23,7 @@ MODULES = {
     "learning": "learning.learning",
     "train": "speed.train",
     "startup": "speed.startup",
+    "overhead": "speed.overhead",
     "accuracy": "accuracy.accuracy",
     "error_time": "error_time.error_time",
     "fc2d": "error_time.fc2d",

@@ -7,7 +7,10 @@ import os
 import warp as wp
 from hypothesis import HealthCheck, settings
 
+from dc_kernels.runtime import stepping
+
 wp.config.log_level = wp.LOG_WARNING
+stepping.WORTH_THREADS = 0  # scenes of tests are small, and still their threads are to be tested
 
 # Kernels compile in the first example of a property test, so neither a deadline nor a slow start means anything.
 settings.register_profile(

@@ -33,6 +33,7 @@ SECTIONS = {
     "roundtrip": ("The theses' round trip", transfer.roundtrip),
     "neighbors": ("Neighbour search", speed.neighbors),
     "startup": ("Start of a process", speed.startup),
+    "overhead": ("A step beside its kernels", speed.overhead),
 }
 
 

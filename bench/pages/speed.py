@@ -5,6 +5,7 @@ from __future__ import annotations
 from bench.cases import SCALING_WORLDS, SWEEP_PILES
 from bench.pages.markdown import Record, figure, paragraphs, table
 from bench.peers.peers import PEER_TEXT
+from bench.speed.overhead import SIZES
 
 
 def worlds(record: Record) -> str:
@@ -115,4 +116,23 @@ def startup(record: Record) -> str:
     return paragraphs(
         "A new Python process up to the end of its first step. Warp compiles the kernels at first use and caches them.",
         table(("process start to first step [s]", "median", "lowest", "highest"), rows),
+    )
+
+
+def overhead(record: Record) -> str:
+    """Show what a step of one body costs beside its kernels, and what a second thread loses on small scenes."""
+    rows = [
+        ("`step()`", record["step_us_1_body"], record["step_over_graph_us"]),
+        ("`run()`, a step", record["run_us_1_body"], record["run_over_graph_us"]),
+        ("graph of a step, recorded by Warp", record["graph_us_1_body"], None),
+        ("pymunk", record["pymunk_us_1_body"], None),
+    ]
+    sizes = [worlds * discs for worlds, discs in SIZES]
+    shared = [(figure(n), record[f"threads1_us_{n}"], record[f"threads2_us_{n}"]) for n in sizes]
+    return paragraphs(
+        "A step of one disc at rest; below the graph's time lies what launching the kernels by their addresses saves.",
+        table(("one body", "a step [us]", "over the graph [us]"), rows),
+        f"Steps of more discs with one thread and with two, of which the largest loss is "
+        f"{figure(record['threads2_penalty_us'])} us:",
+        table(("discs at rest", "`threads=1` [us]", "`threads=2` [us]"), shared),
     )

@@ -12,6 +12,7 @@ from dc_kernels.delassus.problem import DelassusProblem
 from dc_kernels.delassus.search import METHODS, DelassusSolution, Search
 from dc_kernels.model.arrays import FLOATS
 from dc_kernels.runtime.backends import check_backend
+from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.optional import require
 
 Method = Literal["auto", "pgs", "sor", "aitken", "nncg", "anderson", "hybrid", "newton"]
@@ -52,6 +53,7 @@ def solve(
         ValueError: for an argument out of its range, naming it.
         ImportError: for "newton" without SciPy.
     """
+    refuse_recording("a solve in Delassus form", "the host reads what the kernels leave")
     if method not in METHODS and method not in ("auto", "newton"):
         raise ValueError(f"method is {method!r}; it must be one of {('auto', *METHODS, 'newton')}")
     if not 0.0 < tolerance < float("inf"):

@@ -10,6 +10,7 @@ from dc_kernels.delassus.problem import DelassusProblem, assemble_blocks
 from dc_kernels.delassus.search import DelassusSolution
 from dc_kernels.delassus.solver import solve
 from dc_kernels.model.arrays import to_numpy
+from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.solve.rows import read_column
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
         ValueError: after ``advance``, for a world that is not there or does not advance, or a contact or joint
             between bodies that nothing moves.
     """
+    refuse_recording("from_world", "the host reads what the kernels leave")
     if sim.phase == "advance":
         raise ValueError("the contacts are those of a finished step: call collide(dt) first")
     if not 0 <= world < sim.model.world_count:
@@ -129,6 +131,7 @@ def refine(sim: Simulation, tolerance: float, *, max_sweeps: int = 100_000) -> d
     Raises:
         ValueError: out of turn, on a GPU, or for a tolerance that is not > 0.
     """
+    refuse_recording("refine", "the host reads what the kernels leave")
     if sim.phase != "solve" or sim.running.any():
         raise ValueError("refine() stands between a solve() that has ended and advance()")
     if sim.device != "cpu":

@@ -85,3 +85,16 @@ class Output(IntEnum):
 
 
 LOCAL, IMAGE, OUTPUT = (tuple(column.name.lower() for column in table) for table in (Feature, Channel, Output))
+
+
+class Scale(IntEnum):
+    """Columns of the scales of a world that ``SolveReader.scale`` holds."""
+
+    STEP = 0
+    """RMS of the step of the last sweep, sigma [N s]."""
+    IMPULSE = 1
+    """RMS of the impulses carried [N s]."""
+    RATE = 2
+    """A of the world [1]."""
+    EXPECTED = 3
+    """RMS that is expected of a correction, (1 + A) sigma [N s]."""

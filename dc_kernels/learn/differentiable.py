@@ -15,6 +15,7 @@ import numpy as np
 
 from dc_kernels.learn.packed import Column
 from dc_kernels.measure import contact_slots
+from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_array, check_count, check_start
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.optional import require
@@ -162,6 +163,7 @@ class ContactProblem:
         Raises:
             ValueError: after ``advance``, on a GPU, with joints, or for a world that is not there or twice.
         """
+        refuse_recording("from_simulation", "the host reads what the kernels leave")
         if sim.device != "cpu":
             raise ValueError(f"sim.device is {sim.device!r}; contact problems are solved on the CPU")
         if sim.model.joint_count:

@@ -21,6 +21,7 @@ from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
 from dc_kernels.learn.groups import SETTINGS, Reading
 from dc_kernels.model.arrays import kernel_array, to_torch
 from dc_kernels.runtime.backends import kernel_file, make_kernels
+from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_count
 from dc_kernels.runtime.interop import address
 from dc_kernels.runtime.program import Fed, Kernel, Program
@@ -47,7 +48,7 @@ class SolveReader:
         place, place_a, place_b: contact points and centres of their bodies [m], (room, 2).
         step: step of the last sweep [N s], (room, 2); before the first, that of each contact alone.
         rate: A near each contact, (room,).
-        scale: RMS of the step and of the impulses [N s], A, RMS expected of the correction [N s], (W, 4).
+        scale: scales of each world, its columns those of ``channels.Scale``, (W, 4).
         before, known: impulses before and after the last correction, (slots of ``sim.contacts``, 2) [N s].
         active, packed_start: the worlds asked for, and the first row of each.
         asked, count: worlds and contacts of the last ``read``.
@@ -90,6 +91,7 @@ class SolveReader:
 
     def begin(self) -> None:
         """Take the impulses that the solves begin with as those known: ``since`` then counts from there."""
+        refuse_recording("a solve that is read", "the host reads what the kernels leave")
         if self._bound != (self.sim.layout_version, self.sim.config):
             self._bind()
         np.copyto(self.known, self.sim.contacts.numpy("impulse"))
@@ -107,6 +109,7 @@ class SolveReader:
         Raises:
             ValueError: for a world that is not there, out of order or not paused, or acceleration "nncg".
         """
+        refuse_recording("a solve that is read", "the host reads what the kernels leave")
         self._check(worlds)
         if self._bound != (self.sim.layout_version, self.sim.config):
             self._bind()
@@ -141,6 +144,7 @@ class SolveReader:
         Raises:
             ValueError: for an image of another dtype, shape, layout or device.
         """
+        refuse_recording("a solve that is read", "the host reads what the kernels leave")
         pointer, shape = address(image, "image", self.sim.dtype)
         if len(shape) != 4 or (shape[0], *shape[2:]) != (self.asked, *self.grid.shape):
             raise ValueError(
@@ -166,6 +170,7 @@ class SolveReader:
         Raises:
             ValueError: for an output of another dtype, shape, layout or device.
         """
+        refuse_recording("a solve that is read", "the host reads what the kernels leave")
         pointer, shape = address(output, "output", self.sim.dtype)
         if shape != (self.count, len(OUTPUT)):
             raise ValueError(f"output has shape {shape}; it must be ({self.count}, {len(OUTPUT)})")

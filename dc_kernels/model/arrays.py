@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dc_kernels.model.fields import CONTACTS, ITERATION, JOINTS, MODEL, STATE, Field
-from dc_kernels.runtime.backends import kernel_file
+from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
 from dc_kernels.runtime.optional import require
 
@@ -76,7 +76,7 @@ def allocate(field: Field, sizes: Mapping[str, int], real: np.dtype, device: str
     """One zeroed array on the device of a backend, with ``sizes`` elements along each of the field's axes."""
     scalar, inner = numpy_spec(field, real)
     shape = tuple(sizes[axis] for axis in field.axes)
-    if backend == "numpy":
+    if on_numpy(backend):
         array = aligned_zeros((*shape, *inner), scalar)
         return array.view(np.recarray) if scalar.names else array
     import warp as wp
@@ -109,7 +109,7 @@ def to_torch(array: Any) -> Any:
 
 def kernel_array(array: np.ndarray, backend: str) -> Any:
     """An array as the kernels of a backend take it, the same memory."""
-    if backend == "numpy":
+    if on_numpy(backend):
         return array
     import warp as wp
 
@@ -124,7 +124,7 @@ def kernel_arrays(arrays: Mapping[str, np.ndarray], backend: str) -> dict[str, A
 
 def kernel_vectors(array: np.ndarray, backend: str) -> Any:
     """An array (n, k) as the kernels of a backend take it: vectors of k for Warp, the same memory."""
-    if backend == "numpy":
+    if on_numpy(backend):
         return array
     import warp as wp
 
@@ -150,7 +150,7 @@ class ArrayGroup:
             sizes: elements on each axis that the table names.
             dtype: float32 or float64, the scalar of "real", "vec2" and "vec4" fields.
             device: "cpu" or a CUDA device of Warp; "cpu" only for the numpy backend.
-            backend: "warp" or "numpy".
+            backend: a name in ``runtime.backends.BACKENDS``.
         """
         self.sizes = dict(sizes)
         self.dtype = float_dtype(dtype)
@@ -203,7 +203,7 @@ class ArrayGroup:
                 getattr(array, "dtype", None),
                 getattr(array, "shape", None),
             )
-            if self.backend == "numpy":
+            if on_numpy(self.backend):
                 wanted: tuple[Any, ...] = ("ndarray", scalar, (count, *shape))
                 whole = isinstance(array, np.ndarray) and array.flags.c_contiguous
             else:

@@ -36,6 +36,7 @@ from dc_kernels.model.assemble import (
 from dc_kernels.model.checks import ALL_BITS, fill, number, pair
 from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.shapes import TOLERANCE, box_vertices, convex_polygon, points
+from dc_kernels.runtime.backends import on_numpy
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -380,17 +381,15 @@ class ModelBuilder:
         Args:
             dtype: "float32" or "float64".
             device: "cpu", or a CUDA device of Warp.
-            backend: "warp" or "numpy" (on the CPU only).
+            backend: "warp" or "numpy" (on the CPU only), see ``runtime.backends``.
 
         Raises:
             ValueError: no world; a dynamic body without mass; too many shapes in a world; a value that the dtype
                 cannot hold; an unknown dtype, device or backend.
         """
         real = float_dtype(dtype)
-        if backend not in ("warp", "numpy"):
-            raise ValueError(f"backend is {backend!r}; it must be 'warp' or 'numpy'")
-        if backend == "numpy" and device != "cpu":
-            raise ValueError(f"device is {device!r}; the numpy backend runs on 'cpu' only")
+        if on_numpy(backend) and device != "cpu":
+            raise ValueError(f"device is {device!r}; the {backend} backend runs on 'cpu' only")
         if not self._worlds:
             raise ValueError("the builder has no world: call add_world first")
         with np.errstate(over="ignore", invalid="ignore"):  # values too large are found when they are assigned

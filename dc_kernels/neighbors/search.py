@@ -16,6 +16,7 @@ import numpy as np
 from dc_kernels.model.arrays import kernel_arrays
 from dc_kernels.neighbors.cells import allowed, hash_lists, hash_pairs
 from dc_kernels.runtime.backends import bind, check_backend, make_kernels
+from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_count, check_points, check_start
 from dc_kernels.runtime.optional import require
 from dc_kernels.runtime.threads import map_threads
@@ -63,6 +64,7 @@ def neighbor_pairs(
         ValueError: naming the argument, the index and the limit.
         ImportError: for "kdtree" without SciPy.
     """
+    refuse_recording("neighbor_pairs", "the host sizes what it finds")
     points = check_points("points", points, (2, 3))
     starts = check_start("start", start, len(points))
     limit = _square("radius", radius, points.dtype)
@@ -110,6 +112,7 @@ def neighbor_lists(
         ValueError: naming the argument, the index and the limit.
         ImportError: for "kdtree" without SciPy.
     """
+    refuse_recording("neighbor_lists", "the host sizes what it finds")
     queries = check_points("queries", queries, (2, 3))
     points = check_points("points", points, (2, 3))
     for what in ("dtype", "shape"):
@@ -157,8 +160,8 @@ def _search(method: str, backend: str) -> Search | None:
     """How a method searches one world; None for "hash", which takes all of them."""
     if method not in METHODS:
         raise ValueError(f"method is {method!r}; it must be one of {METHODS}")
-    if check_backend(backend) == "numpy" and method != "hash":
-        raise ValueError(f"backend is 'numpy' and method is {method!r}; only 'hash' has an oracle")
+    if check_backend(backend) != "warp" and method != "hash":
+        raise ValueError(f"backend is {backend!r} and method is {method!r}; only 'hash' has an oracle")
     return {"hash": None, "kdtree": _kdtree, "tree": _tree, "all": _all}[method]
 
 

@@ -1,31 +1,58 @@
-"""The registry of backends: each is a table of kernels with the same names and arguments.
+"""The registry of backends: each has kernels with the names and arguments that host code launches, below its root.
 
 Kernels name their arguments after the arrays they take, so a launch is bound by name and host logic is written once.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from dc_kernels.runtime.building import building
 from dc_kernels.runtime.capture import refuse_recording
 
-BACKENDS = ("warp", "numpy")
 Launch = Callable[[], None]
+_made: dict[tuple[Any, ...], dict[str, Any]] = {}
+
+
+@dataclass(frozen=True)
+class Backend:
+    """What host code has to know of a backend beside its kernels."""
+
+    root: str
+    """Package of its kernels: their files stand at the paths of the host files that launch them."""
+    on_numpy: bool
+    """Whether its kernels take numpy arrays, on the CPU; else they take Warp's, on any of its devices."""
+
+
+BACKENDS = {
+    "warp": Backend("dc_kernels._warp", on_numpy=False),
+    "numpy": Backend("dc_kernels._numpy", on_numpy=True),
+}
 
 
 def check_backend(backend: str) -> str:
-    """The name of a backend.
+    """Return the name of a backend.
 
     Raises:
         ValueError: for an unknown one.
     """
     if backend not in BACKENDS:
-        raise ValueError(f"backend is {backend!r}; it must be one of {BACKENDS}")
+        raise ValueError(f"backend is {backend!r}; it must be one of {tuple(BACKENDS)}")
     return backend
+
+
+def on_numpy(backend: str) -> bool:
+    """Tell whether the kernels of a backend take numpy arrays.
+
+    Raises:
+        ValueError: for an unknown backend.
+    """
+    return BACKENDS[check_backend(backend)].on_numpy
 
 
 def kernel_file(backend: str, path: str) -> Any:
@@ -34,23 +61,24 @@ def kernel_file(backend: str, path: str) -> Any:
     Raises:
         ValueError: for an unknown backend.
     """
-    return importlib.import_module(f"dc_kernels._{check_backend(backend)}.{path}")
+    return importlib.import_module(f"{BACKENDS[check_backend(backend)].root}.{path}")
 
 
 def make_kernels(backend: str, path: str, *options: Any, factory: str = "kernels") -> dict[str, Any]:
     """The kernels of a file by name (see ``kernel_file``); one thread at a time defines those of Warp.
 
     Args:
-        backend: "warp" or "numpy".
+        backend: its name.
         path: of the file.
         options: what they are made for, as the factory takes it.
         factory: name of the function that makes them once.
     """
-    make = getattr(kernel_file(backend, path), factory)
-    if backend == "numpy":
-        return make(*options)
-    with building():
-        return make(*options)
+    key = (backend, path, factory, *options)
+    if key not in _made:
+        make = getattr(kernel_file(backend, path), factory)
+        with contextlib.nullcontext() if on_numpy(backend) else building():
+            _made[key] = make(*options)
+    return _made[key]
 
 
 def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool) -> dict[str, Any]:
@@ -83,12 +111,21 @@ def argument_names(kernel: Any) -> list[str]:
 
 
 def bind(kernel: Any, dim: int | tuple[int, int], values: Mapping[str, Any], device: str) -> Launch:
-    """A launch with its arguments taken by name and packed once; calling it costs 1 us on the warp backend.
+    """Bind a launch, its arguments taken by name and packed once; calling it costs 1 us on the warp backend.
 
-    In a recording of the calling thread (``capture.recording``) it becomes part of the graph.
+    In a recording of the calling thread (``capture.recording``) a launch of Warp's becomes part of the graph.
+
+    Args:
+        kernel: one of Warp's; or a Python function that is called with the index of each thread first; or an object
+            with a method ``bind(dim, values, device)``, whose launch that returns.
+        dim: threads, of one or two dimensions.
+        values: arguments by name, and maybe others.
+        device: of the arrays.
     """
     if dim == 0:
         return _nothing  # Warp records no launch of nothing
+    if hasattr(kernel, "bind"):
+        return kernel.bind(dim, values, device)
     if hasattr(kernel, "adj"):
         recorded = command(kernel, dim, values, device)
         if device != "cpu":

@@ -1,7 +1,7 @@
 """Making kernels, one thread at a time: starting Warp, defining, hashing, compiling and loading.
 
-Warp does none of this safely on several threads. All of it happens here, under one re-entrant lock, which a launch that
-is bound already never takes. A fork waits until no other thread makes a kernel, so that the child finds none half made.
+Warp does none of this safely on several threads. All of it happens here, under one re-entrant lock, which what is made
+already never takes. A fork waits until no other thread makes a kernel, so that the child finds none half made.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from typing import Any
 
 _lock = threading.RLock()
-_loaded: set[tuple[str, str]] = set()  # names of modules and devices that a launch was bound for
+_loaded: set[tuple[Any, str]] = set()  # kernels and devices
 _started = False
 
 os.register_at_fork(before=_lock.acquire, after_in_parent=_lock.release, after_in_child=_lock.release)
@@ -50,22 +50,20 @@ def load(kernel: Any, device: str) -> None:
     Raises:
         OSError: see ``building``.
     """
+    if (kernel, device) in _loaded:
+        return
     import warp as wp
 
-    module = kernel.module
-    with building():
-        if (module.name, device) in _loaded:
-            return
-        with _writable_cache(), _quiet() as shown:
+    with building(), _writable_cache(), _quiet() as shown:
+        if shown:
+            _progress(f"loading kernels: {kernel.module.name.removeprefix('dc_kernels.')}")
+        try:
+            # the variant that a launch takes: Warp runs one thread a block on the CPU
+            kernel.module.load(wp.get_device(device), 1 if device == "cpu" else None)
+        finally:
             if shown:
-                _progress(f"loading kernels: {module.name.removeprefix('dc_kernels.')}")
-            try:
-                # the variant that a launch takes: Warp runs one thread a block on the CPU
-                module.load(wp.get_device(device), 1 if device == "cpu" else None)
-            finally:
-                if shown:
-                    _progress("")
-        _loaded.add((module.name, device))
+                _progress("")
+        _loaded.add((kernel, device))
 
 
 def _start() -> None:

@@ -12,8 +12,8 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels.runtime.building import building, load
-from dc_kernels.runtime.capture import recording
+from dc_kernels.runtime.building import load
+from dc_kernels.runtime.capture import recording, refuse_recording
 from dc_kernels.runtime.threads import run_shards, shard_worlds
 
 # versions of Warp whose compiled functions are known to take bounds and a struct of the arguments
@@ -47,9 +47,8 @@ def element_types(kernel: Any) -> dict[str, Any]:
 
 def record(kernel: Any, dim: int | tuple[int, ...], arguments: Sequence[Any], device: str) -> Any:
     """A launch as Warp records it (``wp.Launch``), its kernel compiled and loaded."""
-    with building():
-        load(kernel, device)
-        return wp.launch(kernel, dim=dim, inputs=list(arguments), device=device, record_cmd=True)
+    load(kernel, device)
+    return wp.launch(kernel, dim=dim, inputs=list(arguments), device=device, record_cmd=True)
 
 
 class Bound:
@@ -139,7 +138,12 @@ class Calls:
         self._free: list[Bound] = []
 
     def __call__(self, values: Mapping[str, Any], worlds: int, threads: int) -> None:
-        """Launch on contiguous tensors and scalars by name, each thread on its share of the worlds."""
+        """Launch on contiguous tensors and scalars by name, each thread on its share of the worlds.
+
+        Raises:
+            RuntimeError: in a recording.
+        """
+        refuse_recording("a torch operator", "torch runs at once")
         each = values["chunks"] if "chunks" in self.elements else 1
         launches = []
         for first, count in shard_worlds(worlds, threads) if threads > 1 else [(0, worlds)]:

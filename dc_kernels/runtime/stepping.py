@@ -27,7 +27,7 @@ class Shards:
     Attributes:
         threads: at most so many take shards at once.
         ranges: first world and number of worlds of each shard.
-        peak: the most that a world used of each kind of room, an int32 for each kind in the row of a shard.
+        peak: the most that a world used of each kind of room, an int32 for each kind in the row of a shard, or of all.
         left: rounds that each shard has still to take.
     """
 
@@ -38,14 +38,14 @@ class Shards:
         edges = np.linspace(0, worlds, count + 1).astype(int)
         self.ranges = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
         self.bodies = max(bodies, 1)
-        self.peak = aligned_zeros((count, CACHE_LINE), INT)
+        self.peak = aligned_zeros((count + 1, CACHE_LINE), INT)
         self.left = [0] * count
         self._lock = threading.Lock()
         self._busy: set[int] = set()
         self._stop = False
 
     def rounds(self, bind: Callable[[int, int], Sequence[Launch]], watch: Watch, together: bool) -> list[Rounds]:
-        """Rounds of each shard.
+        """Rounds of each shard, and if there are several of all shards as one.
 
         Args:
             bind: launches of a round over so many worlds from a first one.
@@ -53,35 +53,46 @@ class Shards:
             together: whether a shard that halts halts the others too.
         """
         shared = aligned_zeros((CACHE_LINE,), INT)
-        return [
+        found = [
             Rounds(bind(*shard), *shard, watch, peak, shared if together else aligned_zeros((CACHE_LINE,), INT))
             for shard, peak in zip(self.ranges, self.peak)
         ]
+        if len(found) > 1:
+            launches = [launch for shard in found for launch in shard.launches]
+            found.append(Rounds(launches, 0, sum(count for _, count in self.ranges), watch, self.peak[-1], shared))
+        return found
 
-    def run(self, shards: Sequence[Rounds], count: int | Sequence[int]) -> bool:
+    def run(self, rounds: Sequence[Rounds], count: int | Sequence[int]) -> bool:
         """Take rounds until none is left or one halts; whether one did, with ``left`` still to be taken.
 
         Args:
-            shards: of ``rounds``.
-            count: rounds to take: of all, or of each shard.
+            rounds: as ``rounds`` gives them.
+            count: rounds to take: of all shards, or of each.
 
         Raises:
             BaseException: an interrupt, when no thread is at work any more; shards may differ in what is left.
         """
-        self.left = [count] * len(shards) if isinstance(count, int) else list(count)
+        self.left = [count] * len(self.ranges) if isinstance(count, int) else list(count)
+        shards, whole = rounds[: len(self.ranges)], rounds[-1]
+        longest = max(self.left)
+        even = longest == min(self.left)
         if recording():
-            for shard, left in zip(shards, self.left):
-                shard.record(left)
+            whole.record(longest)
             return False
-        for shard in shards:
-            shard.halt[0] = 0
-        if self.threads > 1 and self.bodies * max(self.left) >= WORTH_THREADS:
+        for one in rounds:
+            one.halt[0] = 0
+        if self.threads > 1 and self.bodies * longest >= WORTH_THREADS:
             self._share(shards)
-        else:
-            most = max(AT_ONCE // self.bodies, 1)
-            for i, shard in enumerate(shards):
-                while self.left[i] and not shard.halt[0]:
-                    self.left[i] -= shard.take(min(self.left[i], most))
+            return any(shard.halt[0] for shard in shards)
+        most = max(AT_ONCE // self.bodies, 1)
+        if even:
+            while longest and not whole.halt[0]:
+                longest -= whole.take(min(longest, most))
+            self.left = [longest] * len(self.ranges)
+            return bool(whole.halt[0])
+        for i, shard in enumerate(shards):
+            while self.left[i] and not shard.halt[0]:
+                self.left[i] -= shard.take(min(self.left[i], most))
         return any(shard.halt[0] for shard in shards)
 
     def _share(self, shards: Sequence[Rounds]) -> None:

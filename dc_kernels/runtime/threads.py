@@ -54,12 +54,12 @@ def run_together(work: Callable[[], Any], threads: int) -> None:
         others = [thread_pool(threads - 1).submit(work) for _ in range(threads - 1)]
         work()
     finally:
-        for other in others:
-            other.cancel()  # what has not begun finds nothing left to do
-        wait(others)
-    for other in others:
-        if not other.cancelled():
-            other.result()
+        # what has not begun finds nothing left to do; a cancelled task is not waited for, as it only counts as done
+        # when a thread takes it up, and all may be waiting here
+        begun = [other for other in others if not other.cancel()]
+        wait(begun)
+    for other in begun:
+        other.result()
 
 
 def map_threads(function: Callable[[Given], Result], items: Iterable[Given], threads: int) -> list[Result]:

@@ -19,6 +19,7 @@ import numpy as np
 from dc_kernels.model.arrays import kernel_arrays
 from dc_kernels.neighbors.search import Neighbors, neighbor_lists
 from dc_kernels.runtime.backends import bind, check_backend, make_kernels
+from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_array, check_count, check_points
 from dc_kernels.runtime.threads import run_shards
 from dc_kernels.sph.quantities import CHUNK, PUBLIC, Quantity
@@ -196,6 +197,7 @@ def _run(
     backend: str,
 ) -> None:
     """Launch a kernel over all queries, in one part for each thread."""
+    refuse_recording("a sum over neighbours", "the host prepares what it reads")
     queries = arrays["query"]
     if not len(queries):
         return

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.grid.grid import Grid
+from dc_kernels.learn.channels import Scale
 from dc_kernels.learn.differentiable import ContactProblem, sweeps_torch
 from dc_kernels.runtime.optional import require
 from dc_kernels.torch_ops.transfer import gather_torch, splat_torch
-from pipeline.contactnet.network import EvenShare
+from pipeline.contactnet.network import CARRIED, FREE, STEP, EvenShare
 
 torch = require("torch", "pipeline")
 
@@ -119,9 +120,9 @@ def on_cone(impulse: Any, friction: Any) -> Any:
 
 def corrected(output: Any, impulse: Any, step: Any, rate: Any, scale: Any) -> Any:
     """Correct impulses (M, 2) by an answer as ``correct_impulses`` does before the cone; the scale is (M, 4)."""
-    _, size, _, expected = scale[:, :, None].unbind(1)
-    by_step = (1.0 + rate)[:, None] * output[:, 0:2] * step
-    return impulse + by_step + expected * (output[:, 2:4] + output[:, 4:6] * impulse / size)
+    size, expected = scale[:, Scale.IMPULSE, None], scale[:, Scale.EXPECTED, None]
+    by_step = (1.0 + rate)[:, None] * output[:, STEP] * step
+    return impulse + by_step + expected * (output[:, FREE] + output[:, CARRIED] * impulse / size)
 
 
 def predicted(batch: CallBatch, model: Any, grid: Grid) -> Any:

@@ -25,6 +25,10 @@ Module: Any = nn.Module  # a name that mypy takes as a base
 SHARE = 1.0
 """Share of Aitken's step with which the network begins [1]."""
 BEGIN, ACCELERATED = LOCAL.index("begin"), LOCAL.index("accelerated")
+STEP, FREE, CARRIED = (
+    slice(OUTPUT.index(f"{part}_n"), OUTPUT.index(f"{part}_t") + 1) for part in ("step", "free", "carried")
+)
+"""Columns of the answer, normal and tangential part of each."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +106,7 @@ class ContactNet(Module):
             x = F.relu(layer(x))
         accelerated = local[:, ACCELERATED, None]
         answer = self.last(x) * (self.gain[0] + (self.gain[1] - self.gain[0]) * accelerated)
-        answer[:, :2] += even_share(local)[:, None]
+        answer[:, STEP] += even_share(local)[:, None]
         return answer
 
     def forward(self, local: Any, images: Any, gather: Callable[[Any], Any]) -> Any:
@@ -124,7 +128,7 @@ class EvenShare(Module):
     def head(self, local: Any, near: Any) -> Any:
         """Return an equal share of the step of the last sweep for all contacts, (n, len(OUTPUT))."""
         output = local.new_zeros(len(local), len(OUTPUT))
-        output[:, :2] = even_share(local)[:, None]
+        output[:, STEP] = even_share(local)[:, None]
         return output
 
 

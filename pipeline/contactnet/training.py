@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 import dc_kernels as dc
+from dc_kernels.learn.channels import Scale
 from dc_kernels.runtime.optional import require
 from pipeline.contactnet.loss import ERRORS, CallBatch, errors_left, predicted
 from pipeline.contactnet.network import EvenShare
@@ -196,7 +197,7 @@ class ContactTraining:
         weights = gain = 0.0
         for grid, batch in batches:
             difference = self.difference(batch, grid, after)
-            weight = (1.0 + batch.scale[:, 2]) ** SLOW
+            weight = (1.0 + batch.scale[:, Scale.RATE]) ** SLOW
             total = total + (weight * difference).sum()
             gain += float((weight * difference.detach()).sum())
             weights += float(weight.sum())

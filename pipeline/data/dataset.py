@@ -103,6 +103,7 @@ class States(Dataset):
         self._forget()
 
     def _forget(self) -> None:
+        """Begin with nothing open and nothing read."""
         self._files: dict[int, Any] = {}
         self._known: OrderedDict[int, World] = OrderedDict()
 
@@ -127,9 +128,11 @@ class States(Dataset):
         return self._world_of(self.rows[np.asarray(indices, np.int64)])
 
     def _world_of(self, rows: np.ndarray) -> np.ndarray:
+        """Return the world of each row of the steps."""
         return np.searchsorted(self.step_start, rows, "right") - 1
 
     def _world(self, number: int) -> World:
+        """Return a world, which is read unless it is still kept."""
         if number in self._known:
             self._known.move_to_end(number)
             return self._known[number]
@@ -261,6 +264,7 @@ class BatchOrder(Sampler):
 
 
 def _identity(batch: Batch) -> Batch:
+    """Pass a batch on: it is put together already."""
     return batch
 
 

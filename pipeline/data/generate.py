@@ -127,6 +127,7 @@ def on_cluster(
 
 
 def _on_worker(recipe: Recipe, number: int) -> bytes:
+    """Make a shard on a worker of Dask, as bytes that can be sent."""
     return bytes(make_shard(recipe, number))
 
 

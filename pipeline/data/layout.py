@@ -65,11 +65,13 @@ class DatasetSpec(NamedTuple):
 
 
 def _field_spec(field: Field, dtype: Any = None) -> DatasetSpec:
+    """Make the spec of a field of float32 arrays, of another dtype if given."""
     found, shape = numpy_spec(field, _FLOAT32)
     return DatasetSpec(np.dtype(dtype or found), field.unit, field.meaning, shape)
 
 
 def _field_specs(table: Mapping[str, Field], *names: str) -> dict[str, DatasetSpec]:
+    """Make the specs of some fields of a table, by name."""
     return {name: _field_spec(table[name]) for name in names}
 
 

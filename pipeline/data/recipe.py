@@ -146,6 +146,7 @@ class Recipe:
         return name != "dt" and isinstance(getattr(self.scene, name), int)
 
     def _typed(self, name: str, value: float) -> float | int:
+        """Return a value of a parameter in the type of that parameter."""
         return int(value) if self.is_whole(name) else float(value)
 
 
@@ -208,4 +209,5 @@ def _updated(default: Any, values: Mapping[str, Any], prefix: str) -> Any:
 
 
 def _is_number(value: Any) -> bool:
+    """Tell whether a value is a number, and no truth value."""
     return isinstance(value, int | float) and not isinstance(value, bool)

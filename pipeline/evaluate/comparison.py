@@ -61,6 +61,7 @@ def _run_all(
     loops: Sequence[Loop],
     progress: bool,
 ) -> list[Run]:
+    """Run each pair in each loop, after all that can fail has been tried."""
     options.check()
     pairs = pairs or [(start, acceleration) for acceleration in options.accelerations for start in options.starts]
     makers = {}

@@ -114,6 +114,7 @@ def against(run: Run, base: Run) -> dict[str, Any]:
 
 
 def _ratio(a: float, b: float) -> float | None:
+    """Divide; None where there is nothing to divide by."""
     return a / b if b > 0 else None
 
 

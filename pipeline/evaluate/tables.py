@@ -18,20 +18,24 @@ class Column:
 
 
 def _share(sweeps: int) -> Callable[[dict[str, Any]], str]:
+    """Make what writes the share of states that were done in some sweeps."""
     return lambda row: f"{100.0 * row['done_in'][str(sweeps)]:.0f} %"
 
 
 def _spread(row: dict[str, Any]) -> str:
+    """Write the least and the largest mean of a world."""
     means = row["world_mean_sweeps"]
     return f"{min(means):.0f}-{max(means):.0f}"
 
 
 def _over(row: dict[str, Any]) -> str:
+    """Write the mean sweeps over those of Builtin."""
     ratio = (row["over_builtin"] or {}).get("sweeps_ratio")
     return "-" if ratio is None else f"{ratio:.2f}"
 
 
 def _calls(row: dict[str, Any]) -> str:
+    """Write the calls of the network for a state."""
     return f"{row['counts']['calls'] / max(row['states'], 1):.2f}" if row["counts"] else "-"
 
 

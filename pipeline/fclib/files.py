@@ -159,6 +159,7 @@ def read_fclib(path: Path) -> FclibProblem:
 
 
 def _read(reader: _Reader) -> FclibProblem:
+    """Read the problem of an open file."""
     file = reader.file
     if ROOT not in file:
         other = [name for name in ("fclib_global", "fclib_global_rolling") if name in file]

@@ -188,11 +188,13 @@ def load_training(
 
 
 def _described(model: Any, schema: str, version: int) -> dict[str, str]:
+    """Return the metadata that both kinds of file have."""
     config = _json("config", models.config_dict(model))
     return {"schema": schema, "version": str(version), "network": model.network_name, "config": config}
 
 
 def _json(name: str, value: Any) -> str:
+    """Write a value as JSON; an error calls it ``name``."""
     try:
         return json.dumps(plain(value), allow_nan=True)
     except TypeError as error:
@@ -200,6 +202,7 @@ def _json(name: str, value: Any) -> str:
 
 
 def _parsed(path: Path | str, described: Mapping[str, str], name: str) -> Any:
+    """Parse a JSON value of the metadata."""
     try:
         return json.loads(described[name])
     except (KeyError, json.JSONDecodeError) as error:
@@ -212,6 +215,7 @@ def _as_given(saved: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any
 
 
 def _write(path: Path, tensors: Mapping[str, Any], described: dict[str, str]) -> None:
+    """Write tensors and metadata in one go."""
     save = require("safetensors.torch", "pipeline").save  # as bytes: a file of its own making nobody else may read
     write_bytes(path, save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, described))
 

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 import dc_kernels as dc
+from dc_kernels.learn.channels import Scale
 from dc_kernels.learn.in_flight import SolveReader
 from dc_kernels.runtime.optional import require
 from pipeline.checks import check_least
@@ -160,6 +161,7 @@ class LearnedSolve:
             self._solve(started or _nothing)
 
     def _solve(self, started: Started) -> None:
+        """Solve; ``started`` is called before the first sweep."""
         sim, options, stats = self.sim, self.options, self.stats
         self._timed("solve", sim.solve, pause=0)
         running = sim.running
@@ -208,7 +210,7 @@ class LearnedSolve:
         contacts = self._read(worlds, begin)
         if begin:
             # where no contact would take a step beyond the tolerance, the first sweep is the last
-            needed = reader.scale[: len(worlds), 0] * np.sqrt(contacts) >= self.sim.config.tolerance
+            needed = reader.scale[: len(worlds), Scale.STEP] * np.sqrt(contacts) >= self.sim.config.tolerance
             if not needed.all():
                 asking = asking.copy()
                 asking[worlds[~needed]] = False
@@ -229,7 +231,7 @@ class LearnedSolve:
                 )
         taken = self._timed("gather", reader.correct, output)
         if begin:
-            self._before[worlds] = contacts * reader.scale[: len(worlds), 0].astype(float) ** 2
+            self._before[worlds] = contacts * reader.scale[: len(worlds), Scale.STEP].astype(float) ** 2
         else:
             self._before[worlds] = self._step()[worlds]
         self._waiting[worlds] = taken
@@ -248,8 +250,8 @@ class LearnedSolve:
     def _lost(self, worlds: np.ndarray) -> np.ndarray:
         """Tell whether a correction could be so large that velocities lose all their digits in it, bool (asked,)."""
         scale = self.reader.scale[: len(worlds)].astype(float)
-        self._size[worlds] = np.minimum(self._size[worlds], scale[:, :2].max(axis=1))
-        return self.options.limit * scale[:, 3] > RUNAWAY * self._size[worlds]
+        self._size[worlds] = np.minimum(self._size[worlds], scale[:, [Scale.STEP, Scale.IMPULSE]].max(axis=1))
+        return self.options.limit * scale[:, Scale.EXPECTED] > RUNAWAY * self._size[worlds]
 
     def _step(self) -> np.ndarray:
         """Return the squared step of the last sweep of each world, (W,) [N^2 s^2]."""
@@ -278,6 +280,7 @@ class LearnedSolve:
         self.stats.failed += failed
 
     def _timed(self, part: str, function: Any, *arguments: Any, **options: Any) -> Any:
+        """Call a function, whose wall time counts for a part."""
         with self.clock.part(part):
             return function(*arguments, **options)
 

@@ -65,6 +65,7 @@ def is_network(name: str) -> bool:
 
 
 def _network_maker(name: str) -> Maker:
+    """Return what makes the start of a network, whose file is read."""
     from pipeline.networks.checkpoint import load_checkpoint
 
     model, manifest = load_checkpoint(PRETRAINED if name.lower() in CNN else name)

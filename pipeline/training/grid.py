@@ -101,7 +101,17 @@ class GridTraining:
         self.network, self.options, self.group = network, options, group
         if options.batch_size % group.size:
             raise ValueError(f"batch_size is {options.batch_size}; {group.size} processes cannot share it evenly")
-        setup = SETUPS[network]
+        self.setup = SETUPS[network]
+        self._find_data()
+        self._build_network()
+        self._prepare_steps()
+        if options.resume:
+            self.restore()
+        self.log = Log(options.out, self.step, enabled=group.first)
+
+    def _find_data(self) -> None:
+        """Describe the data set, and choose grid, images and batches."""
+        options, group, setup = self.options, self.group, self.setup
         self.data = dataset.describe(options.data)
         solver = self.data["config"]["solver"]
         if options.loss in ("energy", "sweeps") and solver["position_correction"] == "baumgarte":
@@ -128,10 +138,13 @@ class GridTraining:
             threads=options.threads,
         )
         self.train = self.loader("train", rank=group.rank, world_size=group.size)
-        validation = self.loader("validation")
+        self.held = self.loader("validation")
         if not len(self.train):
             raise ValueError(f"{options.data} has fewer training states than a batch of {options.batch_size}")
 
+    def _build_network(self) -> None:
+        """Build the network with random weights, scale it, and choose what is minimized."""
+        options, group = self.options, self.group
         seed_everything(options.seed)
         config = models.GridConfig(
             rows=self.grid.rows,
@@ -141,7 +154,7 @@ class GridTraining:
             width=options.width,
             dropout=options.dropout,
         )
-        self.model = models.build(network, config)
+        self.model = models.build(self.network, config)
         grid_scale, contact_scale = self.set_scales()
         group.broadcast(self.model)
         seed_everything(options.seed, group.rank)
@@ -152,9 +165,13 @@ class GridTraining:
             contact_scale=contact_scale,
             sweeps=options.sweeps,
             slop=self.data["slop"],
-            restitution_threshold=solver["restitution_threshold"],
+            restitution_threshold=self.data["config"]["solver"]["restitution_threshold"],
         )
-        self.validation = Validation(batches=validation, splatter=self.splatter, decode=self.decode, loss=self.loss)
+        self.validation = Validation(batches=self.held, splatter=self.splatter, decode=self.decode, loss=self.loss)
+
+    def _prepare_steps(self) -> None:
+        """Set the counts to zero, and make optimiser and schedule, whose rate is searched on request."""
+        options, setup = self.options, self.setup
         self.epoch = self.batch = self.step = 0
         self.best: float | None = None
         self.metrics: dict[str, float] = {}
@@ -173,9 +190,6 @@ class GridTraining:
             self.choices["rate"] = self.search.rate
         self.optimizer = self.make_optimizer()
         self.schedule = make_schedule(self.optimizer, self.choices["schedule"], steps, decay=options.decay)
-        if options.resume:
-            self.restore()
-        self.log = Log(options.out, self.step, enabled=group.first)
 
     # ------------------------------------------------------------------ data
 
@@ -412,4 +426,5 @@ def make_grid(box: Any, nodes: int) -> Grid:
 
 
 def _plain_options(options: TrainOptions) -> dict[str, Any]:
+    """Return options with their paths as text, for JSON."""
     return {name: str(value) if name in ("data", "out") else value for name, value in asdict(options).items()}

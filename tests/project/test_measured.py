@@ -10,6 +10,7 @@ import pytest
 from bench import run
 from bench.pages import page, solving
 from bench.pages.markdown import figure, paragraphs, span, table
+from bench.speed.overhead import SIZES
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +67,15 @@ def test_a_bench_without_a_section_shows_its_keys(records):
 
     text = page.section(record | {key: 7_000 + i for i, key in enumerate(house.KEYS)})
     assert "`python -m bench house --quick`" in text and "| `longest_module` | 7 005 |" in text
+
+
+def test_overheads_are_shown(records):
+    times = {f"{name}_us_1_body": 2.5 for name in ("step", "run", "graph", "pymunk")}
+    times |= {f"threads{threads}_us_{worlds * discs}": float(threads) for threads in (1, 2) for worlds, discs in SIZES}
+    record = {"step_over_graph_us": -1.5, "run_over_graph_us": 0.25, "threads2_penalty_us": 1.0, **times}
+    text = page.section({"bench": "overhead", "quick": False, "machine": records["worlds"]["machine"], **record})
+    assert "| `step()` | 2.5 | -1.5 |" in text and "| `run()`, a step | 2.5 | 0.25 |" in text
+    assert text.count("| 1 | 2 |") == len(SIZES)
 
 
 def test_two_machines_are_named(records):

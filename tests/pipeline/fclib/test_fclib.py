@@ -14,7 +14,7 @@ from dc_kernels.delassus import DelassusProblem, solve
 from pipeline.cli import main
 from pipeline.fclib.files import FclibProblem, problem_files, read_fclib, write_fclib
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "fc2d"
+DATA = Path(__file__).resolve().parents[4] / "shared" / "data" / "fc2d"
 FIELDS = ("row_start", "column", "block", "q", "mu", "bilateral")
 # two contacts that share a body, the second of them with its own mass beside
 W = np.array([[2.0, 0.5, 1.0, 0.0], [0.5, 3.0, 0.0, -1.0], [1.0, 0.0, 2.5, 0.0], [0.0, -1.0, 0.0, 2.0]])

@@ -1,0 +1,189 @@
+"""The command line: what commands print and write, and what they refuse."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pipeline.cli import main
+from pipeline.scenes import SCENES
+from pipeline.starts import registry
+from pipeline.starts.impulses import ImpulseStart
+
+ROOT = Path(__file__).resolve().parents[2]
+PNG = b"\x89PNG"
+
+
+def last_json(text: str) -> dict:
+    return json.loads(text.strip().splitlines()[-1])
+
+
+def test_command_simulate(tmp_path, capsys):
+    options = "--worlds 2 --steps 5 --start copy2 --acceleration sor --dtype float64 --bodies 6"
+    assert main(["simulate", "settled", *options.split(), "--out", str(tmp_path), "--json"]) == 0
+    summary = last_json(capsys.readouterr().out)
+    assert (summary["scene"], summary["worlds"], summary["steps"]) == ("settled", 2, 5)
+    assert summary == json.loads((tmp_path / "summary.json").read_text())
+    assert summary["config"]["options"]["start"] == "copy2"
+    assert summary["config"]["options"]["acceleration"] == "sor"
+    assert summary["config"]["scene"]["bodies"] == 6
+    main(["simulate", "stack", "--steps", "2", "--out", str(tmp_path)])
+    assert "stack: 2 steps of 1 world(s)" in capsys.readouterr().out
+
+
+def test_command_simulate_with_a_network(tmp_path, contactnet, capsys):
+    options = ["settled", "--worlds", "2", "--steps", "5", "--bodies", "12", "--start", str(contactnet)]
+    assert main(["simulate", *options, "--out", str(tmp_path), "--json"]) == 0
+    summary = last_json(capsys.readouterr().out)
+    assert summary == json.loads((tmp_path / "summary.json").read_text())
+    found = summary["network"]
+    assert found["solves"] == 10 and found["calls"] >= 10
+    assert set(found["seconds"]) == {"solve", "splat", "network", "gather", "start"}
+    assert 0.0 < sum(found["seconds"].values()) < summary["simulation_s"]
+    main(["simulate", *options, "--out", str(tmp_path)])
+    text = capsys.readouterr().out
+    assert found["explain"] in text  # the run is the same
+    assert re.search(r"wall time: solve [0-9.]+ s, splat [0-9.]+ s, network [0-9.]+ s, gather [0-9.]+ s", text)
+    main(["simulate", "settled", "--steps", "1", "--bodies", "12", "--out", str(tmp_path), "--json"])
+    assert "network" not in last_json(capsys.readouterr().out)
+
+
+def test_networks_have_the_threads_of_the_run(tmp_path, contactnet, monkeypatch, capsys):
+    from pipeline.starts.learned import LearnedSolve
+
+    torch, seen, solve = sys.modules["torch"], [], LearnedSolve.solve
+    monkeypatch.setattr(LearnedSolve, "solve", lambda *given: (seen.append(torch.get_num_threads()), solve(*given)))
+    torch.set_num_threads(2)
+    try:
+        for command in (["simulate", "--out", str(tmp_path)], ["explain"]):
+            main([command[0], "settled", "--bodies", "5", "--steps", "1", "--start", str(contactnet), *command[1:]])
+        assert seen == [1, 1] and torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(1)
+    capsys.readouterr()
+
+
+def test_command_protocol(tmp_path, capsys):
+    options = "--worlds 2 --steps 60 --bodies 5 --starts none bad --accelerations none aitken"
+    assert main(["protocol", *options.split(), "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    for label in ("None, PGS", "Bad, PGS", "None, PGS + aitken", "Bad, PGS + aitken", "median", "<=1000"):
+        assert label in text
+    assert (tmp_path / "protocol.png").read_bytes()[:4] == PNG
+    rows = json.loads((tmp_path / "protocol.json").read_text())["runs"]
+    assert [row["start"] for row in rows] == ["none", "bad", "none", "bad"]
+    assert main(["protocol", *options.split(), "--no-history", "--json", "--out", str(tmp_path)]) == 0
+    assert [row["mean_sweeps"] for row in last_json(capsys.readouterr().out)["runs"]] == [
+        row["mean_sweeps"] for row in rows
+    ]
+
+
+def test_command_demo(tmp_path, capsys):
+    assert main(["demo", "--worlds", "2", "--bodies", "6", "--steps", "70", "--out", str(tmp_path)]) == 0
+    assert "Copy, PGS" in capsys.readouterr().out
+    for name in ("demo.png", "protocol.png", "grids.png", "world/summary.png"):
+        assert (tmp_path / name).read_bytes()[:4] == PNG
+    assert (tmp_path / "world" / "trajectory.h5").exists()
+
+
+def test_command_explain(capsys):
+    assert main(["explain", "chain", "--bodies", "3"]) == 0
+    text = capsys.readouterr().out
+    assert text.strip()
+    main(["explain", "chain", "--bodies", "3", "--json"])
+    assert last_json(capsys.readouterr().out)["explain"].strip() == text.strip()
+
+
+def test_command_explain_with_a_network(capsys, contactnet):
+    for steps in (0, 20):
+        main(["explain", "settled", "--bodies", "12", "--start", str(contactnet), "--steps", str(steps), "--json"])
+        text = last_json(capsys.readouterr().out)["explain"]
+        assert "broadphase" in text and f"calls a solve, of {steps} solves" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("simulate thesis --bodies 0", "thesis.bodies is 0"),
+        ("simulate thesis --steps -1", "steps is -1"),
+        ("simulate thesis --record-every 0", "record_every is 0"),
+        ("simulate thesis --dt nan", "dt is nan"),
+        ("simulate thesis --threads 0", "threads is 0"),
+        ("simulate thesis --worlds 0", "worlds is 0"),
+        ("simulate thesis --start best", "start is 'best'"),
+        ("simulate thesis --start none.safetensors", "none.safetensors"),
+        ("explain thesis --start best", "start is 'best'"),
+        ("explain thesis --steps -1", "steps is -1"),
+        ("simulate thesis --tolerance -1", "SolverConfig.tolerance is -1.0"),
+        ("simulate thesis --bodies 4 --steps 1 --out /dev/null/x", "Not a directory"),
+        ("protocol --steps 0", "steps is 0"),
+        ("explain incline --angle 2", "incline.angle is 2.0"),
+    ],
+)
+def test_wrong_values_are_one_line_and_exit_2(arguments, message, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(arguments.split())
+    assert caught.value.code == 2
+    output = capsys.readouterr()
+    assert not output.out
+    lines = [line for line in output.err.splitlines() if line.startswith("deep-contact: ")]
+    assert len(lines) == 1
+    assert message in lines[0]
+    assert "Traceback" not in output.err
+
+
+def test_interrupted_protocol_is_one_line(monkeypatch, capsys, tmp_path):
+    class Interrupted(ImpulseStart):
+        def write(self):
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setitem(registry.STARTS, "none", lambda sim, seed: Interrupted(sim))
+    with pytest.raises(SystemExit) as caught:
+        main(["protocol", "--worlds", "1", "--bodies", "3", "--json", "--out", str(tmp_path)])
+    assert caught.value.code == 130
+    assert capsys.readouterr().err.splitlines()[-1] == "deep-contact: interrupted"
+
+
+def test_missing_dependency_names_the_extra(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "tyro", None)
+    with pytest.raises(SystemExit) as caught:
+        main(["explain", "stack"])
+    assert caught.value.code == 2
+    assert "this needs tyro: install it with pip install 'deep-contact[pipeline]'" in capsys.readouterr().err
+
+
+def test_help_names_units_and_defaults():
+    def text(*arguments: str) -> str:
+        command = [sys.executable, "-m", "pipeline.cli", *arguments, "--help"]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env={"COLUMNS": "200", "PATH": ""})
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    overview = text()
+    for command in ("simulate", "demo", "protocol", "explain"):
+        assert command in overview
+    options = text("simulate", "thesis")
+    for wanted in (
+        "[s]. (default: 0.01)",
+        "--bodies INT",
+        "(default: builtin)",
+        "--max-sweeps",
+        "--video",
+        "[N s or 1]",
+    ):
+        assert wanted in options
+    assert options.count("(default:") == len(re.findall("^│ --", options, re.MULTILINE)) > 20
+
+
+def test_scene_commands_have_the_scenes_names(capsys):
+    with pytest.raises(SystemExit):
+        main(["simulate", "--help"])
+    text = capsys.readouterr().out
+    for name in SCENES:
+        assert f"• {name}" in text

@@ -1,0 +1,117 @@
+"""The worked examples of docs/extend.md: those that change the package are run on a copy of it that they have changed.
+
+A ``python`` block that begins with the path of a file is that file. A ``diff`` block names a file and edits it: lines
+that begin with a space or a minus stand there one after the other, and are replaced by those that begin with a space or
+a plus. An edit ends where lines that stay or go follow lines that were added.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dc_kernels.measure import contact_slots
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "extend.md"
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+FILE = re.compile(r"# ((?:dc_kernels|pipeline)/[\w/]+\.py)\n")
+SECTIONS = {text.split("\n", 1)[0]: BLOCK.findall(text) for text in PAGE.read_text(encoding="utf-8").split("\n## ")[1:]}
+
+
+def changes_package(blocks: list[tuple[str, str]]) -> bool:
+    """Whether a section's example changes the package."""
+    return any(language == "diff" or FILE.match(code) for language, code in blocks)
+
+
+def edits(diff: str) -> tuple[str, list[tuple[str, ...]]]:
+    """The file of a diff, and its edits: what stands there, what is to stand there."""
+    header, *lines = diff.splitlines()
+    assert header.startswith("--- "), header
+    found: list[tuple[list[str], list[str]]] = []
+    before = "+"
+    for line in lines:
+        mark, text = line[:1] or " ", line[1:]
+        assert mark in " +-", line
+        if before == "+" and mark != "+":
+            found.append(([], []))
+        if mark != "+":
+            found[-1][0].append(text)
+        if mark != "-":
+            found[-1][1].append(text)
+        before = mark
+    return header.removeprefix("--- "), [
+        tuple("".join(f"{text}\n" for text in part) for part in edit) for edit in found
+    ]
+
+
+def apply(root: Path, language: str, code: str) -> str:
+    """Write a file or edit one below a folder; return code that is neither."""
+    new = FILE.match(code)
+    if language == "diff":
+        path, changes = edits(code)
+        text = (root / path).read_text(encoding="utf-8")
+        for old, replacement in changes:
+            assert text.count(old) == 1, f"{path} holds this {text.count(old)} times:\n{old}"
+            text = text.replace(old, replacement)
+        (root / path).write_text(text, encoding="utf-8")
+    elif language == "python" and new:
+        assert not (root / new[1]).exists(), new[1]
+        (root / new[1]).parent.mkdir(parents=True, exist_ok=True)
+        (root / new[1]).write_text(code[new.end() :], encoding="utf-8")
+    elif language == "python":
+        return code
+    return ""
+
+
+def test_the_examples_from_outside_run():
+    """Those that change nothing run one after the other: each goes on where the one before ends."""
+    scope: dict = {"__name__": __name__}  # dataclasses look their module up
+    for blocks in SECTIONS.values():
+        for language, code in blocks if not changes_package(blocks) else []:
+            assert language == "python"
+            exec(compile(code, PAGE.name, "exec"), scope)
+    assert 10 < scope["fallen"].sum() < 4 * 30  # boxes through the gap of the funnel
+    start, sim = scope["start"], scope["sim"]
+    assert start.report().seconds["start"] > 0.0
+    assert sim.state.numpy("time") == pytest.approx(2.2) and not sim.state.numpy("flags").any()
+    sim.collide(0.01)
+    start.write()
+    slots, _ = contact_slots(sim.contacts)
+    new = slots[sim.contacts.numpy("age")[slots] == 0]
+    mass = sim.model.numpy("mass")[sim.contacts.numpy("body_b")[new]]
+    assert len(new) and len(new) < len(slots)
+    np.testing.assert_allclose(sim.contacts.numpy("impulse")[new, 0], 0.098 * mass, rtol=1e-6)
+
+
+def test_sections():
+    assert list(SECTIONS) == ["A scene", "A start", "A backend"]
+
+
+def test_edits():
+    path, changes = edits("--- a.py\n x\n+y\n z\n-u\n+v\n-w\n")
+    assert path == "a.py" and changes == [("x\n", "x\ny\n"), ("z\nu\n", "z\nv\n"), ("w\n", "")]
+
+
+@pytest.mark.parametrize("section", [name for name, blocks in SECTIONS.items() if changes_package(blocks)])
+def test_an_example_runs_on_the_package_that_it_changes(section, tmp_path):
+    for package in ("dc_kernels", "pipeline"):
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    code = "\n".join(apply(tmp_path, *block) for block in SECTIONS[section])
+    assert "assert" in code
+    (tmp_path / "example.py").write_text(code, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "example.py"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]

@@ -1,0 +1,86 @@
+"""All kernels of all variants compile to PTX, which needs no GPU; those that would do nothing there are listed."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import itertools
+import pkgutil
+import re
+
+import pytest
+import warp as wp
+
+from dc_kernels import _warp
+from dc_kernels.runtime.backends import make_kernels
+from dc_kernels.solve.rows import COLUMNS
+
+ARCHITECTURES = (75, 90)
+OPTIONS = {
+    "dtype": ("float32", "float64"),
+    "variant": tuple(COLUMNS),
+    "only_discs": (False, True),
+    "dim": (2, 3),
+}
+"""What the factories of kernels take, by parameter, and all its values."""
+CPU_ONLY = {
+    *("splat_worlds", "divide_image", "gather_points", "gather_gradient", "count_tiles", "list_tiles", "splat_tiles"),
+    *("bound_points", "sort_points", "sweep_pairs", "sweep_lists", "order_lists"),
+    *("sum_neighbors", "pull_neighbors", "run_launches"),
+}
+"""Kernels whose work is native code in lanes of the CPU: on a GPU they do nothing, and have to be written anew for it.
+``repeat_launches`` calls compiled functions of the CPU, too."""
+MINUTES = {"solve.schedules"}  # of a solve with all its methods, 12 s a variant and architecture
+
+
+def factories():
+    """Each file of kernels, and the names of the functions in it that make some."""
+    prefix = f"{_warp.__name__}."
+    for file in sorted(info.name for info in pkgutil.walk_packages(_warp.__path__, prefix) if not info.ispkg):
+        module = importlib.import_module(file)
+        for name, value in vars(module).items():
+            if (name == "kernels" or name.endswith("_kernels")) and value.__module__ == file:
+                yield file.removeprefix(prefix), name, value
+
+
+def variants():
+    """A test of each factory with its first options, and slow ones with all others."""
+    for file, name, factory in factories():
+        values = [OPTIONS[parameter] for parameter in inspect.signature(factory).parameters]
+        for i, options in enumerate(itertools.product(*values)):
+            marks = [pytest.mark.slow] if i or file in MINUTES else []
+            yield pytest.param(file, name, options, marks=marks, id="-".join(map(str, (file, name, *options))))
+
+
+def stores(text):
+    """How often each kernel of a PTX file writes to memory that others see, by its mangled name."""
+    found = re.findall(r"\.visible \.entry (\w+)_cuda_kernel_forward\((.*?\n\})", text, re.DOTALL)
+    return {name: len(re.findall(r"\b(?:st\.global|st\.[ufbv]|atom|red\.)", body)) for name, body in found}
+
+
+def test_all_files_of_kernels_are_looked_at():
+    files, found = set(), set()
+    for file, name, factory in factories():
+        options = [OPTIONS[parameter][0] for parameter in inspect.signature(factory).parameters]
+        files.add(file)
+        found |= set(make_kernels("warp", file, *options, factory=name))
+    assert files >= {"collide.broadphase", "solve.schedules", "grid.images", "delassus.search", "runtime.sequences"}
+    assert found >= CPU_ONLY
+
+
+@pytest.mark.parametrize(("file", "name", "options"), list(variants()))
+def test_kernels_compile_for_a_gpu(tmp_path, file, name, options):
+    table = make_kernels("warp", file, *options, factory=name)
+    for module in {kernel.module for kernel in table.values()}:
+        wp.compile_aot_module(module, arch=list(ARCHITECTURES), use_ptx=True, module_dir=str(tmp_path))
+    for architecture in ARCHITECTURES:
+        written = {}
+        for path in tmp_path.glob(f"*.sm{architecture}.ptx"):
+            written |= stores(path.read_text())
+        idle = set()
+        for key, kernel in table.items():
+            mangled = kernel.get_mangled_name()
+            assert mangled in written, f"{key} is not in the PTX of sm_{architecture}"
+            if not written[mangled]:
+                idle.add(key)
+        assert idle == CPU_ONLY & set(table)

@@ -1,0 +1,123 @@
+"""Shards of worlds: rounds until one halts, on one thread or several, launched from Python or by their addresses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+
+import dc_kernels as dc
+from dc_kernels.runtime import launches, stepping
+from dc_kernels.runtime.sequences import Watch
+from dc_kernels.runtime.stepping import Shards
+
+WORLDS = 6
+
+
+class Worlds:
+    """Counters of rounds, one a world; world w runs full at the round ``full[w]``, and uses as much as it counts."""
+
+    def __init__(self, threads, full):
+        self.count, self.flags = np.zeros(WORLDS, np.int32), np.zeros(WORLDS, np.int32)
+        self.full = full
+        self.shards = Shards(WORLDS, 10 * WORLDS, threads)
+        self.rounds = self.shards.rounds(self.bind, Watch(self.flags, 2, (self.count,)), together=True)
+
+    def bind(self, first, count):
+        def launch():
+            for w in range(first, first + count):
+                if self.flags[w] == 0:
+                    self.count[w] += 1
+                    if self.count[w] == self.full.get(w):
+                        self.flags[w] = 2
+
+        return [launch]
+
+
+@pytest.mark.parametrize(("threads", "worth"), [(1, 10**9), (3, 10**9), (3, 0), (3, 600)])
+def test_all_rounds_are_taken_however_often_some_world_runs_full(monkeypatch, threads, worth):
+    """With a bar of 600 the work is shared at first, and the rest of each shard taken by one thread."""
+    monkeypatch.setattr(stepping, "WORTH_THREADS", worth)
+    worlds = Worlds(threads, {0: 7, 5: 7, 3: 15})
+    left, halts = 20, 0
+    while worlds.shards.run(worlds.rounds, left):
+        halts += 1
+        left = worlds.shards.left
+        assert sum(left) < 20 * len(left)
+        worlds.flags[...] = 0
+    assert (worlds.count == 20).all()
+    assert 2 <= halts <= 3
+    assert worlds.shards.peak.max() == 20
+
+
+def test_a_round_from_which_no_bit_halts_goes_on():
+    worlds = Worlds(1, {})
+    worlds.flags[2] = 1  # another bit
+    assert not worlds.shards.run(worlds.rounds, 5)
+    assert list(worlds.count) == [5, 5, 0, 5, 5, 5]
+
+
+def pile(**options):
+    builder = dc.ModelBuilder()
+    for _ in range(3):
+        builder.add_world()
+        builder.add_chain(builder.add_body(type=dc.BodyType.STATIC), [(0, 9), (0, 0), (9, 0), (9, 9)])
+        builder.add_discs([(1.0 + i % 7 * 1.1, 1.0 + i // 7 * 1.1) for i in range(20)], 0.5)
+    return dc.Simulation(*builder.finalize(), **options)
+
+
+def test_launches_by_address_and_by_warp_give_the_same(monkeypatch):
+    """A version of Warp that is not known has its launches made one by one; room, peaks and bits agree."""
+    assert wp.__version__.startswith(launches.PACKED)
+    sims = [pile(contacts_per_body=0.2, pairs_per_shape=0.5, threads=2)]
+    monkeypatch.setattr(launches, "PACKED", ())
+    sims.append(pile(contacts_per_body=0.2, pairs_per_shape=0.5, threads=2))
+    for sim in sims[::-1]:
+        for _ in range(3):
+            sim.run(20, 0.01)
+        sim.collide(0.01)
+        sim.solve(replace(sim.config, max_sweeps=5))
+        sim.advance()
+        monkeypatch.undo()
+    by_address, by_warp = sims
+    assert by_address.capacity() == by_warp.capacity()
+    for name in ("position", "velocity", "time"):
+        np.testing.assert_array_equal(by_address.state.numpy(name), by_warp.state.numpy(name))
+
+
+def test_peaks_are_those_of_all_steps_not_of_the_last():
+    """A pile that falls apart used more room before than at the end."""
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, 0.0))
+    builder.add_discs([(0.0, 0.0), (0.99, 0.0)], 0.5)
+    model, state, joints = builder.finalize()
+    sim = dc.Simulation(model, state, joints)
+    sim.step(0.01)
+    state.numpy("velocity")[:] = [(-20.0, 0.0), (20.0, 0.0)]
+    sim.run(50, 0.01)
+    assert sim.capacity()["contacts"] == {"reserved": 5, "used": 0, "peak_of_a_world": 1}
+
+
+def test_the_layout_version_changes_when_arrays_do_and_the_phase_follows_the_calls():
+    sim = pile(contacts_per_body=0.2)
+    version, impulse = sim.layout_version, sim.contacts.impulse
+    assert sim.phase == "advance"
+    sim.collide(0.01)
+    assert sim.phase == "collide"
+    sim.solve()
+    assert sim.phase == "solve"
+    sim.advance()
+    assert sim.phase == "advance"
+    sim.run(300, 0.01)
+    assert sim.contacts.impulse is not impulse
+    assert sim.layout_version != version
+    version = sim.layout_version
+    sim.run(5, 0.01)
+    assert sim.layout_version == version
+    sim.config = replace(sim.config, history=True)
+    assert sim.layout_version != version
+    version = sim.layout_version
+    sim.config = replace(sim.config, tolerance=1e-3)
+    assert sim.layout_version == version

@@ -1,0 +1,202 @@
+"""Several Python threads at once: they make kernels one at a time, launch side by side, and change no bit."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+import warp as wp
+
+import dc_kernels as dc
+from dc_kernels.runtime import stepping, threads
+from dc_kernels.runtime.building import building
+
+GRID = dc.Grid(rows=16, columns=16, spacing=0.5)
+POINTS = np.random.default_rng(0).uniform(1.0, 6.0, (60, 2))
+# each job on two threads of a new process: what nobody has made yet is asked for at the same time
+FIRST_USE = """
+import sys, threading
+import numpy as np
+import dc_kernels as dc
+from dc_kernels import delassus
+
+sys.setswitchinterval(1e-6)
+grid = dc.Grid(rows=16, columns=16, spacing=0.5)
+points = np.random.default_rng(0).uniform(1.0, 6.0, (60, 2))
+
+def simulate(k):
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_box(builder.add_body(type=dc.BodyType.STATIC), 5.0, 0.5)
+    ball = builder.add_body((0.0, 1.0))
+    builder.add_box(ball, 0.3, 0.2) if k % 2 else builder.add_disc(ball, 0.3)
+    sim = dc.Simulation(*builder.finalize(("float32", "float64")[k // 2]))
+    sim.run(30, 1 / 60)
+    return sim.state.numpy("position")
+
+def solve():
+    one = dict(row_start=[0, 1], column=[0], block=np.eye(2)[None], q=[[-1.0, 0.5]], mu=[0.3])
+    return delassus.solve(delassus.DelassusProblem(**one)).impulses
+
+jobs = [
+    *(lambda k=k: simulate(k) for k in range(4)),
+    lambda: dc.splat(points, points, grid),
+    lambda: dc.gather(np.ones((1, 2, 16, 16)), points, grid),
+    lambda: dc.neighbor_pairs(points, 0.5),
+    solve,
+]
+count = 2 * len(jobs)
+barrier, results = threading.Barrier(count), [None] * count
+
+def work(i):
+    barrier.wait()
+    results[i] = jobs[i % len(jobs)]().tobytes()
+
+workers = [threading.Thread(target=work, args=(i,), daemon=True) for i in range(count)]
+[worker.start() for worker in workers]
+[worker.join(200.0) for worker in workers]
+assert results == 2 * [job().tobytes() for job in jobs]
+print("same bits")
+"""
+
+
+def simulation(worlds=2, discs=6, **options):
+    builder = dc.ModelBuilder()
+    for _ in range(worlds):
+        builder.add_world()
+        builder.add_chain(builder.add_body(type=dc.BodyType.STATIC), [(0, 9), (0, 0), (9, 0), (9, 9)])
+        builder.add_discs([(1.0 + i % 7 * 1.1, 1.0 + i // 7 * 1.1) for i in range(discs)], 0.5)
+    return dc.Simulation(*builder.finalize(), **options)
+
+
+def on_a_thread(function, seconds=20.0):
+    """What a function returns on a thread of its own, or TimeoutError."""
+    found = []
+    thread = threading.Thread(target=lambda: found.append(function()), daemon=True)
+    thread.start()
+    thread.join(seconds)
+    if not found:
+        raise TimeoutError
+    return found[0]
+
+
+def test_the_first_use_may_come_from_many_threads():
+    """Defined, hashed, compiled and loaded without a lock, kernels crash the process."""
+    found = subprocess.run([sys.executable, "-c", FIRST_USE], capture_output=True, text=True, check=False, timeout=300)
+    assert found.returncode == 0, found.stderr
+    assert found.stdout == "same bits\n"
+
+
+def test_splats_go_on_while_another_thread_makes_simulations():
+    wanted, end = dc.splat(POINTS, POINTS, GRID), threading.Event()
+    simulation().run(3, 0.01)
+
+    def make():
+        while not end.is_set():
+            simulation().run(3, 0.01)
+
+    maker = threading.Thread(target=make, daemon=True)
+    maker.start()
+    try:
+        until = time.monotonic() + 2.0
+        while time.monotonic() < until:
+            np.testing.assert_array_equal(dc.splat(POINTS, POINTS, GRID), wanted)
+    finally:
+        end.set()
+        maker.join(20.0)
+
+
+def test_what_is_made_already_waits_for_no_thread_that_makes_kernels():
+    sim = simulation()
+    sim.step(0.01)
+    image = np.zeros((1, 2, 16, 16))
+    splat = dc.Transfer(POINTS, GRID).splat(POINTS, image)
+    dc.splat(POINTS, POINTS, GRID)
+    with building():
+        assert on_a_thread(lambda: (sim.run(5, 0.01), splat(), dc.splat(POINTS, POINTS, GRID), simulation()))
+
+
+def test_calls_of_one_simulation_wait_for_each_other():
+    sim, alone = simulation(), simulation()
+    workers = [threading.Thread(target=lambda: [sim.step(0.01) for _ in range(100)]) for _ in range(3)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join(60.0)
+    alone.run(300, 0.01)
+    np.testing.assert_array_equal(sim.state.numpy("position"), alone.state.numpy("position"))
+    np.testing.assert_array_equal(sim.state.numpy("time"), alone.state.numpy("time"))
+
+
+def test_a_thread_steps_while_another_records_a_graph():
+    """Warp's launches of all threads believe that they are recorded; ours run, and the graph holds its own."""
+    sim, recorded, alone = simulation(), simulation(), simulation()
+    for one in (sim, recorded, alone):
+        one.step(0.01)
+
+    def work():
+        sim.run(9, 0.01)
+        other = simulation()
+        other.run(10, 0.01)
+        return dc.splat(POINTS, POINTS, GRID), other
+
+    wanted = dc.splat(POINTS, POINTS, GRID)
+    with wp.ScopedCapture(device="cpu") as capture:
+        image, other = on_a_thread(work)
+        recorded.step(0.01)
+    np.testing.assert_array_equal(image, wanted)
+    alone.run(9, 0.01)
+    for one in (sim, other):
+        np.testing.assert_array_equal(one.state.numpy("position"), alone.state.numpy("position"))
+    for _ in range(9):
+        wp.capture_launch(capture.graph)
+    np.testing.assert_array_equal(recorded.state.numpy("position"), alone.state.numpy("position"))
+
+
+@pytest.mark.parametrize("share", [False, True])
+def test_a_second_thread_changes_no_bit_and_is_taken_where_it_pays(monkeypatch, share):
+    sim, alone = simulation(5, 20, threads=3), simulation(5, 20)
+    monkeypatch.setattr(stepping, "WORTH_THREADS", 0 if share else 10**9)
+    used = set()
+    take = stepping.Rounds.take
+    monkeypatch.setattr(
+        stepping.Rounds, "take", lambda self, rounds: (used.add(threading.get_ident()), take(self, rounds))[1]
+    )
+    for steps in (1, 40, 3):
+        sim.run(steps, 0.01)
+        alone.run(steps, 0.01)
+    for name in ("position", "velocity", "angle"):
+        np.testing.assert_array_equal(sim.state.numpy(name), alone.state.numpy(name))
+    assert (len(used) > 1) == share
+
+
+def test_results_come_in_order_and_an_error_arrives_when_all_have_ended():
+    assert threads.map_threads(lambda i: i * i, range(20), 4) == [i * i for i in range(20)]
+    begun, ended = threading.Event(), threading.Event()
+
+    def fail(i):
+        if i == 0:
+            assert begun.wait(10.0)
+            raise ZeroDivisionError
+        begun.set()
+        time.sleep(0.05)
+        ended.set()
+
+    with pytest.raises(ZeroDivisionError):
+        threads.map_threads(fail, range(2), 2)
+    assert ended.is_set()
+
+
+def test_a_task_may_share_its_own_work():
+    """The thread that calls works too, so that tasks of a full pool never wait for each other."""
+
+    def task(_):
+        return sum(threads.map_threads(lambda i: i, range(50), 4))
+
+    many = 4 * (os.cpu_count() or 1)
+    assert on_a_thread(lambda: threads.map_threads(task, range(many), many)) == [1225] * many
