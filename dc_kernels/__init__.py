@@ -24,7 +24,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dc_kernels.grid.grid import Grid, GridChoice, choose_grid, shared_cells
+    from dc_kernels.grid.image_spec import ImageSpec
     from dc_kernels.grid.images import Images
+    from dc_kernels.grid.stencil import Stencil
     from dc_kernels.grid.transfer import Transfer, gather, splat
     from dc_kernels.measure import kinetic_energy, overlap, potential_energy
     from dc_kernels.model.arrays import Contacts, Joints, Model, State, to_numpy, to_torch
@@ -46,6 +48,7 @@ __all__ = [
     "Flag",
     "Grid",
     "GridChoice",
+    "ImageSpec",
     "Images",
     "Joints",
     "Model",
@@ -56,6 +59,7 @@ __all__ = [
     "SolveStats",
     "SolverConfig",
     "State",
+    "Stencil",
     "Transfer",
     "choose_grid",
     "gather",
@@ -75,7 +79,9 @@ __all__ = [
 # public names by the module that defines them
 _MODULES = {
     "grid.grid": ("Grid", "GridChoice", "choose_grid", "shared_cells"),
+    "grid.image_spec": ("ImageSpec",),
     "grid.images": ("Images",),
+    "grid.stencil": ("Stencil",),
     "grid.transfer": ("Transfer", "gather", "splat"),
     "measure": ("kinetic_energy", "overlap", "potential_energy"),
     "model.arrays": ("Contacts", "Joints", "Model", "State", "to_numpy", "to_torch"),

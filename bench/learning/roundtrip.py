@@ -24,6 +24,7 @@ import numpy as np
 import dc_kernels as dc
 from bench import timing
 from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.stencil import Stencil
 from dc_kernels.grid.transfer import gather, splat
 from dc_kernels.measure import contact_slots
 from pipeline.evaluate.options import ProtocolOptions
@@ -137,18 +138,20 @@ def settle(
     }
 
 
-def trip(particles: Particles, side: float, spacing: float, h: float, **options: Any) -> np.ndarray:
+def trip(
+    particles: Particles, side: float, spacing: float, h: float, *, nearest: bool = True, **options: Any
+) -> np.ndarray:
     """What particles have lost (n, C) after a splat and its reverse; options are those of both."""
-    grid = Grid.from_box((0.0, 0.0), (side, side), spacing)
-    options = {"h": h, "kernel": "poly6", "start": particles.start, **options}
-    image = splat(particles.points, particles.values, grid, **options)
-    return gather(image, particles.points, grid, reverse=True, **options) - particles.values
+    grid, stencil = Grid.from_box((0.0, 0.0), (side, side), spacing), Stencil(h=h, nearest=nearest)
+    options = {"start": particles.start, **options}
+    image = splat(particles.points, particles.values, grid, stencil, **options)
+    return gather(image, particles.points, grid, stencil, reverse=True, **options) - particles.values
 
 
 def interpolated(particles: Particles, side: float, spacing: float, h: float, normalize: Any) -> np.ndarray:
     """The same after a splat and bilinear interpolation."""
     grid, start = Grid.from_box((0.0, 0.0), (side, side), spacing), particles.start
-    image = splat(particles.points, particles.values, grid, h=h, normalize=normalize, start=start)
+    image = splat(particles.points, particles.values, grid, Stencil(h=h, normalize=normalize), start=start)
     return gather(image, particles.points, grid, start=start) - particles.values
 
 

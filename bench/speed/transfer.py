@@ -38,11 +38,20 @@ class Cloud:
     """Random particles with their transfer, image and values."""
 
     def __init__(
-        self, count: int, nodes_each: float = 4.0, *, placed: bool = False, part: float = 1.0, **options: Any
+        self,
+        count: int,
+        nodes_each: float = 4.0,
+        *,
+        placed: bool = False,
+        part: float = 1.0,
+        kernel: Any = "poly6",
+        threads: int = 1,
     ) -> None:
         """``placed``: numbered by place, in blocks of 8 x 8 nodes; ``part``: of each side that they lie in."""
         from dc_kernels.grid.grid import Grid
-        from dc_kernels.grid.transfer import Transfer, allocate_image
+        from dc_kernels.grid.splat import allocate_image
+        from dc_kernels.grid.stencil import BILINEAR, Stencil
+        from dc_kernels.grid.transfer import Transfer
 
         side = round((nodes_each * count) ** 0.5)
         self.grid = Grid(rows=side, columns=side, spacing=SPACING)
@@ -53,10 +62,10 @@ class Cloud:
             self.points = np.ascontiguousarray(self.points[np.lexsort((block[:, 0], block[:, 1]))])
         self.values = draw.normal(size=(count, CHANNELS)).astype(np.float32)
         self.image = allocate_image(1, CHANNELS, self.grid)
-        self.transfer = Transfer(self.points, self.grid, **options)
-        self.splat = self.transfer.splat(self.values, self.image)
+        transfer = Transfer(self.grid, Stencil(kernel), threads=threads)
+        self.splat = transfer.at(self.points).splat(self.values, self.image)
         self.back = np.zeros_like(self.values)
-        self.gather = Transfer(self.points, self.grid, kernel="bilinear").gather(self.image, self.back)
+        self.gather = Transfer(self.grid, BILINEAR).at(self.points).gather(self.image, self.back)
 
 
 def index_add(cloud: Cloud) -> Callable[[], Any]:
@@ -156,6 +165,7 @@ def world(rounds: int) -> dict[str, Any]:
     from bench import cases
     from bench.learning.theses import SeedTransfer, ThesesTransfer
     from dc_kernels.grid.grid import Grid
+    from dc_kernels.grid.image_spec import ImageSpec
     from dc_kernels.grid.images import Images
     from pipeline import scenes
 
@@ -163,17 +173,19 @@ def world(rounds: int) -> dict[str, Any]:
     sim.run(cases.STEPS, cases.DT)
     sim.collide(cases.DT)
     grid = Grid.thesis()
-    images = Images(sim, grid)
+    spec = ImageSpec(grid)
+    images = Images(sim, spec)
     labels = images.impulse_image()
-    bodies_only, contacts_only = Images(sim, grid, contacts=()), Images(sim, grid, bodies=())
-    two = Images(sim, grid, bodies=("mass", "omega"), contacts=())
+    bodies_only = Images(sim, ImageSpec(grid, contact_channels=()))
+    contacts_only = Images(sim, ImageSpec(grid, body_channels=()))
+    two = Images(sim, ImageSpec(grid, body_channels=("mass", "omega"), contact_channels=()))
     batch = cases.simulation(scenes.Thesis(), WORLDS)
     batch.run(cases.STEPS, cases.DT)
     batch.collide(cases.DT)
-    batch_images, batch_threads = Images(batch, grid), Images(batch, grid, threads=2)
+    batch_images, batch_threads = Images(batch, spec), Images(batch, spec, threads=2)
     falling = cases.simulation(scenes.Thesis(), WORLDS)
     falling.collide(cases.DT)  # nothing touches yet
-    falling_images = Images(falling, grid)
+    falling_images = Images(falling, spec)
 
     theirs = {way.__name__: way(grid, 2 * grid.spacing) for way in (SeedTransfer, ThesesTransfer)}
     moving = sim.model.numpy("body_type") != 0

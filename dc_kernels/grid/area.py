@@ -6,7 +6,7 @@ Both are worked out once, in float64 numpy, and used in every splat.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -26,6 +26,10 @@ NEAR = 0.5 * (1.0 + 1e-6)
 """How near to a shape a node counts as covered, with room for the round-off of float32 positions [spacing]."""
 
 
+SHAPE_ARRAYS = ("shape_body", "shape_type", "shape_radius", "vertex_start", "vertices")
+"""Arrays of a model that describe the outlines of its shapes."""
+
+
 class AreaPoints(NamedTuple):
     """Points spread over bodies, sorted by body (see ``area_points``)."""
 
@@ -37,8 +41,19 @@ class AreaPoints(NamedTuple):
 
 def center_points(model: Model) -> AreaPoints:
     """The centre of mass of each dynamic body as its only point."""
-    body = np.flatnonzero(model.numpy("body_type") == BodyType.DYNAMIC).astype(np.int32)
-    return _pack(model, body, np.zeros((len(body), 2)), np.ones(len(body)))
+    return body_centers(model.numpy("body_type"), model.numpy("body_start"), model.dtype)
+
+
+def body_centers(body_type: np.ndarray, body_start: np.ndarray, dtype: np.dtype) -> AreaPoints:
+    """The centre of mass of each dynamic body as its only point.
+
+    Args:
+        body_type: of all bodies, (bodies,).
+        body_start: first body of each world, (W + 1,).
+        dtype: of the points.
+    """
+    body = np.flatnonzero(body_type == BodyType.DYNAMIC).astype(np.int32)
+    return _pack(body_start, dtype, body, np.zeros((len(body), 2)), np.ones(len(body)))
 
 
 def area_points(model: Model, spacing: float, bodies: Literal["dynamic", "moving", "all"] = "dynamic") -> AreaPoints:
@@ -68,12 +83,13 @@ def area_points(model: Model, spacing: float, bodies: Literal["dynamic", "moving
     least = {"dynamic": BodyType.DYNAMIC, "moving": BodyType.KINEMATIC, "all": BodyType.STATIC}
     if bodies not in least:
         raise ValueError(f"bodies is {bodies!r}; it must be one of {tuple(least)}")
-    kind, shape_body = model.numpy("body_type"), model.numpy("shape_body")
+    arrays = {name: model.numpy(name) for name in SHAPE_ARRAYS}
+    kind, shape_body = model.numpy("body_type"), arrays["shape_body"]
     has_area = model.numpy("shape_type") != ShapeType.SEGMENT
     known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}  # most scenes have few different shapes
     owner, found, weight = [], [], []
     count = 0
-    for shape, vertices, radius in _hulls(model, (kind[shape_body] >= least[bodies]) & has_area):
+    for shape, vertices, radius in _hulls(arrays, (kind[shape_body] >= least[bodies]) & has_area):
         # cut in a frame that equal shapes at different places share
         corner = vertices[0].copy()
         key = (vertices - corner).tobytes() + np.float64(radius).tobytes()
@@ -95,7 +111,9 @@ def area_points(model: Model, spacing: float, bodies: Literal["dynamic", "moving
     body = np.concatenate([covered, bare])
     order = np.argsort(body, kind="stable")
     points = np.concatenate([points, np.zeros((len(bare), 2))])[order]
-    return _pack(model, body[order], points, np.concatenate([areas, np.ones(len(bare))])[order])
+    return _pack(
+        model.numpy("body_start"), model.dtype, body[order], points, np.concatenate([areas, np.ones(len(bare))])[order]
+    )
 
 
 def shape_points(vertices: np.ndarray, radius: float, spacing: float) -> tuple[np.ndarray, np.ndarray]:
@@ -128,13 +146,25 @@ def wall_nodes(model: Model, state: State, grid: Grid) -> tuple[np.ndarray, np.n
     Returns:
         World, row and column of each node: three arrays of int32, sorted in this order, each node once.
     """
-    shape_body = model.numpy("shape_body")
-    static = model.numpy("body_type")[shape_body] == BodyType.STATIC
-    world_of = np.repeat(np.arange(model.world_count), np.diff(model.numpy("shape_start")))
-    position, angles = state.numpy("position").astype(float), state.numpy("angle").astype(float)
+    names = ("body_type", "shape_start", *SHAPE_ARRAYS)
+    placed = {name: state.numpy(name) for name in ("position", "angle")}
+    return covered_nodes({**{name: model.numpy(name) for name in names}, **placed}, grid)
+
+
+def covered_nodes(arrays: Mapping[str, np.ndarray], grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The nodes of ``wall_nodes``, of arrays by the names that they have in model and state.
+
+    Args:
+        arrays: body_type, shape_start, those of ``SHAPE_ARRAYS``, position and angle.
+        grid: relative to each world's origin, as positions are.
+    """
+    shape_body, shape_start = arrays["shape_body"], arrays["shape_start"]
+    static = arrays["body_type"][shape_body] == BodyType.STATIC
+    world_of = np.repeat(np.arange(len(shape_start) - 1), np.diff(shape_start))
+    position, angles = arrays["position"].astype(float), arrays["angle"].astype(float)
     reach = NEAR * grid.spacing
     nodes = [np.zeros(0, np.int64)]
-    for shape, vertices, radius in _hulls(model, static):
+    for shape, vertices, radius in _hulls(arrays, static):
         body, w = shape_body[shape], world_of[shape]
         c, s = math.cos(angles[body]), math.sin(angles[body])
         hull = vertices @ np.array([[c, s], [-s, c]]) + position[body]
@@ -168,19 +198,19 @@ def hull_distance(points: np.ndarray, hull: np.ndarray) -> np.ndarray:
     return distance
 
 
-def _pack(model: Model, body: np.ndarray, point: np.ndarray, weight: np.ndarray) -> AreaPoints:
-    start = np.searchsorted(body, model.numpy("body_start"))
-    return AreaPoints(
-        start.astype(np.int32), body.astype(np.int32), point.astype(model.dtype), weight.astype(model.dtype)
-    )
+def _pack(
+    body_start: np.ndarray, dtype: np.dtype, body: np.ndarray, point: np.ndarray, weight: np.ndarray
+) -> AreaPoints:
+    start = np.searchsorted(body, body_start)
+    return AreaPoints(start.astype(np.int32), body.astype(np.int32), point.astype(dtype), weight.astype(dtype))
 
 
-def _hulls(model: Model, chosen: np.ndarray) -> Iterator[tuple[int, np.ndarray, float]]:
+def _hulls(arrays: Mapping[str, np.ndarray], chosen: np.ndarray) -> Iterator[tuple[int, np.ndarray, float]]:
     """Of the chosen shapes, index, hull in the body's frame in float64, and the radius that rounds it."""
-    vertices, radius = model.numpy("vertices").astype(float), model.numpy("shape_radius").astype(float)
-    first = model.numpy("vertex_start")[:-1]
+    vertices, radius = arrays["vertices"].astype(float), arrays["shape_radius"].astype(float)
+    first = arrays["vertex_start"][:-1]
     # behind the two vertices of a segment are the chain's neighbours
-    count = np.where(model.numpy("shape_type") == ShapeType.SEGMENT, 2, np.diff(model.numpy("vertex_start")))
+    count = np.where(arrays["shape_type"] == ShapeType.SEGMENT, 2, np.diff(arrays["vertex_start"]))
     for shape in np.flatnonzero(chosen).tolist():
         yield shape, vertices[first[shape] : first[shape] + count[shape]], float(radius[shape])
 

@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dc_kernels.grid.gather import gather_kernel
 from dc_kernels.grid.grid import Grid
-from dc_kernels.grid.transfer import Splat, allocate_image, chunks_of, stencil_scalars, transfer_kernels
+from dc_kernels.grid.splat import Splat, allocate_image, points_group
+from dc_kernels.grid.stencil import BILINEAR, Stencil
 from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
 from dc_kernels.learn.groups import SETTINGS, Reading
 from dc_kernels.model.arrays import kernel_array, to_torch
@@ -80,10 +82,7 @@ class SolveReader:
         self.sim, self.grid, self.cap, self.limit = sim, grid, cap, limit
         self.worlds = worlds = sim.model.world_count
         self.threads = max(1, min(sim.threads if threads is None else check_count("threads", threads), worlds))
-        self._table = {
-            **transfer_kernels(sim.backend, sim.dtype.name),
-            **in_flight_kernels(sim.backend, sim.dtype.name, sim.variant),
-        }
+        self._table = in_flight_kernels(sim.backend, sim.dtype.name, sim.variant)
         self.image = allocate_image(worlds, len(IMAGE), grid, sim.dtype)
         self._point_count = np.zeros(worlds, np.int32)
         self.asked = self.count = 0
@@ -200,16 +199,29 @@ class SolveReader:
         """Bind what gathers an image of so many channels at the three places; where to, and the launches."""
         values = np.zeros((len(PLACES), self._room, channels), self.sim.dtype)
         image = self._array(np.zeros((1, channels, *self.grid.shape), self.sim.dtype))
-        given = {**self._points, **self._bilinear, "image": image}
-        launches = [
-            self._fed("gather_points", "image", self._chunks, {**given, "point": point, "value": self._array(value)})
-            for point, value in zip(self._places.values(), values)
+        backend, most = self.sim.backend, int(self.sim.storage.contact_room.max(initial=0))
+        stages = [
+            gather_kernel(
+                BILINEAR, self.grid, self._points(name), image, self._array(value), most=most, backend=backend
+            )
+            for name, value in zip(PLACES, values)
         ]
-        return values, launches
+        return values, [self._fed(stage, "image") for stage in stages]
 
-    def _fed(self, kernel: str, name: str, chunks: int, values: dict[str, Any]) -> Fed:
-        stage = Kernel(self._table[kernel], values, chunks)
+    def _fed(self, stage: Kernel, name: str) -> Fed:
         return Fed(stage, name, self.worlds, backend=self.sim.backend, threads=self.threads)
+
+    def _points(self, place: str) -> Any:
+        """The contacts read, at one of their places, as splat and gather take points."""
+        return points_group(
+            self.grid,
+            self.worlds,
+            self.sim.backend,
+            self.sim.dtype.name,
+            start=self.packed_start,
+            count=self._point_count,
+            place=getattr(self, place),
+        )
 
     def _bind(self) -> None:
         """Bind everything to the simulation's present arrays and settings."""
@@ -218,7 +230,6 @@ class SolveReader:
             raise ValueError("config.acceleration is 'nncg'; a solve that is read keeps the step of each sweep")
         self._bound = (sim.layout_version, sim.config)
         self._room = room = sim.contacts.sizes["contact"]
-        self._chunks = chunks_of(int(sim.storage.contact_room.max(initial=0)))
         groups = kernel_file(backend, "groups")
         rows, columns = (max(2, -(-(n - 1) // RATE_NODES) + 1) for n in self.grid.shape)
         sizes = {"world": self.worlds, "world+1": self.worlds + 1, "body": sim.model.body_count}
@@ -231,7 +242,6 @@ class SolveReader:
         self.place, self.place_a, self.place_b = map(reading.numpy, PLACES)
         self.step, self.rate, self.before, self.known = map(reading.numpy, ("step", "rate", "before", "known"))
         reading.numpy("grid_origin")[:] = self.grid.origin
-        self._places = {name: reading.array(name) for name in PLACES}
         self._gathers: dict[int, tuple[np.ndarray, list[Fed]]] = {}
         given = {
             "accelerated": int(sim.config.acceleration != "none"),
@@ -245,32 +255,19 @@ class SolveReader:
             groups.scalars("reading_settings", dtype.name, {**given, "begin": begin}, SETTINGS) for begin in (0, 1)
         ]
         values = {**sim.values, "reading": groups.array_group(reading, "reading")}
-        self._points = {
-            "grid_origin": reading.array("grid_origin"),
-            "point_start": reading.array("packed_start"),
-            "point_count": self._array(self._point_count),
-            "point_bin": self._array(np.zeros(1, np.int32)),
-            "bins": 1,
-            "channel_offset": 0,
-            "chunks": self._chunks,
-        }
-        self._bilinear = stencil_scalars(self.grid, "bilinear", None, "particle", True)
         self.image.fill(0)
         splat = Splat(
-            self._table,
-            {
-                **self._points,
-                **stencil_scalars(self.grid, "bspline", None, "particle", True),
-                "point": self._places["place"],
-                "value": reading.array("image_value"),
-                "image": self._array(self.image),
-            },
+            Stencil("bspline"),
+            self.grid,
+            self._points("place"),
+            reading.array("image_value"),
+            self._array(self.image),
             backend=backend,
             threads=self.threads,
         )
         output = self._array(np.zeros((1, len(OUTPUT)), dtype))
         self._correct = self._fed(
-            "correct_impulses", "output", 1, {**values, "settings": settings[0], "output": output}
+            Kernel(self._table["correct_impulses"], {**values, "settings": settings[0], "output": output}), "output"
         )
         features = self._table["solve_features"]
         self._read = [

@@ -56,7 +56,7 @@ def on_numpy(backend: str) -> bool:
 
 
 def kernel_file(backend: str, path: str) -> Any:
-    """The module of kernels of a backend that stands at the host module's relative path, as "grid.transfer".
+    """The module of kernels of a backend that stands at the host module's relative path, as "grid.splat".
 
     Raises:
         ValueError: for an unknown backend.

@@ -64,6 +64,7 @@ class Bound:
         self._index = {name: i for i, name in enumerate(self.elements)}
         self._shapes: dict[str, tuple[int, ...]] = {}
         self._moved = False
+        self._views: dict[str, Any] = {}
         self._packed: Any = None
         if wp.__version__.startswith(PACKED):
             fields = tuple((name, type(value)) for name, value in zip(self.elements, launch.params[1:]))
@@ -82,20 +83,33 @@ class Bound:
         return function or 0, ctypes.addressof(self.launch.params[0]), ctypes.addressof(self._packed)
 
     def set(self, name: str, value: Any) -> None:
-        """Set an argument to a number or a descriptor."""
+        """Set an argument, or the field of a struct ("struct.field"), to a number or a descriptor."""
         self._moved = True
-        if self._packed is None:
+        group, _, field = name.rpartition(".")
+        if group:
+            setattr(self._struct(group), field, value)
+        elif self._packed is None:
             self.launch.set_param_at_index_from_ctype(self._index[name], value)
         else:
             setattr(self._packed, name, value)
 
     def point(self, name: str, pointer: int, shape: tuple[int, ...]) -> None:
-        """Set an argument to contiguous memory; only the caller keeps it alive."""
+        """Set an argument, or the field of a struct, to contiguous memory; only the caller keeps it alive."""
         if self._packed is not None and self._shapes.get(name) == shape:
             self._views[name].data = pointer
             return
-        self.set(name, descriptor(pointer, shape, self.elements[name]))
+        group, _, field = name.rpartition(".")
+        if not group:
+            self.set(name, descriptor(pointer, shape, self.elements[name]))
+        else:
+            fields = self.launch.kernel.adj.args[self._index[group]].type.vars
+            self.set(name, descriptor(pointer, shape, fields[field].type.dtype))
+            self._views[name] = getattr(self._struct(group), field)
         self._shapes[name] = shape
+
+    def _struct(self, name: str) -> Any:
+        """The memory of an argument that is a struct."""
+        return self.launch.params[1 + self._index[name]] if self._packed is None else getattr(self._packed, name)
 
     def set_dim(self, dim: int) -> None:
         """Set the number of threads."""
@@ -138,7 +152,7 @@ class Calls:
         self._free: list[Bound] = []
 
     def __call__(self, values: Mapping[str, Any], worlds: int, threads: int) -> None:
-        """Launch on contiguous tensors and scalars by name, each thread on its share of the worlds.
+        """Launch on contiguous tensors, numbers and groups of them by name, each thread on its share of the worlds.
 
         Raises:
             RuntimeError: in a recording.
@@ -148,17 +162,25 @@ class Calls:
         launches = []
         for first, count in shard_worlds(worlds, threads) if threads > 1 else [(0, worlds)]:
             launch = self._take()
-            for name, element in self.elements.items():
+            for name in self.elements:
                 if name == "world_offset":
                     launch.set(name, first)
-                elif element is None:
-                    launch.set(name, values[name])
+                elif isinstance(values[name], Mapping):
+                    for field, value in values[name].items():
+                        self._give(launch, f"{name}.{field}", value)
                 else:
-                    launch.point(name, values[name].data_ptr(), values[name].shape)
+                    self._give(launch, name, values[name])
             launch.set_dim(count * each)
             launches.append(launch)
         run_shards(launches, threads)
         self._free.extend(launches)
+
+    def _give(self, launch: Bound, name: str, value: Any) -> None:
+        """Set an argument to a number or a tensor."""
+        if hasattr(value, "data_ptr"):
+            launch.point(name, value.data_ptr(), value.shape)
+        else:
+            launch.set(name, value)
 
     def _take(self) -> Bound:
         """A launch that no other call uses, whichever thread that is on."""
@@ -166,8 +188,12 @@ class Calls:
             return self._free.pop()
         except IndexError:
             pass
-        inputs = [
-            0 if element is None else _template((0,) * argument.type.ndim, element)
-            for argument, element in zip(self.kernel.adj.args, self.elements.values())
-        ]
-        return Bound(record(self.kernel, 1, inputs, "cpu"))
+        return Bound(record(self.kernel, 1, [_anything(argument.type) for argument in self.kernel.adj.args], "cpu"))
+
+
+def _anything(kind: Any) -> Any:
+    """A value of an argument's type, to be set later: a struct of nothing, no array, or 0."""
+    element = getattr(kind, "dtype", None)
+    if element is not None:
+        return _template((0,) * kind.ndim, element)
+    return kind() if hasattr(kind, "vars") else 0

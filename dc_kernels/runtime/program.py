@@ -5,9 +5,8 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
-from dc_kernels.grid.transfer import Splat
 from dc_kernels.model.arrays import kernel_array
 from dc_kernels.runtime.backends import Launch, bind
 from dc_kernels.runtime.capture import recording
@@ -24,14 +23,25 @@ class Kernel(NamedTuple):
     chunks: int = 1
 
 
-Stage = Kernel | Splat | Launch
+class WorldCall(Protocol):
+    """A call that may also be had as a kernel with a thread a world, as a splat onto small images."""
+
+    @property
+    def per_world(self) -> Kernel | None:
+        """The kernel that does all of the call; None: there is none."""
+
+    def __call__(self) -> None:
+        """Run."""
+
+
+Stage = Kernel | WorldCall | Launch
 
 
 class Program:
     """A call that runs stages in turn, bound when it is made; the arrays they name live as long as it does.
 
-    Successive kernels go world by world, so each shard runs through them without waiting for the others; a splat by
-    tiles and any other call waits for all shards.
+    Successive kernels go world by world, so each shard runs through them without waiting for the others; any other call
+    waits for all shards.
     """
 
     def __init__(
@@ -45,7 +55,7 @@ class Program:
         """Bind the stages.
 
         Args:
-            stages: kernels, splats, and calls without arguments.
+            stages: kernels, and calls without arguments.
             worlds: how many there are.
             backend: of the kernels.
             threads: shards of worlds, and what runs them.
@@ -105,7 +115,5 @@ class Fed:
 
 
 def _as_kernel(stage: Stage) -> Stage:
-    """A splat that is one thread a world as its kernel."""
-    if isinstance(stage, Splat) and not stage.tiled:
-        return Kernel(stage.table["splat_worlds"], stage.values)
-    return stage
+    """The kernel of a call that is one thread a world."""
+    return getattr(stage, "per_world", None) or stage

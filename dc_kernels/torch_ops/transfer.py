@@ -19,22 +19,15 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-import warp as wp
 
 from dc_kernels.grid.grid import Grid
-from dc_kernels.grid.transfer import (
-    BAND,
-    TILED_BYTES,
-    Splat,
-    Stencil,
-    chunks_of,
-    first_and_count,
-    stencil_scalars,
-    transfer_kernels,
-)
+from dc_kernels.grid.layout import BAND
+from dc_kernels.grid.splat import TILED_BYTES, Splat, chunks_of, first_and_count, points_group, transfer_kernels
+from dc_kernels.grid.stencil import BILINEAR, POLY6, Stencil
+from dc_kernels.model.arrays import kernel_array
 from dc_kernels.runtime.inputs import check_bins, check_count, check_points, check_start
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.launches import Calls
@@ -44,7 +37,7 @@ torch = require("torch", "pipeline")
 
 _COMMON = (
     "Tensor? start, Tensor? point_bin, int rows, int columns, float spacing, float origin_x, float origin_y, "
-    "int stencil, int normalize, int nearest, float h, int bins, int threads"
+    "str kernel, float? h, str normalize, bool nearest, int bins, int threads"
 )
 
 
@@ -52,14 +45,11 @@ def splat_torch(
     points: Any,
     values: Any,
     grid: Grid,
+    stencil: Stencil = POLY6,
     *,
-    h: float | None = None,
-    kernel: Stencil = "poly6",
-    normalize: Literal["particle", "shepard", "sum"] = "particle",
     start: Any = None,
     bins: int = 1,
     point_bin: Any = None,
-    nearest: bool = True,
     threads: int = 1,
 ) -> Any:
     """``transfer.splat`` of tensors, differentiable by points and values.
@@ -68,13 +58,10 @@ def splat_torch(
         points: places relative to the worlds' origins, (n, 2), contiguous on the CPU, float32 or float64, finite [m].
         values: (n, C), of the same dtype, contiguous on the CPU; NaN and inf are passed on, to nodes nearby too.
         grid: where the nodes lie.
-        h: support radius of a radial kernel [m]; None: 2 spacings.
-        kernel: name of the stencil.
-        normalize: see ``transfer``.
+        stencil: weights of the nodes.
         start: offsets of the worlds' points, (W + 1,) integers; None: one world.
         bins: parts of the image that points are kept apart in.
         point_bin: bin of each point, (n,) integers; needed for bins > 1.
-        nearest: give a point that reaches no node to its nearest one, under "particle".
         threads: worlds, or tiles of a large image, are shared by so many threads.
 
     Returns:
@@ -83,25 +70,21 @@ def splat_torch(
     Raises:
         ValueError: naming the argument: another dtype, device or memory layout (nothing is copied), or out of range.
     """
-    average = normalize == "shepard"
-    settings = _settings(grid, h, kernel, "sum" if average else normalize, start, bins, point_bin, nearest, threads)
+    settings = _settings(grid, stencil, start, bins, point_bin, threads)
     image = torch.ops.deep_contact.splat(points, values, *settings)
-    return _share(image, _weights(points, settings), bins) if average else image
+    return _share(image, _weights(points, settings), bins) if stencil.normalize == "shepard" else image
 
 
 def gather_torch(
     image: Any,
     points: Any,
     grid: Grid,
+    stencil: Stencil = BILINEAR,
     *,
-    h: float | None = None,
-    kernel: Stencil = "bilinear",
-    normalize: Literal["particle", "sum"] = "particle",
     reverse: bool = False,
     start: Any = None,
     bins: int = 1,
     point_bin: Any = None,
-    nearest: bool = True,
     threads: int = 1,
 ) -> Any:
     """``transfer.gather`` of tensors, differentiable by image and points.
@@ -109,9 +92,15 @@ def gather_torch(
     Args:
         image: (W, bins C, rows, columns), of the points' dtype, contiguous on the CPU; NaN and inf are passed on, to
             points nearby too.
-        points: see ``splat_torch``, as are the other arguments.
+        points: see ``splat_torch``, as are the arguments that are not listed here.
+        grid: where the nodes lie.
+        stencil: weights of the nodes; not normalized by "shepard".
         reverse: share what a node holds among the points that reach it (reverse SPH, Engedal 2018); needs normalize
             "particle". The divided image takes memory of its own.
+        start: see ``splat_torch``.
+        bins: see ``splat_torch``.
+        point_bin: see ``splat_torch``.
+        threads: see ``splat_torch``.
 
     Returns:
         (n, C).
@@ -119,28 +108,16 @@ def gather_torch(
     Raises:
         ValueError: as for ``splat_torch``.
     """
-    settings = _settings(grid, h, kernel, normalize, start, bins, point_bin, nearest, threads)
+    stencil.check_gather(reverse)
+    settings = _settings(grid, stencil, start, bins, point_bin, threads)
     if reverse:
-        if normalize != "particle":
-            raise ValueError(f"normalize is {normalize!r}; reverse needs 'particle'")
         image = _share(image, _weights(points, settings), bins)
     return torch.ops.deep_contact.gather(image, points, *settings)
 
 
-def _settings(
-    grid: Grid,
-    h: float | None,
-    kernel: str,
-    normalize: str,
-    start: Any,
-    bins: int,
-    point_bin: Any,
-    nearest: bool,
-    threads: int,
-) -> tuple[Any, ...]:
+def _settings(grid: Grid, stencil: Stencil, start: Any, bins: int, point_bin: Any, threads: int) -> tuple[Any, ...]:
     """The arguments of ``_COMMON``."""
-    scalars = stencil_scalars(grid, kernel, h, normalize, nearest)
-    codes = (scalars[name] for name in ("stencil", "normalize", "nearest", "h"))
+    stencil.support(grid.spacing)
     return (
         None if start is None else torch.as_tensor(start),
         None if point_bin is None else torch.as_tensor(point_bin),
@@ -148,7 +125,10 @@ def _settings(
         grid.columns,
         grid.spacing,
         *grid.origin,
-        *codes,
+        stencil.kernel,
+        stencil.h,
+        stencil.normalize,
+        stencil.nearest,
         check_count("bins", bins),
         check_count("threads", threads),
     )
@@ -274,31 +254,31 @@ class _Call:
     """One call of the kernels with the points and settings of an operator, which are checked here."""
 
     def __init__(self, points: Any, settings: tuple[Any, ...]) -> None:
-        start, point_bin, rows, columns, spacing, x, y, stencil, normalize, nearest, h, bins, threads = settings
+        start, point_bin, *rest, self.bins, self.threads = settings
+        self.grid, self.stencil, numbers = _settings_of(*rest)
         count = len(check_points("points", tensor_array("points", points)))
         first, counts, most = _one_world(count) if start is None else _worlds(tensor_integers("start", start), count)
         self.dtype = str(points.dtype).removeprefix("torch.")
-        self.shape, self.worlds, self.bins, self.threads = (rows, columns), len(first), bins, threads
+        self.shape, self.worlds, self.points = self.grid.shape, len(first), points
+        self.point_arrays = {
+            "origin": _origins(self.worlds, self.grid, points.dtype),
+            "start": first,
+            "count": counts,
+            "place": points,
+            "bin": _bins(self.bins, point_bin, count),
+        }
         self.values = {
-            "stencil": stencil,
-            "normalize": normalize,
-            "nearest": nearest,
-            "spacing": spacing,
-            "h": h,
-            "bins": bins,
+            "stencil": numbers,
+            "bins": self.bins,
             "channel_offset": 0,
             "chunks": chunks_of(most),
-            "grid_origin": _origins(self.worlds, x, y, points.dtype),
-            "point_start": first,
-            "point_count": counts,
-            "point": points,
-            "point_bin": _bins(bins, point_bin, count),
+            "points": self.point_arrays,
         }
 
     def check_values(self, values: Any) -> int:
         """C of values (n, C)."""
         tensor_array("values", values)
-        count = self.values["point"].shape[0]
+        count = self.points.shape[0]
         if values.dim() != 2 or values.shape[0] != count or values.shape[1] < 1:
             raise ValueError(f"values has shape {tuple(values.shape)}; it must be ({count}, C) with C >= 1")
         self._check_dtype("values", values)
@@ -312,8 +292,8 @@ class _Call:
         return image.shape[1] // self.bins
 
     def _check_dtype(self, name: str, tensor: Any) -> None:
-        if tensor.dtype != self.values["point"].dtype:
-            raise ValueError(f"{name} has dtype {tensor.dtype}; points have {self.values['point'].dtype}")
+        if tensor.dtype != self.points.dtype:
+            raise ValueError(f"{name} has dtype {tensor.dtype}; points have {self.points.dtype}")
 
     def run(self, name: str, **tensors: Any) -> None:
         """Launch a kernel on the tensors, each thread on its share of the worlds."""
@@ -321,13 +301,28 @@ class _Call:
 
     def run_tiled(self, value: Any, image: Any) -> None:
         """Splat onto a large, zeroed image tile by tile."""
-        types = {**_calls("splat_worlds", self.dtype).elements, "image": None}
-        arrays = {
-            key: wp.from_torch(tensor, dtype=types[key], requires_grad=False)
-            for key, tensor in {**self.values, "value": value, "image": image}.items()
-            if isinstance(tensor, torch.Tensor)
-        }
-        Splat(transfer_kernels("warp", self.dtype), {**self.values, **arrays}, threads=self.threads)()
+        arrays = {name: tensor.detach().numpy() for name, tensor in self.point_arrays.items() if name != "origin"}
+        points = points_group(self.grid, self.worlds, "warp", self.dtype, **arrays)
+        given = [kernel_array(tensor.detach().numpy(), "warp") for tensor in (value, image)]
+        Splat(self.stencil, self.grid, points, *given, bins=self.bins, threads=self.threads)()
+
+
+@functools.lru_cache(256)
+def _settings_of(
+    rows: int,
+    columns: int,
+    spacing: float,
+    origin_x: float,
+    origin_y: float,
+    kernel: Any,
+    h: float | None,
+    normalize: Any,
+    nearest: bool,
+) -> tuple[Grid, Stencil, dict[str, Any]]:
+    """The grid, the stencil, and its numbers as the kernels take them."""
+    grid = Grid(rows=rows, columns=columns, spacing=spacing, origin=(origin_x, origin_y))
+    stencil = Stencil(kernel, h=h, normalize=normalize, nearest=nearest)
+    return grid, stencil, stencil.arguments(grid)
 
 
 @functools.cache
@@ -347,9 +342,9 @@ def _worlds(start: np.ndarray | None, count: int) -> tuple[Any, Any, int]:
 
 
 @functools.lru_cache(256)
-def _origins(worlds: int, x: float, y: float, dtype: Any) -> Any:
+def _origins(worlds: int, grid: Grid, dtype: Any) -> Any:
     """The grid's origin for each world, (W, 2)."""
-    return torch.tensor([[x, y]], dtype=dtype).repeat(worlds, 1)
+    return torch.tensor([grid.origin], dtype=dtype).repeat(worlds, 1)
 
 
 @functools.cache

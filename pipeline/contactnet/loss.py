@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.stencil import Stencil
 from dc_kernels.learn.channels import Scale
 from dc_kernels.learn.differentiable import ContactProblem, sweeps_torch
 from dc_kernels.runtime.optional import require
@@ -130,7 +131,7 @@ def predicted(batch: CallBatch, model: Any, grid: Grid) -> Any:
     if isinstance(model, EvenShare):
         output = model.head(batch.local, ())
     else:
-        images = splat_torch(batch.places[0], batch.image_value, grid, kernel="bspline", start=batch.start)
+        images = splat_torch(batch.places[0], batch.image_value, grid, Stencil("bspline"), start=batch.start)
         output = model(batch.local, images, lambda image: gather_all(batch, image, grid))
     new = corrected(output, batch.impulse, batch.step, batch.rate, batch.scale[batch.world])
     return on_cone(new, batch.problem.friction).contiguous()

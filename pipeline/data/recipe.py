@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import dc_kernels as dc
-from dc_kernels.grid.transfer import TILED_BYTES
+from dc_kernels.grid.splat import TILED_BYTES
 from dc_kernels.runtime.optional import require
 from pipeline.checks import check_finite, check_least
 from pipeline.scenes import Scene, Thesis

@@ -102,7 +102,7 @@ class Recorder:
         self.images: dc.Images | None = None
         self.extra: dict[str, DatasetSpec] = {}
         if recipe.options.grids:
-            self.images = dc.Images(sim, recipe.options.grid)
+            self.images = dc.Images(sim, dc.ImageSpec(recipe.options.grid))
             channels = "mass, velocity_x, velocity_y, omega, normal_x, normal_y; walls as 100 kg"
             shape = recipe.options.grid.shape
             self.extra = {

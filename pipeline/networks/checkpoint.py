@@ -4,7 +4,7 @@ Both are safetensors files, written under a temporary name and renamed when whol
 
 - ``schema`` and ``version``: ``deep-contact.network`` or ``deep-contact.training``, and its version;
 - ``network``, ``config``: name and configuration (JSON) from which ``models.build`` makes the network again;
-- ``manifest`` (of a network; JSON): what its maker says of it: grid and channels, seeds, data set, versions, metrics;
+- ``manifest`` (of a network; JSON): what its maker says of it: images, seeds, data set, versions, metrics;
 - ``state`` (of training; JSON): groups of the optimiser, schedule, progress, identity.
 
 A network's file holds its weights under their names. That of a training holds weights under ``model/NAME``, the
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.image_spec import ImageSpec
 from dc_kernels.runtime.optional import require
 from pipeline.files import plain, versions, write_bytes
 from pipeline.networks import models
@@ -74,7 +75,7 @@ def load_checkpoint(
     Args:
         path: of the file.
         network: the name that it must have; None: any.
-        grid: the grid that its manifest must name; None: any.
+        grid: that of the images in its manifest, as it must be; None: any.
 
     Returns:
         The network, in evaluation mode, and its manifest.
@@ -88,22 +89,12 @@ def load_checkpoint(
         raise ValueError(f"{path} holds the network {described['network']!r}, not {network!r}")
     manifest = _parsed(path, described, "manifest")
     if grid is not None:
-        found = manifest.get("grid")
-        if found != grid_dict(grid):
-            raise ValueError(f"{path} was trained on the grid {found}, not on {grid_dict(grid)}")
+        found = ImageSpec.from_dict(manifest["images"]).grid if "images" in manifest else None
+        if found != grid:
+            raise ValueError(f"{path} was trained on the grid {found}, not on {grid}")
     model = models.build(described["network"], _parsed(path, described, "config"))
     _load(path, model, tensors)
     return model.eval(), manifest
-
-
-def grid_dict(grid: Grid) -> dict[str, Any]:
-    """Return a grid as a manifest holds it."""
-    return {
-        "rows": int(grid.rows),
-        "columns": int(grid.columns),
-        "spacing": float(grid.spacing),
-        "origin": [float(x) for x in grid.origin],
-    }
 
 
 def save_training(

@@ -8,6 +8,7 @@ import numpy as np
 
 from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES
 from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.image_spec import ImageSpec
 from dc_kernels.grid.images import Images
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.runtime.optional import require
@@ -95,7 +96,7 @@ def grids_figure(sim: Any, grid: Grid, world: int = 0) -> Any:
         grid: of the images.
         world: which world.
     """
-    images = Images(sim, grid, bodies=BODIES, contacts=CONTACTS, walls=None)
+    images = Images(sim, ImageSpec(grid, body_channels=BODIES, contact_channels=CONTACTS, walls=None))
     images.splat()
     channels = dict(zip(images.channels, images.numpy()[world], strict=True))
     channels.update(zip(IMPULSES, to_numpy(images.impulse_image())[world], strict=True))

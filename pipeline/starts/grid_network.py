@@ -37,7 +37,7 @@ class GridNetworkStart(ImpulseStart):
         Args:
             sim: of float32, on the CPU.
             model: maps (B, channels, rows, columns) to (B, 2 bins, rows, columns), in float32.
-            manifest: of its checkpoint: "grid", "images", "decode".
+            manifest: of its checkpoint: "images", "decode".
 
         Raises:
             ValueError: for a simulation of another dtype, or a manifest of a network that reads no images.
@@ -45,13 +45,12 @@ class GridNetworkStart(ImpulseStart):
         super().__init__(sim)
         if sim.dtype != np.float32:
             raise ValueError(f"sim.dtype is {sim.dtype.name}; networks answer in float32")
-        for name in ("grid", "images", "decode"):
+        for name in ("images", "decode"):
             if name not in manifest:
                 raise ValueError(f"the manifest has no {name!r}: the network was not trained on images of a simulation")
         self.torch = require("torch", "pipeline")
         self.model = model.eval()
-        grid = manifest["grid"]
-        self.images = dc.Images(sim, dc.Grid(**{**grid, "origin": tuple(grid["origin"])}), **manifest["images"])
+        self.images = dc.Images(sim, dc.ImageSpec.from_dict(manifest["images"]))
         self.reverse = bool(manifest["decode"]["reverse"])
         self.calls = self.skipped = self.dropped = 0
         self._output: Any = None

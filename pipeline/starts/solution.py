@@ -45,7 +45,9 @@ class Transfer(ImpulseStart):
         """Go back by the reverse SPH sum (Engedal), or bilinearly (Wu, Tirca) if not ``reverse``."""
         super().__init__(sim)
         self.reverse = reverse
-        self.images = dc.Images(sim, thesis_grid(sim), bodies=(), h=GRID_SUPPORT)
+        self.images = dc.Images(
+            sim, dc.ImageSpec(thesis_grid(sim), body_channels=(), stencil=dc.Stencil(h=GRID_SUPPORT))
+        )
 
     def write(self) -> None:
         """Solve, splat the solution, and write what comes back."""

@@ -19,7 +19,8 @@ from threading import Event
 from typing import Any
 
 from dc_kernels.grid.grid import Grid
-from dc_kernels.grid.transfer import SUPPORT
+from dc_kernels.grid.image_spec import ImageSpec
+from dc_kernels.grid.stencil import Stencil
 from dc_kernels.runtime.optional import require
 from pipeline.data import dataset
 from pipeline.data.splatter import Splatter
@@ -27,7 +28,6 @@ from pipeline.files import plain, write_json
 from pipeline.networks import models
 from pipeline.networks.checkpoint import (
     all_versions,
-    grid_dict,
     load_checkpoint,
     load_training,
     save_checkpoint,
@@ -119,24 +119,18 @@ class GridTraining:
                 f"loss is {options.loss!r}, which does not know the velocity bias that overlaps had in {options.data}: "
                 "its solver.position_correction is 'baumgarte'"
             )
-        self.grid = make_grid(self.data["box"], setup.nodes if options.nodes is None else options.nodes)
-        self.images: dict[str, Any] = {
-            "bodies": setup.bodies,
-            "contacts": (*setup.contacts, *(CACHED if options.cached else ())),
-            "kernel": "poly6",
-            "h": SUPPORT * self.grid.spacing if options.h is None else options.h,
-            "bins": options.bins,
-            "walls": options.walls,
-        }
-        self.splatter = Splatter(self.grid, **self.images, threads=options.threads)
-        self.decode = Decoder(
-            grid=self.grid,
-            kernel=self.images["kernel"],
-            h=self.images["h"],
+        grid = make_grid(self.data["box"], setup.nodes if options.nodes is None else options.nodes)
+        self.images = ImageSpec(
+            grid,
+            body_channels=setup.bodies,
+            contact_channels=(*setup.contacts, *(CACHED if options.cached else ())),
+            stencil=Stencil(h=options.h),
             bins=options.bins,
-            reverse=(options.decode or setup.decode) == "reverse",
-            threads=options.threads,
+            walls=options.walls,
         )
+        self.splatter = Splatter(self.images, threads=options.threads)
+        reverse = (options.decode or setup.decode) == "reverse"
+        self.decode = Decoder(images=self.images, reverse=reverse, threads=options.threads)
         self.train = self.loader("train", rank=group.rank, world_size=group.size)
         self.held = self.loader("validation")
         if not len(self.train):
@@ -147,10 +141,10 @@ class GridTraining:
         options, group = self.options, self.group
         seed_everything(options.seed)
         config = models.GridConfig(
-            rows=self.grid.rows,
-            columns=self.grid.columns,
-            channels=len(self.splatter.channels),
-            outputs=2 * options.bins,
+            rows=self.images.grid.rows,
+            columns=self.images.grid.columns,
+            channels=len(self.images.channels),
+            outputs=self.images.impulse_channels,
             width=options.width,
             dropout=options.dropout,
         )
@@ -339,8 +333,7 @@ class GridTraining:
     def manifest(self) -> dict[str, Any]:
         """Return what the network's file says of it."""
         return {
-            "grid": grid_dict(self.grid),
-            "images": plain(self.images),
+            "images": plain(self.images.to_dict()),
             "decode": {"reverse": self.decode.reverse},
             "parameters": models.parameter_count(self.model),
             "options": _plain_options(self.options),

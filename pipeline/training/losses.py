@@ -16,8 +16,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from dc_kernels.grid.grid import Grid
-from dc_kernels.grid.transfer import Stencil
+from dc_kernels.grid.image_spec import ImageSpec
+from dc_kernels.grid.stencil import BILINEAR
 from dc_kernels.learn.differentiable import ContactProblem, sweeps_torch
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.runtime.optional import require
@@ -36,14 +36,8 @@ OPEN = 1e6
 class Decoder:
     """Reads an impulse image at the contacts."""
 
-    grid: Grid
-    """Where the nodes lie."""
-    kernel: Stencil = "poly6"
-    """Kernel of the splat that made the images."""
-    h: float | None = None
-    """Support radius of the kernel [m]; None: 2 spacings."""
-    bins: int = 1
-    """Number of bins of normal directions [1]."""
+    images: ImageSpec
+    """What the images that the network answers show."""
     reverse: bool = True
     """Reverse SPH (Engedal): what a node holds is shared among the contacts that reach it; False: bilinear (Wu)."""
     threads: int = 1
@@ -51,16 +45,16 @@ class Decoder:
 
     def __call__(self, image: Any, batch: Any) -> Any:
         """Read the impulse of each contact, (M, 2) [N s], from an image (B, 2 bins, rows, columns)."""
+        images = self.images
         return gather_torch(
             image,
             batch.point,
-            self.grid,
-            kernel=self.kernel if self.reverse else "bilinear",
-            h=self.h,
+            images.grid,
+            images.stencil if self.reverse else BILINEAR,
             reverse=self.reverse,
             start=batch.contact_start,
-            bins=self.bins,
-            point_bin=direction_bins(batch.normal, self.bins) if self.bins > 1 else None,
+            bins=images.bins,
+            point_bin=direction_bins(batch.normal, images.bins) if images.bins > 1 else None,
             threads=self.threads,
         )
 

@@ -85,8 +85,9 @@ class Validation:
         assert shown is not None
         impulse, label, floor = (torch.cat(column).numpy() for column in zip(*parts))
         answer, target, points, title = shown
-        answer, target = (image.reshape(-1, 2, *self.decode.grid.shape).sum(axis=0) for image in (answer, target))
-        return Prediction(impulse, label, floor, self.decode.grid, answer, target, points, title)
+        grid = self.decode.images.grid
+        answer, target = (image.reshape(-1, 2, *grid.shape).sum(axis=0) for image in (answer, target))
+        return Prediction(impulse, label, floor, grid, answer, target, points, title)
 
 
 def _squares(error: Any) -> np.ndarray:

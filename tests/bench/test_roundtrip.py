@@ -8,6 +8,7 @@ import pytest
 from bench.learning import roundtrip as bench
 from bench.learning.theses import ThesesTransfer
 from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.stencil import Stencil
 from dc_kernels.grid.transfer import gather, splat
 
 SIDE = bench.QUANTITIES["impulse"][1]
@@ -28,14 +29,14 @@ def world(particles: bench.Particles, index: int) -> tuple[np.ndarray, np.ndarra
 @pytest.mark.parametrize(("spacing", "h"), [(0.25, 0.5), (0.5, 0.125), (0.5, 0.5)])
 def test_agrees_with_trees_and_python_loops(worlds, spacing, h):
     grid = Grid.from_box((0.0, 0.0), (SIDE, SIDE), spacing)
-    options = {"h": h, "kernel": "poly6", "nearest": False}
+    stencil = Stencil(h=h, nearest=False)
     theirs = ThesesTransfer(grid, h)
     for particles in worlds.values():
         points, values = world(particles, 1)
-        image = splat(points, values, grid, **options)
+        image = splat(points, values, grid, stencil)
         expected = theirs.splat(points.astype(np.float64), values.astype(np.float64))
         assert np.abs(image[0] - expected).max() < 1e-5 * np.abs(expected).max()
-        back = gather(image, points, grid, reverse=True, **options)
+        back = gather(image, points, grid, stencil, reverse=True)
         shared = theirs.gather(expected, points.astype(np.float64))
         assert np.abs(back - shared).max() < 1e-4 * np.abs(values).max()
 
@@ -43,7 +44,7 @@ def test_agrees_with_trees_and_python_loops(worlds, spacing, h):
 def test_reverse_conserves_what_the_nodes_hold(worlds):
     grid = Grid.thesis()
     particles = worlds["impulse"]
-    options = {"h": 0.5, "kernel": "poly6", "start": particles.start}
+    options = {"stencil": Stencil(h=0.5), "start": particles.start}
     image = splat(particles.points, particles.values, grid, **options)
     back = gather(image, particles.points, grid, reverse=True, **options)
     for total in (image.sum(axis=(1, 2, 3)), np.add.reduceat(back[:, 0], particles.start[:-1])):

@@ -1,6 +1,7 @@
 """Images of a simulation: what they show, whose memory they are, and the way back to the contacts."""
 
 import gc
+import json
 
 import numpy as np
 import pytest
@@ -8,18 +9,22 @@ import warp as wp
 
 import dc_kernels as dc
 from bench import cases
-from dc_kernels.grid import transfer
+from dc_kernels.grid import splat, transfer
 from dc_kernels.grid.area import area_points, wall_nodes
 from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS
+from dc_kernels.grid.fields import AREA, POINTS
 from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.image_spec import ImageSpec
 from dc_kernels.grid.images import Images
+from dc_kernels.grid.stencil import Stencil
 from dc_kernels.measure import contact_slots
-from dc_kernels.runtime.backends import argument_names
+from dc_kernels.model.arrays import kernel_array
+from dc_kernels.runtime.backends import bind, kernel_file, make_kernels
 from pipeline import scenes
 
 STATIC = dc.BodyType.STATIC
 GRID = Grid(rows=30, columns=41, spacing=0.25, origin=(-1.0, -1.0))
-ALL = {"bodies": tuple(BODY_CHANNELS), "contacts": tuple(CONTACT_CHANNELS)}
+ALL = {"body_channels": tuple(BODY_CHANNELS), "contact_channels": tuple(CONTACT_CHANNELS)}
 
 
 def pile(worlds=2, steps=40, dtype="float32", backend="warp", bodies=12, **options):
@@ -46,6 +51,11 @@ def pile(worlds=2, steps=40, dtype="float32", backend="warp", bodies=12, **optio
     sim = dc.Simulation(model, state, joints, **options)
     sim.run(steps, 0.01)
     return sim
+
+
+def splats(images):
+    """The splats of images: that of the bodies, that of the contacts."""
+    return [stage for stage in images._scene._program.stages if isinstance(stage, splat.Splat)]
 
 
 def body_values(sim, name):
@@ -95,7 +105,7 @@ def contact_values(sim):
 @pytest.mark.parametrize("kernel", ["poly6", "bilinear"])
 def test_every_channel_keeps_its_sum(kernel, area):
     sim = pile(worlds=3)
-    images = Images(sim, GRID, **ALL, kernel=kernel, area=area, walls=None)
+    images = Images(sim, ImageSpec(GRID, **ALL, stencil=Stencil(kernel), area=area, walls=None))
     gc.collect()  # what the recorded launches use must outlive the constructor
     images.splat()
     found = images.numpy().astype(float).sum(axis=(2, 3))
@@ -118,51 +128,47 @@ def test_every_channel_keeps_its_sum(kernel, area):
 @pytest.mark.parametrize("bins", [1, 5])
 def test_the_oracle_finds_the_same_features(bins):
     """Each kernel on the same arrays, with every channel."""
-    from dc_kernels._numpy.grid import images as oracle
-    from dc_kernels._warp.grid import images as features
-
     sim = pile(worlds=3, dtype="float64")
     sim.state.numpy("flags")[1] = int(dc.Flag.NONFINITE)
     cells = area_points(sim.model, 0.25)
+    groups = {name: (name.capitalize(), getattr(sim, name)) for name in ("model", "state", "contacts")}
     found = {}
-    for name, table in (("warp", features.kernels("float64")), ("numpy", oracle.kernels("float64"))):
-        room = sim.contacts.sizes["contact"]
-        for kernel, channels, count in (
-            ("body_features", BODY_CHANNELS, len(cells.body)),
-            ("contact_features", CONTACT_CHANNELS, room),
+    for backend in ("warp", "numpy"):
+        table, structs = make_kernels(backend, "grid.images", "float64"), kernel_file(backend, "structs")
+        values = {
+            name: structs.group(kind, "float64", group.table, {field: group.numpy(field) for field in group.table})
+            for name, (kind, group) in groups.items()
+        }
+        for kernel, channels, count, spread in (
+            ("body_features", BODY_CHANNELS, len(cells.body), 0),
+            ("body_features", BODY_CHANNELS, len(cells.body), 1),
+            ("contact_features", CONTACT_CHANNELS, sim.contacts.sizes["contact"], 0),
         ):
-            for area in (0, 1) if kernel == "body_features" else (0,):
-                groups = (sim.model, sim.state, sim.contacts, sim.motion)
-                flat = {k: group.array(k) for group in groups for k in group.table}
-                out = {
-                    "point_count": np.full(3, -1, np.int32),
-                    "point": np.zeros((count, 2)),
-                    "point_bin": np.full(count, -1, np.int32),
-                    "value": np.zeros((count, len(channels))),
-                }
-                codes = np.array([channel.code for channel in channels.values()], np.int32)[::-1].copy()
-                arrays = {"body_channel": codes, "contact_channel": codes, **out}
-                arrays |= {f"area_{n}": getattr(cells, n) for n in ("start", "body", "point", "weight")}
-                values = {k: dc.to_numpy(v) if hasattr(v, "shape") else v for k, v in flat.items()} | arrays
-                arguments = {**values, "world_offset": 0, "area": area, "bins": bins}
-                if name == "warp":
-                    vectors = {"point", "area_point"}
-                    arguments = flat | {"world_offset": 0, "area": area, "bins": bins}
-                    arguments |= {
-                        k: (transfer.kernel_vectors if k in vectors else transfer.kernel_array)(v, "warp")
-                        for k, v in arrays.items()
-                    }
-                    wp.launch(table[kernel], 3, [arguments[k] for k in argument_names(table[kernel])], device="cpu")
-                else:
-                    for tid in range(3):
-                        table[kernel](tid, *(arguments[k] for k in argument_names(table[kernel])))
-                found.setdefault((kernel, area), []).append(out)
+            out = {
+                "count": np.full(3, -1, np.int32),
+                "place": np.zeros((count, 2)),
+                "bin": np.full(count, -1, np.int32),
+                "value": np.zeros((count, len(channels))),
+            }
+            codes = np.array([channel.code for channel in channels.values()], np.int32)[::-1].copy()
+            area = {"start": cells.start, "body": cells.body, "place": cells.point, "weight": cells.weight}
+            arguments = {
+                **values,
+                "world_offset": 0,
+                "bins": bins,
+                "channel": kernel_array(codes, backend),
+                "area": structs.group("Area", "float64", AREA, {"spread": spread, **area}),
+                "points": structs.group("Points", "float64", POINTS, {k: v for k, v in out.items() if k != "value"}),
+                "value": kernel_array(out["value"], backend),
+            }
+            bind(table[kernel], 3, arguments, "cpu")()
+            found.setdefault((kernel, spread), []).append(out)
     for (kernel, _), (warp, numpy) in found.items():
-        assert warp["point_count"][1] == 0  # flagged
-        np.testing.assert_array_equal(warp["point_count"], numpy["point_count"])
-        np.testing.assert_array_equal(warp["point_bin"], numpy["point_bin"])
-        assert (warp["point_bin"].max() >= 2) == (bins == 5 and kernel == "contact_features")
-        for name in ("point", "value"):
+        assert warp["count"][1] == 0  # flagged
+        np.testing.assert_array_equal(warp["count"], numpy["count"])
+        np.testing.assert_array_equal(warp["bin"], numpy["bin"])
+        assert (warp["bin"].max() >= 2) == (bins == 5 and kernel == "contact_features")
+        for name in ("place", "value"):
             np.testing.assert_allclose(warp[name], numpy[name], rtol=1e-13, atol=1e-13)
 
 
@@ -172,7 +178,7 @@ def test_the_numpy_backend_draws_the_same_images():
     found = []
     for backend in ("warp", "numpy"):
         sim = pile(backend=backend, **options)
-        images = Images(sim, small, bins=2)
+        images = Images(sim, ImageSpec(small, bins=2))
         for _ in range(2):
             images.splat()
         label = dc.to_numpy(images.impulse_image()).copy()
@@ -186,7 +192,7 @@ def test_the_numpy_backend_draws_the_same_images():
 
 def test_numpy_torch_and_warp_see_one_image():
     torch = pytest.importorskip("torch")
-    images = Images(pile(), GRID)
+    images = Images(pile(), ImageSpec(GRID))
     view, tensor = images.numpy(), images.tensor()
     assert view.ctypes.data == tensor.data_ptr() == images.image.ptr == images.splat().ptr
     assert view.ctypes.data % 64 == 0
@@ -208,7 +214,7 @@ def test_numpy_torch_and_warp_see_one_image():
 def test_an_image_becomes_the_solvers_start(kind):
     rng = np.random.default_rng(1)
     sim = pile()
-    images = Images(sim, GRID)
+    images = Images(sim, ImageSpec(GRID))
     source = rng.uniform(0, 5, (2, 2, *GRID.shape)).astype(np.float32)
     image = source
     if kind == "torch":
@@ -220,11 +226,10 @@ def test_an_image_becomes_the_solvers_start(kind):
     slots, _ = contact_slots(sim.contacts)
     points = points.astype(np.float32)
     start = np.searchsorted(world, [0, 1, 2])
-    for options in ({}, {"kernel": "bspline"}, {"kernel": "poly6", "h": 0.4}, {"reverse": True}):
+    for options in ({}, {"stencil": Stencil("bspline")}, {"stencil": Stencil(h=0.4)}, {"reverse": True}):
         images.start_from(image, **options)
-        wanted = transfer.gather(
-            source, points, GRID, start=start, **({"kernel": "poly6", **options} if options.get("reverse") else options)
-        )
+        given = {"stencil": Stencil(), **options} if options.get("reverse") else options
+        wanted = transfer.gather(source, points, GRID, start=start, **given)
         np.testing.assert_allclose(sim.contacts.numpy("impulse")[slots], wanted, rtol=2e-5)
         np.testing.assert_array_equal(
             dc.to_numpy(images.gather(image, **options))[slots], sim.contacts.numpy("impulse")[slots]
@@ -234,7 +239,7 @@ def test_an_image_becomes_the_solvers_start(kind):
 
 def test_many_images_in_turn_are_each_read():
     sim = pile()
-    images = Images(sim, GRID)
+    images = Images(sim, ImageSpec(GRID))
     slots, _ = contact_slots(sim.contacts)
     sources = [np.full((2, 1, *GRID.shape), float(i), np.float32) for i in range(20)]
     for i in (*range(20), 0, 19):
@@ -244,7 +249,7 @@ def test_many_images_in_turn_are_each_read():
 
 def test_what_is_not_the_right_image_is_refused():
     torch = pytest.importorskip("torch")
-    images = Images(pile(), GRID, bins=2)
+    images = Images(pile(), ImageSpec(GRID, bins=2))
     shape = (2, 4, *GRID.shape)
     good = torch.zeros(shape)
     images.start_from(good)
@@ -266,7 +271,7 @@ def test_what_is_not_the_right_image_is_refused():
     with pytest.raises(ValueError, match=r"it must be \(2, C \* 2, 30, 41\)"):
         images.gather(np.zeros((2, 3, *GRID.shape), np.float32))
     with pytest.raises(ValueError, match="kernel is 'cubist'"):
-        images.gather(good, kernel="cubist")
+        images.gather(good, stencil=Stencil("cubist"))
     with pytest.raises(ValueError, match="those of another simulation"):
         images.starter(lambda images: good)(pile())
 
@@ -274,32 +279,48 @@ def test_what_is_not_the_right_image_is_refused():
 def test_bad_settings_are_named():
     sim = pile(steps=1)
     for options, message in (
-        ({"bodies": ("mass", "colour")}, r"bodies\[1\] is 'colour'; it must be one of"),
-        ({"contacts": ("gap", "gap")}, r"contacts\[1\] is 'gap', which is there already"),
-        ({"bodies": "mass"}, "it must be a sequence of names"),
-        ({"bodies": (), "contacts": ()}, "both empty"),
+        ({"body_channels": ("mass", "colour")}, r"body_channels\[1\] is 'colour'; it must be one of"),
+        ({"contact_channels": ("gap", "gap")}, r"contact_channels\[1\] is 'gap', which is there already"),
+        ({"body_channels": "mass"}, "it must be a sequence of names"),
+        ({"body_channels": (), "contact_channels": ()}, "both empty"),
         ({"bins": 0}, "bins is 0"),
         ({"walls": np.nan}, "walls is nan"),
-        ({"threads": 0}, "threads is 0"),
-        ({"normalize": "shepard"}, "normalize is 'shepard'"),
-        ({"kernel": "box"}, "kernel is 'box'"),
-        ({"h": -1.0}, "h is -1"),
+        ({"area": 1}, "area is 1; it must be True or False"),
+        ({"stencil": Stencil(normalize="shepard")}, "normalize is 'shepard'"),
+        ({"stencil": Stencil(h=1e9)}, "h is 1000000000.0 m"),
     ):
         with pytest.raises(ValueError, match=message):
-            Images(sim, GRID, **options)
+            ImageSpec(GRID, **options)
+    with pytest.raises(ValueError, match="threads is 0"):
+        Images(sim, ImageSpec(GRID), threads=0)
+    with pytest.raises(ValueError, match="spec is a Grid; it must be an ImageSpec"):
+        Images(sim, GRID)
+    with pytest.raises(ValueError, match="grid is a tuple; it must be a Grid"):
+        ImageSpec((61, 61))
+    plain = Images(sim, ImageSpec(GRID, stencil=Stencil(normalize="sum")))
     with pytest.raises(ValueError, match="reverse needs 'particle'"):
-        Images(sim, GRID, normalize="sum").gather(np.zeros((2, 2, *GRID.shape), np.float32), reverse=True)
+        plain.gather(np.zeros((2, 2, *GRID.shape), np.float32), reverse=True)
+
+
+def test_a_specification_goes_through_json():
+    spec = ImageSpec(GRID, **ALL, stencil=Stencil("cubic", h=0.7, nearest=False), bins=3, walls=None, area=True)
+    assert ImageSpec.from_dict(json.loads(json.dumps(spec.to_dict()))) == spec
+    for change, message in (
+        ({"colour": 1}, "colour"),
+        ({"grid": {"rows": 3}}, "described by"),
+        ({"bins": 0}, "bins is 0"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ImageSpec.from_dict({**spec.to_dict(), **change})
 
 
 def test_without_contacts_nothing_is_touched():
     sim = pile(worlds=3)
-    images = Images(sim, GRID)
+    images = Images(sim, ImageSpec(GRID))
     images.splat()
     assert images.numpy()[:2, 4:].any(axis=(1, 2, 3)).all()
     assert not images.numpy()[2, 4:].any()
-    touched = [
-        dc.to_numpy(stage.values["touched"]) for stage in images._splat.stages if isinstance(stage, transfer.Splat)
-    ]
+    touched = [dc.to_numpy(stage.touched) for stage in splats(images)]
     assert touched[0].any(axis=1).all()
     assert touched[1].any(axis=1).tolist() == [True, True, False]
     # contacts that have gone leave nothing behind; a flagged world shows its walls only
@@ -314,7 +335,7 @@ def test_without_contacts_nothing_is_touched():
 def test_normals_are_binned_by_their_direction_modulo_pi():
     sim = pile(worlds=3)
     bins = 4
-    plain, binned = (Images(sim, GRID, bodies=("mass",), bins=b) for b in (1, bins))
+    plain, binned = (Images(sim, ImageSpec(GRID, body_channels=("mass",), bins=b)) for b in (1, bins))
     plain.splat()
     binned.splat()
     assert binned.channels[:3] == ("mass", "normal_x/0", "normal_y/0")
@@ -355,11 +376,11 @@ def test_normals_are_binned_by_their_direction_modulo_pi():
 @pytest.mark.parametrize("tiled", [False, True])
 def test_walls_carry_their_mass_once(tiled, monkeypatch):
     if tiled:
-        monkeypatch.setattr(transfer, "TILED_BYTES", 1)
+        monkeypatch.setattr(splat, "TILED_BYTES", 1)
     sim = cases.simulation(scenes.Thesis(bodies=30), 2)
     grid = Grid.thesis()
-    images, bare = (Images(sim, grid, walls=w, h=0.75) for w in (100.0, None))
-    assert all(stage.tiled == tiled for stage in images._splat.stages if isinstance(stage, transfer.Splat))
+    images, bare = (Images(sim, ImageSpec(grid, walls=w, stencil=Stencil(h=0.75))) for w in (100.0, None))
+    assert [stage.tiled for stage in splats(images)] == [tiled, tiled]
     world, row, column = wall_nodes(sim.model, sim.state, grid)
     walls = np.zeros((2, *grid.shape), np.float32)
     walls[world, row, column] = 100.0
@@ -376,10 +397,10 @@ def test_walls_carry_their_mass_once(tiled, monkeypatch):
 def test_tiles_and_bands_give_the_same_bits(monkeypatch):
     sim = pile()
     wide = Grid(rows=140, columns=150, spacing=0.06, origin=(-0.5, -0.5))
-    options = {"bins": 2, "area": True}
-    bands = Images(sim, wide, **options)
-    monkeypatch.setattr(transfer, "TILED_BYTES", 1)
-    tiles = Images(sim, wide, **options, threads=2)
+    spec = ImageSpec(wide, bins=2, area=True)
+    bands = Images(sim, spec)
+    monkeypatch.setattr(splat, "TILED_BYTES", 1)
+    tiles = Images(sim, spec, threads=2)
     for _ in range(2):
         np.testing.assert_array_equal(dc.to_numpy(bands.splat()), dc.to_numpy(tiles.splat()))
         np.testing.assert_array_equal(dc.to_numpy(bands.impulse_image()), dc.to_numpy(tiles.impulse_image()))
@@ -392,7 +413,7 @@ def test_the_area_of_a_disc_has_its_second_moment():
     builder.add_discs([(1.03, 0.94)], 0.5)
     sim = dc.Simulation(*builder.finalize("float64"))
     grid = Grid(rows=41, columns=41, spacing=0.05)
-    images = Images(sim, grid, bodies=("mass",), contacts=(), area=True)
+    images = Images(sim, ImageSpec(grid, body_channels=("mass",), contact_channels=(), area=True))
     images.splat()
     image = images.numpy()[0, 0]
     mass = sim.model.numpy("mass")[0]
@@ -412,7 +433,7 @@ def test_an_area_turns_with_its_body():
     builder.add_box(body, 1.0, 0.1)
     sim = dc.Simulation(*builder.finalize("float64"))
     grid = Grid(rows=81, columns=81, spacing=0.05)
-    images = Images(sim, grid, bodies=("mass",), contacts=(), area=True)
+    images = Images(sim, ImageSpec(grid, body_channels=("mass",), contact_channels=(), area=True))
     for angle in (0.3, 1.4):
         sim.state.numpy("angle")[0] = angle
         images.splat()
@@ -426,7 +447,7 @@ def test_bits_do_not_depend_on_threads():
     sim = pile(worlds=5)
     found = []
     for threads in (1, 2, 3):
-        images = Images(sim, GRID, bins=3, area=True, threads=threads)
+        images = Images(sim, ImageSpec(GRID, bins=3, area=True), threads=threads)
         image = images.splat()
         label = dc.to_numpy(images.impulse_image())
         back = [dc.to_numpy(images.gather(label, reverse=r)).copy() for r in (False, True)]
@@ -434,12 +455,12 @@ def test_bits_do_not_depend_on_threads():
     for other in found[1:]:
         for one, two in zip(found[0], other):
             np.testing.assert_array_equal(one, two)
-    assert Images(pile(threads=2), GRID).threads == 2
+    assert Images(pile(threads=2), ImageSpec(GRID)).threads == 2
 
 
 def test_images_follow_the_simulation_when_it_grows():
     sim = pile(steps=0, contacts_per_body=0.1)
-    images = Images(sim, GRID)
+    images = Images(sim, ImageSpec(GRID))
     images.splat()
     images.impulse_image()
     output = np.full((2, 2, *GRID.shape), 2.0, np.float32)
@@ -449,7 +470,7 @@ def test_images_follow_the_simulation_when_it_grows():
     sim.run(40, 0.01)
     assert sim.contacts.sizes["contact"] > room
     images.splat()
-    fresh = Images(sim, GRID)
+    fresh = Images(sim, ImageSpec(GRID))
     fresh.splat()
     np.testing.assert_array_equal(images.numpy(), fresh.numpy())
     np.testing.assert_array_equal(dc.to_numpy(images.impulse_image()), dc.to_numpy(fresh.impulse_image()))
@@ -463,7 +484,7 @@ def test_the_solution_sent_through_the_grid_is_a_start():
     """With h half the contacts' least distance reverse SPH loses nothing; bilinear back keeps a part."""
     sim = cases.settled(100)
     grid = Grid.thesis()
-    images = Images(sim, grid, h=0.24)
+    images = Images(sim, ImageSpec(grid, stencil=Stencil(h=0.24)))
 
     def solution(images):
         images.sim.solve()
@@ -491,7 +512,7 @@ def test_the_solution_sent_through_the_grid_is_a_start():
 
 def test_impulses_keep_their_sum_there_and_back():
     sim = pile(worlds=3)
-    images = Images(sim, GRID)
+    images = Images(sim, ImageSpec(GRID))
     label = images.impulse_image()
     table, _, world = contact_values(sim)
     for c, name in enumerate(("impulse_n", "impulse_t")):
@@ -506,7 +527,8 @@ def test_impulses_keep_their_sum_there_and_back():
 def test_an_image_is_read_at_the_bodies_too():
     """A linear field bilinearly; by reverse SPH the masses that were splatted. Static bodies have rows as well."""
     sim = pile()
-    images = Images(sim, GRID, bodies=("mass",), contacts=(), walls=None, h=0.2)
+    spec = ImageSpec(GRID, body_channels=("mass",), contact_channels=(), walls=None, stencil=Stencil(h=0.2))
+    images = Images(sim, spec)
     moving = sim.model.numpy("body_type") == dc.BodyType.DYNAMIC
     masses = images.gather(images.splat(), at="bodies", reverse=True).numpy()[:, 0]
     assert masses[moving] == pytest.approx(sim.model.numpy("mass")[moving], rel=1e-5)

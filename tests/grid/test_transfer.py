@@ -9,18 +9,11 @@ import numpy as np
 import pytest
 
 from dc_kernels.grid.grid import Grid
-from dc_kernels.grid.transfer import (
-    BAND,
-    CHUNK,
-    Splat,
-    Transfer,
-    gather,
-    kernel_array,
-    kernel_vectors,
-    splat,
-    stencil_scalars,
-    transfer_kernels,
-)
+from dc_kernels.grid.layout import BAND, CHUNK
+from dc_kernels.grid.splat import Splat, points_group, stencil_group, transfer_kernels
+from dc_kernels.grid.stencil import Stencil
+from dc_kernels.grid.transfer import Transfer, gather, splat
+from dc_kernels.model.arrays import kernel_array, kernel_vectors
 from dc_kernels.runtime.backends import bind
 from dc_kernels.sph.smoothing import KERNELS, STENCILS, smoothing
 
@@ -52,16 +45,15 @@ def border_cloud(grid: Grid, count: int, seed: int = 0, dtype: Any = np.float64)
 
 def launch(table: Any, name: str, dim: int, arrays: dict[str, Any], backend: str, **scalars: Any) -> None:
     """Bind a kernel of a backend to numpy arrays by name and run it."""
-    vectors = ("grid_origin", "point", "gradient")
     values: dict[str, Any] = dict(scalars)
     for key, array in arrays.items():
-        values[key] = kernel_vectors(array, backend) if key in vectors else kernel_array(array, backend)
+        values[key] = kernel_vectors(array, backend) if key == "gradient" else kernel_array(array, backend)
     bind(table[name], dim, values, "cpu")()
 
 
-def weights(points: np.ndarray, grid: Grid, **options: Any) -> np.ndarray:
+def weights(points: np.ndarray, grid: Grid, stencil: Stencil) -> np.ndarray:
     """The matrix of the splat, (nodes, points), found by splatting one point at a time."""
-    worlds = splat(points, np.ones((len(points), 1), points.dtype), grid, start=range(len(points) + 1), **options)
+    worlds = splat(points, np.ones((len(points), 1), points.dtype), grid, stencil, start=range(len(points) + 1))
     return worlds.reshape(len(points), -1).T
 
 
@@ -79,7 +71,7 @@ def test_kernels_agree_with_the_oracle(kernel, normalize, dtype):
     world = np.repeat([0, 1, 2], counts)
     tables = {backend: transfer_kernels(backend, dtype) for backend in ("warp", "numpy")}
     shapes = (((13, 9), 2.0), ((2, 2), 0.4), ((2, 40), 8.0), ((19, 11), 1.3))
-    for (shape, support), nearest, bins in itertools.product(shapes, (0, 1), (1, 3)):
+    for (shape, support), nearest, bins in itertools.product(shapes, (False, True), (1, 3)):
         channels, before = int(draw.integers(1, 7)), int(draw.integers(0, 3))
         origin = draw.normal(size=(3, 2)).astype(dtype)
         size = SPACING * np.array(shape[::-1])
@@ -88,25 +80,27 @@ def test_kernels_agree_with_the_oracle(kernel, normalize, dtype):
         values = draw.normal(size=(total, channels)).astype(dtype)
         field = draw.normal(size=(3, before + bins * channels + 1, *shape)).astype(dtype)
         given = {
-            "grid_origin": origin,
-            "point_start": start,
-            "point_count": counts,
-            "point": points,
-            "point_bin": draw.integers(0, bins, total).astype(np.int32),
+            "origin": origin,
+            "start": start,
+            "count": counts,
+            "place": points,
+            "bin": draw.integers(0, bins, total).astype(np.int32),
         }
-        scalars = stencil_scalars(Grid(rows=shape[0], columns=shape[1], spacing=SPACING), kernel, None, normalize, True)
-        scalars.update(h=support * SPACING, nearest=nearest, bins=bins)
-        scalars.update(channel_offset=before, world_offset=0, chunks=1)
+        grid = Grid(rows=shape[0], columns=shape[1], spacing=SPACING)
+        stencil = Stencil(kernel, h=support * SPACING, normalize=normalize, nearest=nearest)
+        scalars = {"bins": bins, "channel_offset": before, "world_offset": 0, "chunks": 1}
         found: dict[str, list[np.ndarray]] = {}
         for backend, table in tables.items():
+            scalars["stencil"] = stencil_group(stencil, grid, backend, dtype)
+            scalars["points"] = points_group(grid, 3, backend, dtype, **given)
             image = np.zeros_like(field)
             touched = np.zeros((3, -(-shape[0] // BAND)), np.int32)
             missed = np.full(3, -1, np.int32)
-            arrays = {**given, "value": values, "touched": touched, "missed": missed, "image": image}
+            arrays = {"value": values, "touched": touched, "missed": missed, "image": image}
             launch(table, "splat_worlds", 3, arrays, backend, **scalars)
             value, gradient = np.full_like(values, 9.0), np.full_like(points, 9.0)
-            launch(table, "gather_points", 3, {**given, "image": field, "value": value}, backend, **scalars)
-            arrays = {**given, "image": field, "value": values, "gradient": gradient}
+            launch(table, "gather_points", 3, {"image": field, "value": value}, backend, **scalars)
+            arrays = {"image": field, "value": values, "gradient": gradient}
             launch(table, "gather_gradient", 3, arrays, backend, **scalars)
             found[backend] = [image, value, gradient, missed, touched]
         # a derivative that is 0 because one node takes all is a difference of terms that are not
@@ -147,7 +141,7 @@ def test_radial_weights_are_those_of_all_nodes_within_the_support(kernel, normal
         dense = smoothing(kernel, far, h)
         if normalize == "particle":
             dense /= np.maximum(dense.sum(axis=0), 1e-300)
-        found = weights(points, grid, h=h, kernel=kernel, normalize=normalize, nearest=False)
+        found = weights(points, grid, Stencil(kernel, h=h, normalize=normalize, nearest=False))
         np.testing.assert_allclose(found, dense, rtol=1e-9, atol=1e-13 * dense.max())
 
 
@@ -166,17 +160,20 @@ def test_gradient_is_that_of_the_gather(kernel, normalize, backend):
     assert len(points) > 30
     draw = np.random.default_rng(2)
     image, values = draw.normal(size=(1, 3, 7, 9)), draw.normal(size=(len(points), 3))
-    options = {"h": h, "kernel": kernel, "normalize": normalize, "backend": backend}
+    stencil = Stencil(kernel, h=h, normalize=normalize)
     expected = np.empty_like(points)
     for axis in range(2):
         shift = step * np.eye(2)[axis]
-        ends = [gather(image, points + sign * shift, grid, **options) for sign in (1, -1)]
+        ends = [gather(image, points + sign * shift, grid, stencil, backend=backend) for sign in (1, -1)]
         expected[:, axis] = (values * (ends[0] - ends[1])).sum(axis=1) / (2 * step)
-    transfer = Transfer(points, grid, **options)
-    gradient = np.empty_like(points)
-    values_of = {**transfer.values, "gradient": kernel_vectors(gradient, backend), "world_offset": 0, "chunks": 1}
-    values_of.update(image=kernel_array(image, backend), value=kernel_array(values, backend))
-    bind(transfer.table["gather_gradient"], 1, values_of, "cpu")()
+    gradient, all_points = np.empty_like(points), np.array([len(points)], np.int32)
+    groups = {
+        "stencil": stencil_group(stencil, grid, backend, "float64"),
+        "points": points_group(grid, 1, backend, "float64", start=0 * all_points, count=all_points, place=points),
+    }
+    arrays = {"image": image, "value": values, "gradient": gradient}
+    scalars = {"bins": 1, "channel_offset": 0, "world_offset": 0, "chunks": 1}
+    launch(transfer_kernels(backend, "float64"), "gather_gradient", 1, arrays, backend, **groups, **scalars)
     np.testing.assert_allclose(gradient, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
 
 
@@ -189,7 +186,7 @@ def test_particle_weights_conserve_every_channel(kernel, support):
     grid = Grid(rows=33, columns=21, spacing=SPACING, origin=(3.0, -7.0))
     points = border_cloud(grid, 3000, dtype=np.float32)
     values = np.random.default_rng(1).uniform(0.5, 2.0, (3000, 3)).astype(np.float32)
-    image = splat(points, values, grid, h=support * SPACING, kernel=kernel)
+    image = splat(points, values, grid, Stencil(kernel, h=support * SPACING))
     given = values.sum(axis=0, dtype=np.float64)
     np.testing.assert_allclose(image[0].sum(axis=(1, 2), dtype=np.float64), given, rtol=1e-6)
 
@@ -199,14 +196,14 @@ def test_averages_and_gathers_reproduce_constants(kernel):
     grid = Grid(rows=10, columns=17, spacing=SPACING)
     points = border_cloud(grid, 50)
     constant = np.array([1.0, -3.5])
-    average = splat(points, np.tile(constant, (50, 1)), grid, kernel=kernel, normalize="shepard")
-    reached = splat(points, np.ones((50, 1)), grid, kernel=kernel, normalize="sum")[0, 0] > 0
+    average = splat(points, np.tile(constant, (50, 1)), grid, Stencil(kernel, normalize="shepard"))
+    reached = splat(points, np.ones((50, 1)), grid, Stencil(kernel, normalize="sum"))[0, 0] > 0
     assert reached.any() and not reached.all()
     for c, expected in enumerate(constant):
         np.testing.assert_allclose(average[0, c][reached], expected, rtol=1e-12)
         assert not average[0, c][~reached].any()
     image = np.tile(constant[:, None, None], (1, 1, 10, 17))
-    np.testing.assert_allclose(gather(image, points, grid, kernel=kernel), np.tile(constant, (50, 1)), rtol=1e-12)
+    np.testing.assert_allclose(gather(image, points, grid, Stencil(kernel)), np.tile(constant, (50, 1)), rtol=1e-12)
 
 
 @pytest.mark.parametrize("kernel", SEPARABLE)
@@ -216,7 +213,7 @@ def test_linear_fields_are_reproduced_up_to_the_border(kernel):
         points = border_cloud(grid, 60)
         image = (1.5 + grid.nodes() @ [2.0, -3.0])[None, None]
         inside = np.clip(points, grid.origin, grid.upper)  # beyond the grid the border's value holds on
-        found = gather(np.ascontiguousarray(image), points, grid, kernel=kernel)
+        found = gather(np.ascontiguousarray(image), points, grid, Stencil(kernel))
         np.testing.assert_allclose(found[:, 0], 1.5 + inside @ [2.0, -3.0], rtol=0, atol=1e-12)
 
 
@@ -226,10 +223,10 @@ def test_reverse_gives_back_what_was_splatted():
     values = np.random.default_rng(4).normal(size=(4, 2))
     apart = np.array([[0.6, 0.7], [3.0, 0.65], [0.7, 3.1], [3.3, 3.3]])
     image = splat(apart, values, grid)
-    np.testing.assert_allclose(gather(image, apart, grid, kernel="poly6", reverse=True), values, rtol=1e-12)
+    np.testing.assert_allclose(gather(image, apart, grid, Stencil(), reverse=True), values, rtol=1e-12)
     together = cloud(grid, 4, seed=1) * 0.2 + 1.0
     image = splat(together, values, grid)
-    back = gather(image, together, grid, kernel="poly6", reverse=True)
+    back = gather(image, together, grid, Stencil(), reverse=True)
     np.testing.assert_allclose(back.sum(axis=0), values.sum(axis=0), rtol=1e-12)
     np.testing.assert_allclose(image, splat(together, values, grid))  # the caller's image is as it was
 
@@ -245,7 +242,8 @@ def test_gather_is_the_transpose_of_splat(kernel, normalize, dtype, bound):
     start, bins = [0, 90, 90, 200], draw.integers(0, 2, 200)
     f = draw.normal(size=(200, 3)).astype(dtype)
     g = draw.normal(size=(3, 6, 11, 14)).astype(dtype)
-    options: dict[str, Any] = {"kernel": kernel, "normalize": normalize, "start": start, "bins": 2, "point_bin": bins}
+    options: dict[str, Any] = {"stencil": Stencil(kernel, normalize=normalize), "start": start}
+    options.update(bins=2, point_bin=bins)
     image, back = splat(points, f, grid, **options), gather(g, points, grid, **options)
     left, right = np.vdot(image.astype(float), g), np.vdot(f, back.astype(float))
     scale = np.linalg.norm(image) * np.linalg.norm(g)
@@ -274,7 +272,7 @@ def test_bilinear_weights_on_nodes_edges_and_corners():
         wanted = np.zeros((3, 4))
         for node, weight in expected.items():
             wanted[node] = weight
-        image = splat(np.array([at], dtype), np.ones((1, 1), dtype), grid, kernel="bilinear")
+        image = splat(np.array([at], dtype), np.ones((1, 1), dtype), grid, Stencil("bilinear"))
         np.testing.assert_array_equal(image[0, 0], wanted)
 
 
@@ -291,7 +289,7 @@ def test_a_support_of_one_spacing_on_a_node_an_edge_and_a_cell(kernel):
         wanted = np.zeros((4, 4))
         for node in nodes:
             wanted[node] = 1 / len(nodes)
-        image = splat(np.array([at]), np.ones((1, 1)), grid, h=0.5, kernel=kernel)
+        image = splat(np.array([at]), np.ones((1, 1)), grid, Stencil(kernel, h=0.5))
         np.testing.assert_allclose(image[0, 0], wanted, rtol=1e-14)
 
 
@@ -300,8 +298,8 @@ def test_particles_of_one_cell_add_up(kernel):
     grid = Grid(rows=9, columns=9, spacing=SPACING)
     points = np.array([[0.52, 0.61], [0.58, 0.55], [0.52, 0.61]])
     values = np.array([[1.0, -2.0], [3.0, 0.5], [0.25, 4.0]])
-    alone = sum(splat(points[i : i + 1], values[i : i + 1], grid, kernel=kernel) for i in range(3))
-    np.testing.assert_allclose(splat(points, values, grid, kernel=kernel), alone, rtol=1e-13, atol=1e-15)
+    alone = sum(splat(points[i : i + 1], values[i : i + 1], grid, Stencil(kernel)) for i in range(3))
+    np.testing.assert_allclose(splat(points, values, grid, Stencil(kernel)), alone, rtol=1e-13, atol=1e-15)
 
 
 @pytest.mark.parametrize("backend", ["warp", "numpy"])
@@ -313,7 +311,7 @@ def test_what_reaches_no_node_goes_to_the_nearest_or_is_lost(backend):
     kept, lost = np.zeros((4, 5)), np.zeros((4, 5))
     kept[1, 1], kept[1, 0], kept[0, 4], kept[2, 2], lost[1, 0], lost[2, 2] = 1.0, 2.0, 4.0, 8.0, 2.0, 8.0
     for nearest, expected in ((True, kept), (False, lost)):
-        transfer = Transfer(points, grid, h=0.25, nearest=nearest, backend=backend)
+        transfer = Transfer(grid, Stencil(h=0.25, nearest=nearest), backend=backend).at(points)
         image = np.zeros((1, 1, 4, 5))
         bound = transfer.splat(values, image)
         bound()
@@ -324,7 +322,7 @@ def test_what_reaches_no_node_goes_to_the_nearest_or_is_lost(backend):
         wanted = [6.0, 5.0, 4.0, 12.0] if nearest else [0.0, 5.0, 0.0, 12.0]
         np.testing.assert_allclose(found[:, 0], wanted, rtol=1e-13)
     # a plain sum has no weight 1 to give
-    assert splat(points[2:3], values[2:3], grid, h=0.25, normalize="sum", backend=backend).sum() == 0.0
+    assert splat(points[2:3], values[2:3], grid, Stencil(h=0.25, normalize="sum"), backend=backend).sum() == 0.0
 
 
 @pytest.mark.parametrize("kernel", STENCILS)
@@ -333,7 +331,7 @@ def test_points_that_ceased_to_be_finite_contribute_nothing(kernel):
     grid = Grid(rows=8, columns=8, spacing=SPACING)
     points = cloud(grid, 4)
     image, values = np.zeros((1, 1, 8, 8)), np.ones((4, 1))
-    transfer = Transfer(points, grid, kernel=kernel)
+    transfer = Transfer(grid, Stencil(kernel)).at(points)
     bound, back = transfer.splat(values, image), transfer.gather(image, values)
     points[0], points[2, 1] = np.nan, -np.inf
     bound()
@@ -367,7 +365,7 @@ def test_worlds_and_threads_do_not_change_a_bit(kernel):
     points = border_cloud(grid, 6000, dtype=np.float32)
     values = np.random.default_rng(0).normal(size=(6000, 3)).astype(np.float32)
     bins = np.random.default_rng(1).integers(0, 2, 6000)
-    options: dict[str, Any] = {"kernel": kernel, "bins": 2}
+    options: dict[str, Any] = {"stencil": Stencil(kernel), "bins": 2}
     together = splat(points, values, grid, start=start, point_bin=bins, **options)
     back = gather(together, points, grid, start=start, point_bin=bins, **options)
     for w, (a, b) in enumerate(itertools.pairwise(start)):
@@ -387,15 +385,20 @@ def test_tiles_do_not_change_a_bit(kernel):
     grid = Grid(rows=300, columns=700, spacing=SPACING)
     for bins, support, normalize in ((1, 2.0, "particle"), (2, 9.0, "sum"), (1, 0.4, "particle")):
         points = border_cloud(grid, 2000, dtype=np.float32)
-        options: dict[str, Any] = {"h": support * SPACING, "kernel": kernel, "normalize": normalize, "bins": bins}
-        bin_of = np.random.default_rng(1).integers(0, bins, 2000)
-        transfer = Transfer(points, grid, start=[0, 900, 900, 2000], point_bin=bin_of, **options)
+        stencil = Stencil(kernel, h=support * SPACING, normalize=normalize)
+        given = {
+            "start": np.array([0, 900, 900], np.int32),
+            "count": np.array([900, 0, 1100], np.int32),
+            "place": points,
+            "bin": np.random.default_rng(1).integers(0, bins, 2000).astype(np.int32),
+        }
+        group = points_group(grid, 3, "warp", "float32", **given)
         values = np.random.default_rng(0).normal(size=(2000, 2)).astype(np.float32)
         found = []
         for tiled, threads in ((False, 1), (True, 1), (True, 3)):
             image = np.zeros((3, 2 * bins, *grid.shape), np.float32)
-            arrays = {"value": kernel_array(values, "warp"), "image": kernel_array(image, "warp")}
-            bound = Splat(transfer.table, {**transfer.values, **arrays}, threads=threads, tiled=tiled)
+            arrays = kernel_array(values, "warp"), kernel_array(image, "warp")
+            bound = Splat(stencil, grid, group, *arrays, bins=bins, threads=threads, tiled=tiled)
             assert bound.tiled == tiled
             bound()
             bound()  # clears what the first call left
@@ -411,7 +414,7 @@ def test_only_the_bands_that_points_reach_are_written(backend):
     grid = Grid(rows=5 * BAND + 3, columns=12, spacing=SPACING)
     points = np.array([[1.0, 4 * SPACING], [2.0, 4.4 * SPACING]])
     image = np.zeros((1, 2, *grid.shape))
-    bound = Transfer(points, grid, backend=backend).splat(np.ones((2, 2)), image)
+    bound = Transfer(grid, backend=backend).at(points).splat(np.ones((2, 2)), image)
     image[:, :, BAND:] = 7.0
     bound()
     assert image[0, 0, :BAND].sum() == pytest.approx(2.0)
@@ -428,11 +431,11 @@ def test_a_splat_clears_and_writes_its_own_channels_only():
     grid = Grid(rows=20, columns=9, spacing=SPACING)
     points = cloud(grid, 30)
     image = np.full((1, 5, 20, 9), 3.0)
-    transfer = Transfer(points, grid)
     image[:, 1:3] = 0.0
-    values = {**transfer.values, "channel_offset": 1}
-    values.update(value=kernel_array(np.ones((30, 2)), "warp"), image=kernel_array(image, "warp"))
-    bound = Splat(transfer.table, values)
+    count = np.array([30], np.int32)
+    group = points_group(grid, 1, "warp", "float64", start=0 * count, count=count, place=points)
+    arrays = kernel_array(np.ones((30, 2)), "warp"), kernel_array(image, "warp")
+    bound = Splat(Stencil(), grid, group, *arrays, channel_offset=1)
     for _ in range(2):
         bound()
         assert (image[:, [0, 3, 4]] == 3.0).all()
@@ -450,7 +453,7 @@ def test_a_million_particles_as_numpy_adds_them():
     for i, j in itertools.product((0, 1), (0, 1)):
         part = np.where(i, t[:, 1], 1 - t[:, 1]) * np.where(j, t[:, 0], 1 - t[:, 0])
         np.add.at(expected, (cell[:, 1] + i, cell[:, 0] + j), part * mass)
-    image = splat(points, mass[:, None], grid, kernel="bilinear")
+    image = splat(points, mass[:, None], grid, Stencil("bilinear"))
     np.testing.assert_allclose(image[0, 0], expected, rtol=1e-10)
     assert image.sum() == pytest.approx(mass.sum(), rel=1e-13)
 
@@ -487,11 +490,17 @@ def test_bad_input_is_refused_by_name_index_and_limit():
         (r"values has dtype float32; it must be float64", lambda: splat(points, values.astype("f"), grid)),
         (r"image has shape \(1, 2, 7, 6\)", lambda: gather(image.reshape(1, 2, 7, 6), points, grid)),
         (r"image has dtype float32", lambda: gather(image.astype("f"), points, grid)),
-        (r"kernel is 'cone'", lambda: splat(points, values, grid, kernel="cone")),
-        (r"normalize is 'all'", lambda: splat(points, values, grid, normalize="all")),
-        (r"reverse needs 'particle'", lambda: gather(image, points, grid, reverse=True, normalize="sum")),
-        (r"h is 0.0; it must be finite and > 0", lambda: splat(points, values, grid, h=0.0)),
-        (r"h is nan", lambda: splat(points, values, grid, h=np.nan)),
+        (r"kernel is 'cone'", lambda: splat(points, values, grid, Stencil("cone"))),
+        (r"normalize is 'all'", lambda: splat(points, values, grid, Stencil(normalize="all"))),
+        (r"reverse needs 'particle'", lambda: gather(image, points, grid, Stencil(normalize="sum"), reverse=True)),
+        (r"h is 0.0; it must be finite and > 0", lambda: splat(points, values, grid, Stencil(h=0.0))),
+        (r"h is nan", lambda: splat(points, values, grid, Stencil(h=np.nan))),
+        (r"normalize is 'shepard'", lambda: gather(image, points, grid, Stencil(normalize="shepard"))),
+        (r"nearest is 1; it must be True or False", lambda: Stencil(nearest=1)),
+        (
+            r"h is 1000000000\.0 m, 4e\+09 spacings; it must be at most",
+            lambda: splat(points, values, grid, Stencil(h=1e9)),
+        ),
         (r"start\[1\] is 3; it must be the number of points, 4", lambda: splat(points, values, grid, start=[0, 3])),
         (
             r"start\[2\] is 1; it must be at least start\[1\], 2",

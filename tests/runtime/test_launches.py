@@ -7,6 +7,8 @@ import pytest
 import warp as wp
 
 from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.splat import points_group, stencil_group, transfer_kernels
+from dc_kernels.grid.stencil import BILINEAR
 from dc_kernels.grid.transfer import Transfer
 from dc_kernels.runtime import launches
 from dc_kernels.runtime.backends import command
@@ -14,6 +16,7 @@ from dc_kernels.runtime.program import Fed, Kernel
 
 GRID = Grid(rows=6, columns=7, spacing=0.5)
 POINTS = np.random.default_rng(1).uniform(0.0, 3.0, (11, 2))
+SCALARS = {"bins": 1, "channel_offset": 0, "chunks": 1}
 
 
 @pytest.fixture(params=["packed", "by Warp"])
@@ -26,9 +29,25 @@ def packing(request, monkeypatch):
 
 def gathering(images, out, start=None):
     """The kernel that gathers images, its arguments, and how many threads it takes."""
-    transfer = Transfer(POINTS, GRID, start=start, kernel="bilinear")
-    values = {**transfer.values, "chunks": 1, "image": wp.array(images, copy=False), "value": wp.array(out, copy=False)}
-    return transfer.table["gather_points"], values
+    values = {"image": wp.array(images, copy=False), "value": wp.array(out, copy=False), **SCALARS}
+    arrays = point_arrays(start)
+    values["stencil"] = stencil_group(BILINEAR, GRID, "warp", "float64")
+    values["points"] = points_group(GRID, len(arrays["start"]), "warp", "float64", **arrays)
+    return transfer_kernels("warp", "float64")["gather_points"], values
+
+
+def point_arrays(start=None):
+    """The points of the worlds as numpy arrays."""
+    start = np.array([0, 11] if start is None else start, np.int32)
+    return {"start": start[:-1], "count": np.diff(start), "place": POINTS, "bin": np.zeros(1, np.int32)}
+
+
+def tensors_of(torch, start=None):
+    """The same arguments with tensors, and groups of tensors and numbers."""
+    arrays = point_arrays(start)
+    arrays["origin"] = np.zeros((len(arrays["start"]), 2))
+    points = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in arrays.items()}
+    return {**SCALARS, "stencil": BILINEAR.arguments(GRID), "points": points}
 
 
 def test_a_launch_reads_what_it_is_pointed_at(packing):
@@ -48,7 +67,7 @@ def test_a_launch_reads_what_it_is_pointed_at(packing):
 
 def gathered(image):
     out = np.zeros((11, image.shape[1]))
-    Transfer(POINTS, GRID, kernel="bilinear").gather(image, out)()
+    Transfer(GRID, BILINEAR).at(POINTS).gather(image, out)()
     return out
 
 
@@ -64,19 +83,19 @@ def test_a_fed_kernel_runs_over_all_worlds(packing, threads):
         fed(image, image.ctypes.data)
         wanted = np.zeros((11, 2))
         grid = Grid(rows=shape[2], columns=7, spacing=0.5)
-        Transfer(POINTS, grid, start=start, kernel="bilinear").gather(image, wanted)()
+        Transfer(grid, BILINEAR).at(POINTS, start=start).gather(image, wanted)()
         np.testing.assert_array_equal(out, wanted)
 
 
 def test_calls_take_tensors_of_any_size(packing):
     torch = pytest.importorskip("torch")
-    kernel, values = gathering(np.zeros((1, 2, 6, 7)), np.zeros((11, 2)))
-    tensors = {name: wp.to_torch(value) for name, value in values.items() if isinstance(value, wp.array)}
+    kernel, _ = gathering(np.zeros((1, 2, 6, 7)), np.zeros((11, 2)))
+    values = tensors_of(torch)
     calls = launches.Calls(kernel)
     for channels in (2, 5, 2):
         image = torch.rand(1, channels, 6, 7, dtype=torch.float64)
         out = torch.zeros(11, channels, dtype=torch.float64)
-        calls({**values, **tensors, "image": image, "value": out}, 1, 1)
+        calls({**values, "image": image, "value": out}, 1, 1)
         np.testing.assert_allclose(out.numpy(), gathered(image.numpy()), rtol=1e-12)
     assert len(calls._free) == 1
 
@@ -84,13 +103,13 @@ def test_calls_take_tensors_of_any_size(packing):
 def test_calls_share_worlds_and_keep_a_launch_for_each_thread(packing):
     torch = pytest.importorskip("torch")
     start = np.array([0, 4, 4, 11])
-    kernel, values = gathering(np.zeros((3, 2, 6, 7)), np.zeros((11, 2)), start)
-    tensors = {name: wp.to_torch(value) for name, value in values.items() if isinstance(value, wp.array)}
+    kernel, _ = gathering(np.zeros((3, 2, 6, 7)), np.zeros((11, 2)), start)
+    values = tensors_of(torch, start)
     calls, made = launches.Calls(kernel), []
     image = torch.rand(3, 2, 6, 7, dtype=torch.float64)
     for threads in (1, 2, 3, 2):
         out = torch.zeros(11, 2, dtype=torch.float64)
-        calls({**values, **tensors, "image": image, "value": out}, 3, threads)
+        calls({**values, "image": image, "value": out}, 3, threads)
         made.append(out)
     for other in made[1:]:
         torch.testing.assert_close(other, made[0], rtol=0, atol=0)

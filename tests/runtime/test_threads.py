@@ -115,7 +115,7 @@ def test_what_is_made_already_waits_for_no_thread_that_makes_kernels():
     sim = simulation()
     sim.step(0.01)
     image = np.zeros((1, 2, 16, 16))
-    splat = dc.Transfer(POINTS, GRID).splat(POINTS, image)
+    splat = dc.Transfer(GRID).at(POINTS).splat(POINTS, image)
     dc.splat(POINTS, POINTS, GRID)
     with building():
         assert on_a_thread(lambda: (sim.run(5, 0.01), splat(), dc.splat(POINTS, POINTS, GRID), simulation()))

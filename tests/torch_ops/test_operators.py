@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ import pytest
 
 from dc_kernels.grid import transfer
 from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.splat import TILED_BYTES
+from dc_kernels.grid.stencil import Stencil
 from dc_kernels.sph.smoothing import STENCILS
 
 torch = pytest.importorskip("torch")
@@ -45,9 +48,9 @@ def numbers(*shape: int, seed: int = 0, dtype: Any = torch.float64) -> Any:
 
 def as_settings(points: Any, **options: Any) -> tuple[Any, ...]:
     """The trailing arguments of the raw operators."""
-    given = {"kernel": "poly6", "normalize": "particle", "start": None, "bins": 1, "point_bin": None, **options}
-    order = ("kernel", "normalize", "start", "bins", "point_bin")
-    return operators._settings(GRID, H, *(given[name] for name in order), True, 1)
+    given = {"kernel": "poly6", "start": None, "bins": 1, "point_bin": None, **options}
+    stencil = Stencil(given["kernel"], h=H)
+    return operators._settings(GRID, stencil, given["start"], given["bins"], given["point_bin"], 1)
 
 
 # ---------------------------------------------------------------------- values
@@ -61,18 +64,18 @@ def test_operators_give_the_bits_of_the_host_functions(dtype, threads):
     places, amounts = points.numpy(), values.numpy()
     for kernel in STENCILS:
         for nearest in (True, False):
-            options: dict[str, Any] = {"h": 0.3, "kernel": kernel, "start": START, "bins": 2, "point_bin": BINS}
-            options.update(nearest=nearest, threads=threads)
+            stencil = Stencil(kernel, h=0.3, nearest=nearest)
+            options: dict[str, Any] = {"start": START, "bins": 2, "point_bin": BINS, "threads": threads}
             for normalize in ("particle", "sum"):
-                options["normalize"] = normalize
+                options["stencil"] = replace(stencil, normalize=normalize)
                 found = splat_torch(points, values, GRID, **options)
                 np.testing.assert_array_equal(found.numpy(), transfer.splat(places, amounts, GRID, **options))
                 found = gather_torch(image, points, GRID, **options)
                 np.testing.assert_array_equal(found.numpy(), transfer.gather(image.numpy(), places, GRID, **options))
-            options["normalize"] = "shepard"
+            options["stencil"] = replace(stencil, normalize="shepard")
             found = splat_torch(points, values, GRID, **options)
             np.testing.assert_array_equal(found.numpy(), transfer.splat(places, amounts, GRID, **options))
-            del options["normalize"]
+            options["stencil"] = stencil
             found = gather_torch(image, points, GRID, reverse=True, **options)
             expected = transfer.gather(image.numpy(), places, GRID, reverse=True, **options)
             np.testing.assert_array_equal(found.numpy(), expected)
@@ -81,7 +84,7 @@ def test_operators_give_the_bits_of_the_host_functions(dtype, threads):
 @pytest.mark.parametrize("threads", [1, 2])
 def test_large_images_go_by_tiles(threads):
     grid = Grid(rows=1100, columns=1100, spacing=0.01)
-    assert 2 * 4 * grid.rows * grid.columns > transfer.TILED_BYTES
+    assert 2 * 4 * grid.rows * grid.columns > TILED_BYTES
     draw = np.random.default_rng(0)
     points, values = (
         draw.uniform(-0.1, 11.1, (500, 2)).astype(np.float32),
@@ -106,7 +109,7 @@ def test_empty_input():
 @pytest.mark.parametrize("kernel", STENCILS)
 @pytest.mark.parametrize("normalize", ["particle", "sum", "shepard"])
 def test_gradients_of_splat(kernel, normalize):
-    options: dict[str, Any] = {"h": H, "kernel": kernel, "normalize": normalize, "start": START}
+    options: dict[str, Any] = {"stencil": Stencil(kernel, h=H, normalize=normalize), "start": START}
     options.update(bins=2, point_bin=BINS)
     inputs = (smooth_points().requires_grad_(), numbers(7, 1).requires_grad_())
     assert torch.autograd.gradcheck(lambda p, v: splat_torch(p, v, GRID, **options), inputs, rtol=1e-5, atol=1e-6)
@@ -115,8 +118,8 @@ def test_gradients_of_splat(kernel, normalize):
 @pytest.mark.parametrize("kernel", STENCILS)
 @pytest.mark.parametrize("way", ["particle", "sum", "reverse"])
 def test_gradients_of_gather(kernel, way):
-    options: dict[str, Any] = {"h": H, "kernel": kernel, "start": START, "bins": 2, "point_bin": BINS}
-    options.update({"reverse": True} if way == "reverse" else {"normalize": way})
+    options: dict[str, Any] = {"start": START, "bins": 2, "point_bin": BINS, "reverse": way == "reverse"}
+    options["stencil"] = Stencil(kernel, h=H, normalize="particle" if way == "reverse" else way)
     inputs = (numbers(3, 2, 5, 6).requires_grad_(), smooth_points().requires_grad_())
     assert torch.autograd.gradcheck(lambda i, p: gather_torch(i, p, GRID, **options), inputs, rtol=1e-5, atol=1e-6)
 
@@ -128,7 +131,7 @@ def test_points_that_are_moved_onto_the_grid_have_no_gradient():
     gather_torch(image, points, GRID).sum().backward()
     assert ((points.grad != 0) == torch.tensor([[False, True], [True, False], [False, False]])).all()
     points.grad = None
-    gather_torch(image, points, GRID, kernel="poly6").sum().backward()
+    gather_torch(image, points, GRID, Stencil()).sum().backward()
     assert not points.grad.any()
 
 
@@ -136,36 +139,38 @@ def test_points_that_are_moved_onto_the_grid_have_no_gradient():
 def test_averages_over_sparse_points_have_finite_gradients(kernel):
     """Most nodes have weight 0 there: 0 / 0 must be masked in the derivative too."""
     points, values = smooth_points()[:1].float().requires_grad_(), torch.ones(1, 2, requires_grad=True)
-    image = splat_torch(points, values, GRID, kernel=kernel, h=0.6, normalize="shepard")
+    image = splat_torch(points, values, GRID, Stencil(kernel, h=0.6, normalize="shepard"))
     (image * torch.randn_like(image)).sum().backward()
     assert points.grad.isfinite().all() and values.grad.isfinite().all() and values.grad.any()
     field = torch.ones(1, 2, 5, 6, requires_grad=True)
-    gather_torch(field, points, GRID, kernel=kernel, h=0.6, reverse=True).square().sum().backward()
+    gather_torch(field, points, GRID, Stencil(kernel, h=0.6), reverse=True).square().sum().backward()
     assert points.grad.isfinite().all() and field.grad.isfinite().all()
 
 
 def test_cotangents_of_any_layout():
     """Those of a sum are one number with strides 0."""
     points, values = smooth_points().requires_grad_(), numbers(7, 2).requires_grad_()
-    splat_torch(points, values, GRID, h=H).sum().backward()
+    splat_torch(points, values, GRID, Stencil(h=H)).sum().backward()
     torch.testing.assert_close(values.grad, torch.ones_like(values))  # what conserves the sum
     torch.testing.assert_close(points.grad, torch.zeros_like(points), rtol=0, atol=1e-12)
     weight = numbers(6, 5, 2, 1)
-    image = splat_torch(points, values, GRID, h=H)
+    image = splat_torch(points, values, GRID, Stencil(h=H))
     turned = torch.autograd.grad((image.permute(3, 2, 1, 0) * weight).sum(), (points, values))
-    image = splat_torch(points, values, GRID, h=H)
+    image = splat_torch(points, values, GRID, Stencil(h=H))
     plain = torch.autograd.grad((image * weight.permute(3, 2, 1, 0).contiguous()).sum(), (points, values))
     torch.testing.assert_close(turned, plain, rtol=0, atol=0)
 
 
 def test_second_derivatives_by_values_exist_and_by_places_raise():
     points, values = smooth_points().requires_grad_(), numbers(7, 2).requires_grad_()
-    image = splat_torch(points, values, GRID, h=H)
+    image = splat_torch(points, values, GRID, Stencil(h=H))
     by_values, by_points = torch.autograd.grad(image.pow(3).sum(), (values, points), create_graph=True)
     assert torch.autograd.grad(by_values.sum(), values, retain_graph=True)[0].any()
     with pytest.raises(RuntimeError, match="no autograd formula"):
         by_points.sum().backward()
-    only = torch.autograd.gradgradcheck(lambda v: splat_torch(points.detach(), v, GRID, h=H).square(), (values,))
+    only = torch.autograd.gradgradcheck(
+        lambda v: splat_torch(points.detach(), v, GRID, Stencil(h=H)).square(), (values,)
+    )
     assert only
 
 
@@ -218,10 +223,10 @@ def test_kernels_read_and_write_the_tensors_own_memory(monkeypatch):
 def test_inputs_stay_and_results_have_memory_of_their_own():
     points, values, image = smooth_points(), numbers(7, 2), numbers(1, 2, 5, 6)
     before = [tensor.clone() for tensor in (points, values, image)]
-    first = splat_torch(points, values, GRID, normalize="shepard")
+    first = splat_torch(points, values, GRID, Stencil(normalize="shepard"))
     gather_torch(image, points, GRID, reverse=True)
     kept = first.clone()
-    assert splat_torch(points, -values, GRID, normalize="shepard").data_ptr() != first.data_ptr()
+    assert splat_torch(points, -values, GRID, Stencil(normalize="shepard")).data_ptr() != first.data_ptr()
     for tensor, old in zip((points, values, image, first), (*before, kept)):
         torch.testing.assert_close(tensor, old, rtol=0, atol=0)
 
@@ -230,6 +235,7 @@ def test_bad_tensors_are_refused_by_name():
     points, values, image = smooth_points(), numbers(7, 2), numbers(1, 2, 5, 6)
     bad = points.clone()
     bad[3, 0] = math.nan
+    plain = Stencil(normalize="sum")
     for message, call in (
         (r"points\[3, 0\] is nan; it must be finite", lambda: splat_torch(bad, values, GRID)),
         (r"points\[3, 0\] is nan; it must be finite", lambda: gather_torch(image, bad, GRID)),
@@ -258,9 +264,12 @@ def test_bad_tensors_are_refused_by_name():
         ),
         (r"start has shape .* dtype float32; it must be", lambda: splat_torch(points, values, GRID, start=[0.0, 7.0])),
         (r"point_bin\[0\] is 2", lambda: splat_torch(points, values, GRID, bins=2, point_bin=[2] * 7)),
-        (r"kernel is 'cone'", lambda: splat_torch(points, values, GRID, kernel="cone")),
-        (r"h is -1", lambda: splat_torch(points, values, GRID, h=-1)),
-        (r"reverse needs 'particle'", lambda: gather_torch(image, points, GRID, reverse=True, normalize="sum")),
+        (r"kernel is 'cone'", lambda: splat_torch(points, values, GRID, Stencil("cone"))),
+        (r"h is -1", lambda: splat_torch(points, values, GRID, Stencil(h=-1))),
+        (
+            r"reverse needs 'particle'",
+            lambda: gather_torch(image, points, GRID, plain, reverse=True),
+        ),
         (r"threads is 0", lambda: splat_torch(points, values, GRID, threads=0)),
         (r"bins is 0", lambda: splat_torch(points, values, GRID, bins=0)),
     ):
@@ -294,10 +303,10 @@ def test_compiled_functions_give_the_same(backend):
     """The whole graph with both directions: a splat, an average, and both gathers between pointwise operations."""
 
     def loss(points: Any, values: Any) -> Any:
-        image = splat_torch(points, 2.0 * values, GRID, h=H, start=start)
-        image = image.tanh() + splat_torch(points, values, GRID, h=H, normalize="shepard", start=start)
+        image = splat_torch(points, 2.0 * values, GRID, Stencil(h=H), start=start)
+        image = image.tanh() + splat_torch(points, values, GRID, Stencil(h=H, normalize="shepard"), start=start)
         back = gather_torch(image, points, GRID, start=start)
-        return (back * gather_torch(image, points, GRID, kernel="poly6", h=H, reverse=True, start=start)).sum()
+        return (back * gather_torch(image, points, GRID, Stencil(h=H), reverse=True, start=start)).sum()
 
     start = torch.tensor(START)
     compiled = torch.compile(loss, backend=backend, fullgraph=True)

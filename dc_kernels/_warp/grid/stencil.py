@@ -6,8 +6,16 @@ its nodes beyond h get weight 0, so no column is tested. A separable stencil (bi
 nodes and fills the same window. Lengths are in spacings; q2 = r^2 / h^2; a radial function is W without its constant.
 """
 
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from dc_kernels._warp.common import scalar_types
 from dc_kernels._warp.native import native_code
 from dc_kernels._warp.sph.smoothing import radial_macros
+from dc_kernels._warp.structs import struct_type
+from dc_kernels.grid.fields import POINTS, STENCIL, TILES
 from dc_kernels.grid.layout import BAND, CHUNK, TILE_COLUMNS, TILE_ROWS
 from dc_kernels.sph.smoothing import KERNELS, constant
 
@@ -23,3 +31,17 @@ def grid_code(dtype: str, *names: str) -> str:
     layout = {"BAND": BAND, "CHUNK": CHUNK, "TILE_ROWS": TILE_ROWS, "TILE_COLUMNS": TILE_COLUMNS}
     macros = {**radial_macros(dtype), **constants, **layout, "WINDOW_ROWS": WINDOW_ROWS, "AHEAD": AHEAD}
     return native_code("prelude.h", "grid/window.h", *names, dtype=dtype, **macros)
+
+
+@cache
+def grid_types(dtype: str) -> SimpleNamespace:
+    """Types of the kernels' arguments: scalars, the structs ``Stencil``, ``Points``, ``Tiles``, values and images."""
+    scalars = scalar_types(dtype)
+    return SimpleNamespace(
+        **vars(scalars),
+        Stencil=struct_type("Stencil", dtype, STENCIL),
+        Points=struct_type("Points", dtype, POINTS),
+        Tiles=struct_type("Tiles", dtype, TILES),
+        values=wp.array(dtype=scalars.real, ndim=2),
+        image=wp.array(dtype=scalars.real, ndim=4),
+    )

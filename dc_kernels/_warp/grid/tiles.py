@@ -12,197 +12,82 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels._warp.common import kernel_module, scalar_types
-from dc_kernels._warp.grid.stencil import WEIGHTS, grid_code
+from dc_kernels._warp.common import kernel_module
+from dc_kernels._warp.grid.stencil import WEIGHTS, grid_code, grid_types
+
+VISIT = ("grid/tiling.h", "grid/visit.h")
+TILE = ("grid/tiling.h", "grid/tile.h", "grid/points.h", "grid/add.h", *WEIGHTS, "grid/splat_tile.h")
 
 
 @cache
 def kernels(dtype: str) -> dict[str, Any]:
     """``count_tiles``, ``list_tiles``, ``splat_tiles``."""
-    t = scalar_types(dtype)
-    real, vec2 = t.real, t.vec2
-    image_type = wp.array(dtype=real, ndim=4)
-    value_type = wp.array(dtype=real, ndim=2)
-    integers = wp.array(dtype=wp.int32)
-    table = wp.array(dtype=wp.int32, ndim=2)
-    vectors = wp.array(dtype=vec2)
-    module = kernel_module("transfer_tiles", dtype)
+    t = grid_types(dtype)
+    Stencil, Points, Tiles, values, image_type = t.Stencil, t.Points, t.Tiles, t.values, t.image
+    module = kernel_module("splat_tiles", dtype)
 
-    @wp.func_native(grid_code(dtype, "grid/tiling.h", "grid/visit.h", "grid/count_tiles.h"))
+    @wp.func_native(grid_code(dtype, *VISIT, "grid/count_tiles.h"))
     def count_chunk(
         world: wp.int32,
         chunk: wp.int32,
         chunks: wp.int32,
-        stencil: wp.int32,
-        spacing: real,
-        h: real,
-        grid_origin: vectors,
-        point_start: integers,
-        point_count: integers,
-        point: vectors,
+        stencil: Stencil,
+        points: Points,
         image: image_type,
-        tile_slot: table,
+        tiles: Tiles,
     ): ...
 
     @wp.kernel(module=module, enable_backward=False)
-    def count_tiles(
-        chunk: int,
-        chunks: int,
-        stencil: int,
-        spacing: real,
-        h: real,
-        # Points in:
-        grid_origin: vectors,
-        point_start: integers,
-        point_count: integers,
-        point: vectors,
-        image: image_type,
-        # Out:
-        tile_slot: table,
-    ):
-        """Points of a world's chunk that reach each tile; one thread a world."""
-        count_chunk(
-            wp.tid(),
-            chunk,
-            chunks,
-            stencil,
-            spacing,
-            h,
-            grid_origin,
-            point_start,
-            point_count,
-            point,
-            image,
-            tile_slot,
-        )
+    def count_tiles(chunk: int, chunks: int, stencil: Stencil, points: Points, image: image_type, tiles: Tiles):
+        """Count the points of a world's chunk that reach each tile; one thread a world."""
+        count_chunk(wp.tid(), chunk, chunks, stencil, points, image, tiles)
 
-    @wp.func_native(grid_code(dtype, "grid/tiling.h", "grid/visit.h", "grid/list_tiles.h"))
+    @wp.func_native(grid_code(dtype, *VISIT, "grid/list_tiles.h"))
     def list_chunk(
         world: wp.int32,
         chunk: wp.int32,
         chunks: wp.int32,
-        stencil: wp.int32,
-        spacing: real,
-        h: real,
-        grid_origin: vectors,
-        point_start: integers,
-        point_count: integers,
-        point: vectors,
+        stencil: Stencil,
+        points: Points,
         image: image_type,
-        tile_slot: table,
-        order: integers,
+        tiles: Tiles,
     ): ...
 
     @wp.kernel(module=module, enable_backward=False)
-    def list_tiles(
-        chunk: int,
-        chunks: int,
-        stencil: int,
-        spacing: real,
-        h: real,
-        # Points in:
-        grid_origin: vectors,
-        point_start: integers,
-        point_count: integers,
-        point: vectors,
-        image: image_type,
-        # In, out:
-        tile_slot: table,
-        # Out:
-        order: integers,
-    ):
-        """The points of a world's chunk, listed by tile from the slots on."""
-        list_chunk(
-            wp.tid(),
-            chunk,
-            chunks,
-            stencil,
-            spacing,
-            h,
-            grid_origin,
-            point_start,
-            point_count,
-            point,
-            image,
-            tile_slot,
-            order,
-        )
+    def list_tiles(chunk: int, chunks: int, stencil: Stencil, points: Points, image: image_type, tiles: Tiles):
+        """List the points of a world's chunk by tile, from the slots on."""
+        list_chunk(wp.tid(), chunk, chunks, stencil, points, image, tiles)
 
-    @wp.func_native(
-        grid_code(dtype, "grid/tiling.h", "grid/tile.h", "grid/points.h", "grid/add.h", *WEIGHTS, "grid/splat_tile.h")
-    )
+    @wp.func_native(grid_code(dtype, *TILE))
     def splat_tile(
         tile: wp.int32,
         world: wp.int32,
         slot: wp.int32,
-        stencil: wp.int32,
-        normalize: wp.int32,
-        nearest: wp.int32,
-        spacing: real,
-        h: real,
+        stencil: Stencil,
         bins: wp.int32,
         channel_offset: wp.int32,
-        grid_origin: vectors,
-        point: vectors,
-        value: value_type,
-        point_bin: integers,
-        tile_start: integers,
-        order: integers,
-        scratch: value_type,
-        tile_touched: integers,
-        tile_lost: integers,
+        points: Points,
+        value: values,
+        tiles: Tiles,
         image: image_type,
     ): ...
 
     @wp.kernel(module=module, enable_backward=False)
     def splat_tiles(
         tile_offset: int,
-        tiles: int,
+        world_tiles: int,
         slot: int,
-        stencil: int,
-        normalize: int,
-        nearest: int,
-        spacing: real,
-        h: real,
+        stencil: Stencil,
         bins: int,
         channel_offset: int,
-        # Points in:
-        grid_origin: vectors,
-        point: vectors,
-        value: value_type,
-        point_bin: integers,
-        tile_start: integers,
-        order: integers,
-        # Scratch:
-        scratch: value_type,
-        # Image in, out:
-        tile_touched: integers,
-        tile_lost: integers,
+        points: Points,
+        value: values,
+        tiles: Tiles,
+        # Out:
         image: image_type,
     ):
         """Add a tile's points in the slot's buffer and copy it to the image; clear a tile that none reaches now."""
         tile = wp.tid() + tile_offset
-        splat_tile(
-            tile,
-            tile // tiles,
-            slot,
-            stencil,
-            normalize,
-            nearest,
-            spacing,
-            h,
-            bins,
-            channel_offset,
-            grid_origin,
-            point,
-            value,
-            point_bin,
-            tile_start,
-            order,
-            scratch,
-            tile_touched,
-            tile_lost,
-            image,
-        )
+        splat_tile(tile, tile // world_tiles, slot, stencil, bins, channel_offset, points, value, tiles, image)
 
     return {"count_tiles": count_tiles, "list_tiles": list_tiles, "splat_tiles": splat_tiles}

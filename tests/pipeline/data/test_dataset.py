@@ -87,13 +87,16 @@ def test_a_batch_is_what_the_simulation_was_in(folder):
 @pytest.mark.parametrize("walls, bins", [(100.0, 1), (None, 1), (25.0, 4)])
 def test_images_are_those_of_the_simulation(folder, walls, bins):
     """Bit by bit: a network then sees in a simulation what it was trained on."""
-    channels = {
-        "bodies": ("mass", "velocity_x", "velocity_y", "omega", "speed", "angle_cos"),
-        "contacts": ("normal_x", "normal_y", "gap", "impulse_n", "impulse_t", "friction", "new"),
-    }
-    splatter = Splatter(GRID, walls=walls, bins=bins, **channels)
+    spec = dc.ImageSpec(
+        GRID,
+        body_channels=("mass", "velocity_x", "velocity_y", "omega", "speed", "angle_cos"),
+        contact_channels=("normal_x", "normal_y", "gap", "impulse_n", "impulse_t", "friction", "new"),
+        walls=walls,
+        bins=bins,
+    )
+    splatter = Splatter(spec)
     states, sim = States(folder, min_contacts=0), simulation()
-    images = dc.Images(sim, GRID, walls=walls, bins=bins, **channels)
+    images = dc.Images(sim, spec)
     assert splatter.channels == images.channels
     sim.run(39, OPTIONS.dt)
     for step in (39, 40):
@@ -110,9 +113,10 @@ def test_images_are_those_of_the_simulation(folder, walls, bins):
 
 def test_speeds_at_contacts_agree_to_round_off(folder):
     """Their arms are taken from the places, which were rounded."""
-    splatter = Splatter(GRID, bodies=(), contacts=("closing_speed", "sliding_speed"))
+    spec = dc.ImageSpec(GRID, body_channels=(), contact_channels=("closing_speed", "sliding_speed"))
+    splatter = Splatter(spec)
     states, sim = States(folder, min_contacts=0), simulation()
-    images = dc.Images(sim, GRID, bodies=(), contacts=("closing_speed", "sliding_speed"))
+    images = dc.Images(sim, spec)
     sim.run(35, OPTIONS.dt)
     sim.collide(OPTIONS.dt)
     image, _ = splatter(states.batch([index_of(states, w, 35) for w in range(OPTIONS.worlds)]))
@@ -120,20 +124,16 @@ def test_speeds_at_contacts_agree_to_round_off(folder):
 
 
 def test_images_of_states_without_contacts(folder):
-    image, label = Splatter(GRID)(States(folder, min_contacts=0)[0])
+    image, label = Splatter(dc.ImageSpec(GRID))(States(folder, min_contacts=0)[0])
     assert image.shape == (1, 6, *GRID.shape) and image[:, 0].sum() > 100.0 and not image[:, 4:].any()
     assert label.shape == (1, 2, *GRID.shape) and not label.any()
 
 
 def test_bad_splatters_are_refused():
-    with pytest.raises(ValueError, match=r"contacts\[1\] is 'speed'"):
-        Splatter(GRID, contacts=("gap", "speed"))
-    with pytest.raises(ValueError, match="walls is -1"):
-        Splatter(GRID, walls=-1.0)
-    with pytest.raises(ValueError, match="h is 0"):
-        Splatter(GRID, h=0.0)
-    with pytest.raises(ValueError, match="both empty"):
-        Splatter(GRID, bodies=(), contacts=())
+    with pytest.raises(ValueError, match="area is True; a data set keeps no shapes of bodies that move"):
+        Splatter(dc.ImageSpec(GRID, area=True))
+    with pytest.raises(ValueError, match="threads is 0"):
+        Splatter(dc.ImageSpec(GRID), threads=0)
 
 
 def test_splits_share_no_world(folder):

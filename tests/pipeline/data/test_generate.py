@@ -311,7 +311,7 @@ def test_stored_grids_are_those_made_from_the_states(tmp_path):
     recipe = Recipe(scene=Mixed(bodies=6), options=changed(SMALL, worlds=2, grids=True, grid_size=(5.0, 5.0)).options)
     make(recipe, tmp_path)
     states = dataset.States(tmp_path, min_contacts=0)
-    image, label = splatter.Splatter(recipe.options.grid)(states.batch(range(len(states))))
+    image, label = splatter.Splatter(dc.ImageSpec(recipe.options.grid))(states.batch(range(len(states))))
     with h5py.File(tmp_path / layout.INDEX) as file:
         np.testing.assert_array_equal(file["grid/input"], image)
         np.testing.assert_array_equal(file["grid/label"], label)

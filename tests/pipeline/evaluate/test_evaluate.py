@@ -28,7 +28,7 @@ from pipeline.starts.start import Report, Started
 
 torch = pytest.importorskip("torch")
 from pipeline.networks import models  # noqa: E402
-from pipeline.networks.checkpoint import grid_dict, save_checkpoint  # noqa: E402
+from pipeline.networks.checkpoint import save_checkpoint  # noqa: E402
 from pipeline.starts.grid_network import GridNetworkStart  # noqa: E402
 
 torch.set_num_threads(1)
@@ -51,13 +51,8 @@ def network(tmp_path_factory) -> Path:
     """A small network with random weights, and what it reads."""
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("network") / "small.safetensors"
-    grid = dc.Grid.thesis()
-    images = {
-        "bodies": ["mass", "velocity_x", "velocity_y", "omega"],
-        "contacts": ["normal_x", "normal_y"],
-        "h": 0.5,
-    }
-    manifest = {"grid": grid_dict(grid), "images": images, "decode": {"reverse": False}}
+    images = dc.ImageSpec(dc.Grid.thesis(), stencil=dc.Stencil(h=0.5))
+    manifest = {"images": images.to_dict(), "decode": {"reverse": False}}
     save_checkpoint(path, models.build("pressure", models.GridConfig(width=0.25)), manifest)
     return path
 
@@ -113,15 +108,15 @@ def test_grid_is_copy_through_the_theses_grid(reverse):
     cache = sim.contacts.numpy("impulse").copy()
     start = registry.maker("grid" if reverse else "grid-bilinear")(sim)
     start.write()
-    assert start.images.grid == dc.Grid.thesis()
+    assert start.images.spec.grid == dc.Grid.thesis()
     slots, _ = contact_slots(sim.contacts)
     found = sim.contacts.numpy("impulse")[slots].copy()
     sim.contacts.numpy("impulse")[...] = cache
     sim.solve()
     solved = sim.contacts.numpy("impulse")[slots].copy()
     points = sim.state.numpy("position")[sim.contacts.numpy("body_a")[slots]] + sim.contacts.numpy("arm_a")[slots]
-    label = splat(points, solved, dc.Grid.thesis(), h=0.5)
-    way: dict[str, Any] = {"kernel": "poly6", "h": 0.5, "reverse": True} if reverse else {"kernel": "bilinear"}
+    label = splat(points, solved, dc.Grid.thesis(), dc.Stencil(h=0.5))
+    way: dict[str, Any] = {"stencil": dc.Stencil(h=0.5), "reverse": True} if reverse else {}
     np.testing.assert_array_equal(found, gather(label, points, dc.Grid.thesis(), **way))
     kept = found[:, 0].sum() / solved[:, 0].sum()
     assert 0.9 < kept < 1.1 if reverse else kept < 0.3  # the shrinking that Tirca saw

@@ -15,14 +15,15 @@ import safetensors  # noqa: E402
 import safetensors.torch  # noqa: E402
 
 from dc_kernels.grid.grid import Grid  # noqa: E402
+from dc_kernels.grid.image_spec import ImageSpec  # noqa: E402
 from pipeline.networks import models  # noqa: E402
-from pipeline.networks.checkpoint import grid_dict, load_checkpoint, load_training, save_checkpoint, save_training  # noqa: E402
+from pipeline.networks.checkpoint import load_checkpoint, load_training, save_checkpoint, save_training  # noqa: E402
 from pipeline.training.optimizer import make_optimizer, make_schedule  # noqa: E402
 from pipeline.training.processes import seed_everything  # noqa: E402
 
 GRID = Grid(rows=12, columns=9, spacing=0.25, origin=(-1.0, 0.5))
 CONFIG = models.GridConfig(rows=12, columns=9, channels=3, width=0.1)
-MANIFEST = {"grid": grid_dict(GRID), "seed": 3, "metrics": {"loss": 0.1}, "names": ["a", "b"]}
+MANIFEST = {"images": ImageSpec(GRID).to_dict(), "seed": 3, "metrics": {"loss": 0.1}, "names": ["a", "b"]}
 
 
 def images(seed: int = 0):

@@ -50,9 +50,10 @@ def test_in_a_simulation_a_network_reads_and_writes_what_it_was_trained_on(data,
     found = sim.contacts.numpy("impulse")[contact_slots(sim.contacts)[0]]
     states = dataset.States(data, min_contacts=0)
     batch = states.batch([70 * world + step for world in range(8)])
-    grid = start.images.grid
-    splatter = Splatter(grid, **manifest["images"])
-    decode = losses.Decoder(grid=grid, reverse=manifest["decode"]["reverse"], h=0.7, bins=3)
+    spec = dc.ImageSpec.from_dict(manifest["images"])
+    assert (spec.bins, spec.stencil.h, spec.walls) == (3, 0.7, 50.0) and start.images.spec == spec
+    splatter = Splatter(spec)
+    decode = losses.Decoder(images=spec, reverse=manifest["decode"]["reverse"])
     with torch.inference_mode():
         wanted = decode(model(splatter(batch)[0]), batch)
     assert len(wanted) > 30
@@ -72,8 +73,12 @@ class Fixed(torch.nn.Module):
 
 
 MANIFEST = {
-    "grid": {"rows": 61, "columns": 61, "spacing": 0.25, "origin": [0.0, 0.0]},
-    "images": {"bodies": ["mass"], "contacts": ["normal_x"], "walls": 100.0},
+    "images": {
+        "grid": {"rows": 61, "columns": 61, "spacing": 0.25, "origin": [0.0, 0.0]},
+        "body_channels": ["mass"],
+        "contact_channels": ["normal_x"],
+        "walls": 100.0,
+    },
     "decode": {"reverse": True},
 }
 
@@ -131,7 +136,8 @@ def test_a_start_changes_the_sweeps_but_not_the_answer(checkpoint):
 
 def test_what_cannot_start_a_simulation_is_refused(tmp_path):
     sim = settled(Thesis(bodies=5), worlds=1, steps=0)
-    save_checkpoint(tmp_path / "a.safetensors", models.build("pressure", {"width": 0.1}), {"grid": MANIFEST["grid"]})
+    manifest = {"decode": MANIFEST["decode"]}
+    save_checkpoint(tmp_path / "a.safetensors", models.build("pressure", {"width": 0.1}), manifest)
     with pytest.raises(ValueError, match="the manifest has no 'images': the network was not trained on images"):
         maker(str(tmp_path / "a.safetensors"))(sim)
     double = settled(Thesis(bodies=5), worlds=1, steps=0, dtype="float64")

@@ -221,7 +221,7 @@ def test_the_command_trains_and_prints(data, tmp_path, capsys, undrawn):
     assert "validation loss: last" in text
     assert "squared error of tangential impulses" in text
     manifest = load_checkpoint(tmp_path / "best.safetensors")[1]
-    assert manifest["images"]["contacts"] == ["impulse_n", "impulse_t"]
+    assert manifest["images"]["contact_channels"] == ["impulse_n", "impulse_t"]
     assert main([*arguments, "--json", "--resume"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["complete"]
 

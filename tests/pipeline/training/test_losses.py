@@ -56,9 +56,9 @@ def test_a_batch_is_the_problem_that_the_solver_solves(scene):
 @pytest.mark.parametrize(("bins", "reverse"), [(1, True), (1, False), (4, True)])
 def test_the_decoder_reads_what_the_simulation_reads(bins, reverse):
     sim = settled(Thesis(bodies=30), steps=110)
-    images = dc.Images(sim, Grid.thesis(), bodies=(), bins=bins)
+    images = dc.Images(sim, dc.ImageSpec(Grid.thesis(), body_channels=(), bins=bins))
     image = torch.randn(3, 2 * bins, 61, 61, generator=torch.Generator().manual_seed(0))
-    decode = losses.Decoder(grid=Grid.thesis(), bins=bins, reverse=reverse)
+    decode = losses.Decoder(images=images.spec, reverse=reverse)
     found = decode(image, as_batch(sim))
     images.start_from(image, reverse=reverse)
     wanted = sim.contacts.numpy("impulse")[contact_slots(sim.contacts)[0]]
@@ -67,7 +67,7 @@ def test_the_decoder_reads_what_the_simulation_reads(bins, reverse):
 
 
 def make_loss(name: str, **changes) -> losses.Loss:
-    decode = losses.Decoder(grid=GRID, reverse=False)
+    decode = losses.Decoder(images=dc.ImageSpec(GRID), reverse=False)
     scales = {"grid_scale": torch.tensor([1.0, 2.0]), "contact_scale": torch.tensor([1.0, 4.0])}
     return losses.Loss(name=name, decode=decode, **{**scales, **changes})
 

@@ -12,7 +12,7 @@ auto add = [&](auto prepare, auto place, auto first_weight, auto weight, auto gr
         const Real px = xs[j], py = ys[j];
         const bool out = separable && outside(px, py);
         const Real* own = value.data + (size_t)i * channels;
-        Real* to = base + (size_t)(channel_offset + (bins > 1 ? point_bin.data[i] * channels : 0)) * channel_stride;
+        Real* to = base + (size_t)(channel_offset + (bins > 1 ? points.bin.data[i] * channels : 0)) * channel_stride;
         if (place(j)) {
             const int from = r0 < row_low ? row_low : r0, until = r1 < row_high ? r1 : row_high - 1;
             if (one) {
@@ -71,7 +71,7 @@ auto add = [&](auto prepare, auto place, auto first_weight, auto weight, auto gr
         }
         if (!home(px, py)) return;
         ++lost;
-        if (is_finite(px, py) && nearest && normalize) {
+        if (is_finite(px, py) && stencil.nearest && stencil.normalize) {
             const int r = nearest_node(py, rows);
             Real* p = to + (size_t)(r - row_low) * row_stride + (nearest_node(px, columns) - left);
             for (int c = 0; c < channels; ++c, p += channel_stride) *p += own[c];

@@ -53,7 +53,8 @@ auto gather = [&](auto prepare, auto place, auto first_weight, auto weight, auto
             const Real px = xs[j], py = ys[j];
             const bool valid = is_finite(px, py);
             const Real* p = from + (valid ? (size_t)nearest_node(py, rows) * columns + nearest_node(px, columns) : 0);
-            for (int c = 0; c < channels; ++c) own[c] = valid && nearest && normalize ? p[c * channel_stride] : 0;
+            for (int c = 0; c < channels; ++c)
+                own[c] = valid && stencil.nearest && stencil.normalize ? p[c * channel_stride] : 0;
         }
     });
 };
@@ -94,7 +95,7 @@ auto gather_linear = [&]() {
             *(Vector*)(high[k] + LANES) = __builtin_shufflevector(w10, w11, 4, 12, 5, 13, 6, 14, 7, 15);
             *(Longs*)at[k] = __builtin_convertvector(iy, Longs) * columns + __builtin_convertvector(ix, Longs);
             if (step)
-                for (int j = 0; j < ahead; ++j) at[k][j] += point_bin.data[i + j] * step;
+                for (int j = 0; j < ahead; ++j) at[k][j] += points.bin.data[i + j] * step;
             for (int j = 0; j < ahead && far; ++j) {
                 const Real* p = origin + at[k][j];
                 for (int c = 0; c < channels; ++c, p += channel_stride) {

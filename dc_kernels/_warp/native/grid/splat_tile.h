@@ -1,7 +1,7 @@
 // Adds the points of a tile in its buffer, and copies it to the image.
 #if !defined(__CUDA_ARCH__)
 each_stencil(add);
-tile_lost.data[tile] = lost;
+tiles.lost.data[tile] = lost;
 for (int c = 0; c < all_channels; ++c)
     for (int r = row_low; r < row_high; ++r) {
         const Real* from = buffer + c * channel_stride + (size_t)(r - row_low) * row_stride + pad;

@@ -1,11 +1,11 @@
 // Calls visit(slot, i) for each tile that a point i of a world's chunk reaches.
 #if !defined(__CUDA_ARCH__)
-int* const slots = tile_slot.data + (size_t)chunk * tile_slot.shape[1] + (size_t)world * world_tiles;
+int* const slots = tiles.slot.data + (size_t)chunk * tiles.slot.shape[1] + (size_t)world * world_tiles;
 auto each_visit = [&](auto visit) {
-    const int from = point_start.data[world];
-    const long long count = point_count.data[world];
+    const int from = points.start.data[world];
+    const long long count = points.count.data[world];
     const int begin = from + (int)(count * chunk / chunks), end = from + (int)(count * (chunk + 1) / chunks);
-    const bool separable = stencil > WENDLAND;
+    const bool separable = stencil.kernel > WENDLAND;
     auto range = [&](Real u, int nodes, int& low, int& high) {
         if (separable) {
             low = (int)clip(u, 0, nodes - 1) - 1;

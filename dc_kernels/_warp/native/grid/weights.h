@@ -1,5 +1,5 @@
 // The stencils. each_stencil(run) calls run(prepare, place, first_weight, weight, gradient, constant, separable) with
-// the functions of the stencil whose code is in `stencil`: prepare() is for each_point; place(j) finds the window of
+// the functions of the stencil of `stencil`: prepare() is for each_point; place(j) finds the window of
 // point j, or says that it has no nodes; weight(r, v) gives LANES weights, first_weight(r) those where `one` vector
 // holds the window; gradient(r, v, gx, gy) their derivatives by the point's place in spacings; weights are multiplied
 // with constant, or divided by their sum where it is 0. Macros: the codes POLY6 ... BSPLINE, POLY6_CONSTANT ...
@@ -69,7 +69,8 @@ auto radial = [&](auto run, auto shape, auto slope, Real constant) {
         gx = s * dx;
         gy = s * dy;
     };
-    run(prepare, place, first_weight, weight, gradient, normalize == 0 ? constant / (h * h) : (Real)0, false);
+    run(prepare, place, first_weight, weight, gradient,
+        stencil.normalize == 0 ? constant / (stencil.h * stencil.h) : (Real)0, false);
 };
 
 // 4 x 4 nodes at most, whose weights are products of those of two axes
@@ -160,7 +161,7 @@ auto cut = [&](auto function) {
     };
 };
 auto each_stencil_but_linear = [&](auto run, auto run_linear) {
-    switch (stencil) {
+    switch (stencil.kernel) {
         case POLY6:
             radial(run, held(poly6_w), held(poly6_f), (Real)POLY6_CONSTANT);
             break;

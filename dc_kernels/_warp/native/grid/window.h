@@ -1,13 +1,13 @@
 // The window of nodes that a point reaches: rows r0 .. r1, and `vectors` vectors of columns from column `first`. It is
 // slid into the row where it would leave it, and nodes out of reach have weight 0, so that no column is tested.
-// Lengths are in spacings. Names before: image (4-D), spacing, h, world, grid_origin, point. Macro: WINDOW_ROWS.
+// Lengths are in spacings. Names before: stencil, points, image (4-D), world. Macro: WINDOW_ROWS.
 #if !defined(__CUDA_ARCH__)
 typedef int Integers __attribute__((ext_vector_type(LANES), aligned(4)));
 const int rows = image.shape[2], columns = image.shape[3];
-const Real inv = 1 / spacing, hs = h * inv, inv_h2 = 1 / (hs * hs);
-const Real origin_x = ((const Real*)grid_origin.data)[2 * world];
-const Real origin_y = ((const Real*)grid_origin.data)[2 * world + 1];
-const Real* const places = (const Real*)point.data;
+const Real inv = 1 / stencil.spacing, hs = stencil.h * inv, inv_h2 = 1 / (hs * hs);
+const Real origin_x = ((const Real*)points.origin.data)[2 * world];
+const Real origin_y = ((const Real*)points.origin.data)[2 * world + 1];
+const Real* const places = (const Real*)points.place.data;
 Vector iota;
 for (int j = 0; j < LANES; ++j) iota[j] = (Real)j;
 // sum of the lanes by halves

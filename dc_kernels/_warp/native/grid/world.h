@@ -7,7 +7,7 @@ int* const marks = touched.data + (size_t)world * bands;
 const size_t row_stride = columns, channel_stride = (size_t)rows * columns;
 Real* const base = image.data + (size_t)world * image.shape[1] * channel_stride;
 const int row_low = 0, row_high = rows, column_low = 0, column_high = columns, left = 0;
-const int begin = point_start.data[world], end = begin + point_count.data[world];
+const int begin = points.start.data[world], end = begin + points.count.data[world];
 for (int b = 0; b < bands; ++b) {
     if (!marks[b]) continue;
     marks[b] = 0;

@@ -1,0 +1,106 @@
+"""What the images of a scene show and how: one object for simulation, data sets, training and files of networks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES, channel_codes
+from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.stencil import Stencil
+from dc_kernels.runtime.inputs import check_count
+
+
+@dataclass(frozen=True)
+class ImageSpec:
+    """Grid, channels and stencil of the images that show bodies and contacts.
+
+    Raises:
+        ValueError: for an unknown or repeated channel, or a setting out of range.
+    """
+
+    grid: Grid
+    """Where the nodes lie, relative to each world's origin."""
+    _: KW_ONLY
+    body_channels: tuple[str, ...] = ("mass", "velocity_x", "velocity_y", "omega")
+    """Keys of ``channels.BODY_CHANNELS``; may be empty."""
+    contact_channels: tuple[str, ...] = ("normal_x", "normal_y")
+    """Keys of ``channels.CONTACT_CHANNELS``; may be empty."""
+    stencil: Stencil = field(default_factory=Stencil)
+    """How bodies and contacts reach the nodes; not normalized by "shepard"."""
+    bins: int = 1
+    """Parts of the half circle of normal directions (n and -n are one) that contacts are kept apart in; bin b is
+    centred on the angle b pi / bins [1]."""
+    walls: float | None = 100.0
+    """Mass of the nodes that static shapes cover (``area.wall_nodes``), on top of what bodies add there [kg]; None, or
+    no channel "mass": none."""
+    area: bool = False
+    """Whether bodies are splatted over their area, in cells of a spacing (``area.area_points``)."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.grid, Grid):
+            raise ValueError(f"grid is a {type(self.grid).__name__}; it must be a Grid")
+        for name, table in (("body_channels", BODY_CHANNELS), ("contact_channels", CONTACT_CHANNELS)):
+            channel_codes(name, getattr(self, name), table)
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        if not self.body_channels and not self.contact_channels:
+            raise ValueError("body_channels and contact_channels are both empty; an image needs a channel")
+        if self.stencil.normalize == "shepard":
+            raise ValueError("stencil.normalize is 'shepard'; that of images must be 'particle' or 'sum'")
+        self.stencil.support(self.grid.spacing)
+        check_count("bins", self.bins)
+        if self.walls is not None and not 0.0 <= self.walls < float("inf"):
+            raise ValueError(f"walls is {self.walls!r}; it must be None, or finite and not negative [kg]")
+        if not isinstance(self.area, bool):
+            raise ValueError(f"area is {self.area!r}; it must be True or False")
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names in the order of the image: the bodies', then the contacts', "normal_x/3" for bin 3 of several."""
+        contacts = self.contact_channels
+        binned = [f"{name}/{b}" for b in range(self.bins) for name in contacts] if self.bins > 1 else contacts
+        return (*self.body_channels, *binned)
+
+    @property
+    def impulse_channels(self) -> int:
+        """How many channels an image of impulses has: the normal and the tangential impulse of each bin [1]."""
+        return len(IMPULSES) * self.bins
+
+    @property
+    def body_codes(self) -> np.ndarray:
+        """Codes of the bodies' channels in the kernels, int32."""
+        return channel_codes("body_channels", self.body_channels, BODY_CHANNELS)
+
+    @property
+    def contact_codes(self) -> np.ndarray:
+        """Codes of the contacts' channels in the kernels, int32."""
+        return channel_codes("contact_channels", self.contact_channels, CONTACT_CHANNELS)
+
+    @property
+    def wall_channel(self) -> int:
+        """The channel that walls are added to; -1: none."""
+        return self.body_channels.index("mass") if self.walls and "mass" in self.body_channels else -1
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as plain values, as JSON has them."""
+        values = asdict(self)
+        values["grid"]["origin"] = [float(x) for x in self.grid.origin]
+        return {**values, "body_channels": list(self.body_channels), "contact_channels": list(self.contact_channels)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> ImageSpec:
+        """Return what ``to_dict`` described; what is left out is as by default.
+
+        Raises:
+            ValueError: for an unknown name, one that is missing, or a value out of range.
+        """
+        try:
+            given = dict(values)
+            grid, stencil = dict(given.pop("grid")), given.pop("stencil", {})
+            grid["origin"] = tuple(grid["origin"])
+            return cls(Grid(**grid), stencil=Stencil(**stencil), **given)
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"the images are described by {dict(values)}: {error}") from None

@@ -1,0 +1,205 @@
+"""Splat as a stage: bound to its arrays once, then called; small images world by world, large ones tile by tile."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.grid.fields import POINTS, STENCIL, TILES
+from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.layout import BAND, CHUNK, TILE_COLUMNS, TILE_ROWS
+from dc_kernels.grid.stencil import Stencil
+from dc_kernels.model.arrays import aligned_zeros, float_dtype, kernel_array, to_numpy
+from dc_kernels.runtime.backends import Launch, bind, kernel_file, make_kernels
+from dc_kernels.runtime.program import Kernel, Stage
+from dc_kernels.runtime.threads import run_shards, shard_worlds
+
+TILED_BYTES = 2**23  # of a world's channels, beyond which tiles are faster: 6 MB took 49 and 71 ns, 64 MB 250 and 70
+
+
+def transfer_kernels(backend: str, dtype: str) -> dict[str, Any]:
+    """Look up splat_worlds, gather_points, gather_gradient, divide_image; for Warp also those of the tiles."""
+    files = ["grid.splat", "grid.gather", *(["grid.tiles"] if backend == "warp" else [])]
+    return {name: kernel for file in files for name, kernel in make_kernels(backend, file, dtype).items()}
+
+
+def allocate_image(worlds: int, channels: int, grid: Grid, dtype: Any = "float32") -> np.ndarray:
+    """Return a zeroed image (worlds, channels, rows, columns), its first byte aligned for SIMD loads."""
+    return aligned_zeros((worlds, channels, *grid.shape), float_dtype(dtype))
+
+
+def chunks_of(most: int) -> int:
+    """Return the thread indices for each world of a gather, where none has more than ``most`` points."""
+    return max(-(-most // CHUNK), 1)
+
+
+def first_and_count(offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return first point and number of points of each world, int32, from their offsets."""
+    return offsets[:-1].astype(np.int32), np.diff(offsets).astype(np.int32)
+
+
+def stencil_group(stencil: Stencil, grid: Grid, backend: str, dtype: str) -> Any:
+    """Return a stencil on a grid as the kernels of a backend take it.
+
+    Raises:
+        ValueError: when its support is too large for the grid.
+    """
+    return kernel_file(backend, "structs").group("Stencil", dtype, STENCIL, stencil.arguments(grid))
+
+
+def points_group(grid: Grid, worlds: int, backend: str, dtype: str, **arrays: Any) -> Any:
+    """Return points on a grid as the kernels of a backend take them.
+
+    Args:
+        grid: relative to each world's origin.
+        worlds: how many there are.
+        backend: of the kernels.
+        dtype: of the places.
+        arrays: the fields of ``grid.fields.POINTS`` but ``origin``, or arrays of the backend; no ``bin``: one bin.
+    """
+    origin = np.tile(np.asarray(grid.origin, dtype), (worlds, 1))
+    values = {"origin": origin, "bin": np.zeros(1, np.int32), **arrays}
+    return kernel_file(backend, "structs").group("Points", dtype, POINTS, values)
+
+
+class Splat:
+    """A splat bound to its arrays: what they hold may change from call to call, their memory may not.
+
+    Small images are one thread a world, each adding its points to the image; images that a core's cache cannot hold are
+    splatted tile by tile. Only what the call before touched is cleared, and only what points reach is written: bands of
+    8 rows, or tiles. The bits are the same either way, and for any number of threads.
+
+    Attributes:
+        missed: points of each world that reached no node in the last call, (W,).
+        touched: what holds values, (W, bands); None with tiles.
+    """
+
+    def __init__(
+        self,
+        stencil: Stencil,
+        grid: Grid,
+        points: Any,
+        value: Any,
+        image: Any,
+        *,
+        bins: int = 1,
+        channel_offset: int = 0,
+        backend: str = "warp",
+        threads: int = 1,
+        tiled: bool | None = None,
+    ) -> None:
+        """Allocate what a splat needs beside its arrays.
+
+        Args:
+            stencil: weights of the nodes.
+            grid: of the image.
+            points: of ``points_group``.
+            value: (n, C), as the kernels take it.
+            image: (W, at least channel_offset + bins C, rows, columns), as the kernels take it; zeroed.
+            bins: parts of the image that points are kept apart in.
+            channel_offset: first channel that is written.
+            backend: of the arrays.
+            threads: that worlds or tiles are shared by.
+            tiled: None: as the size of the image tells; the oracle has no tiles.
+        """
+        dtype = to_numpy(value).dtype
+        self.table, self.backend, self.threads = transfer_kernels(backend, dtype.name), backend, threads
+        worlds, _, rows, columns = image.shape
+        count, channels = value.shape
+        channels *= bins
+        window = stencil.window(grid.spacing)
+        if tiled is None:
+            tiled = backend == "warp" and rows * columns * channels * dtype.itemsize > TILED_BYTES
+        self.tiled = bool(tiled) and columns >= window
+        self.missed = np.zeros(worlds, np.int32)
+        self.values: dict[str, Any] = {
+            "stencil": stencil_group(stencil, grid, backend, dtype.name),
+            "bins": bins,
+            "channel_offset": channel_offset,
+            "points": points,
+            "value": value,
+            "missed": kernel_array(self.missed, backend),
+            "image": image,
+        }
+        self.touched: Any = None
+        if not self.tiled:
+            self.touched = kernel_array(np.zeros((worlds, -(-rows // BAND)), np.int32), backend)
+            self.values["touched"] = self.touched
+            self._launches = [self._bind("splat_worlds", n, world_offset=w) for w, n in shard_worlds(worlds, threads)]
+            return
+        self._tile_rows, self._tile_columns = -(-rows // TILE_ROWS), -(-columns // TILE_COLUMNS)
+        tiles = self._tile_rows * self._tile_columns
+        self.tiles = {
+            "slot": np.zeros((threads, worlds * tiles), np.int32),
+            "start": np.zeros(worlds * tiles + 1, np.int32),
+            "lost": np.zeros(worlds * tiles, np.int32),
+            "touched": np.zeros(worlds * tiles, np.int32),
+            "scratch": aligned_zeros((threads, channels * TILE_ROWS * (TILE_COLUMNS + 2 * window)), dtype),
+        }
+        self.values.update(world_tiles=tiles, chunks=threads)
+        self._reserve(count + count // 2)
+
+    @property
+    def per_world(self) -> Kernel | None:
+        """The kernel that does all of this with a thread a world; None with tiles."""
+        return None if self.tiled else Kernel(self.table["splat_worlds"], self.values)
+
+    def clear_also(self, world: np.ndarray, row: np.ndarray, column: np.ndarray) -> Stage:
+        """Return what makes the next call clear these nodes, (n,) each, whatever reached them in the call before."""
+        if self.tiled:
+            tile = row // TILE_ROWS * self._tile_columns + column // TILE_COLUMNS
+            found = np.unique(world * self.values["world_tiles"] + tile)
+            return functools.partial(self.tiles["touched"].__setitem__, found, 1)
+        band = np.zeros(self.touched.shape, np.int32)
+        band[world, row // BAND] = 1
+        values = {"band": kernel_array(band, self.backend), "touched": self.touched}
+        return Kernel(self.table["mark_bands"], values)
+
+    def _bind(self, name: str, dim: int, **values: Any) -> Launch:
+        return bind(self.table[name], dim, {**self.values, **values}, "cpu")
+
+    def _reserve(self, entries: int) -> None:
+        """Make room for the entries of all tiles, and what is fetched ahead of the last."""
+        self.room = entries
+        arrays = {**self.tiles, "order": np.zeros(entries + TILE_ROWS, np.int32)}
+        dtype = self.tiles["scratch"].dtype.name
+        self.values["tiles"] = kernel_file(self.backend, "structs").group("Tiles", dtype, TILES, arrays)
+        worlds, threads = len(self.missed), self.threads
+        self._count, self._list = (
+            [self._bind(name, worlds, chunk=chunk) for chunk in range(threads)]
+            for name in ("count_tiles", "list_tiles")
+        )
+        # more shards than threads would need more buffers; tiles are many, and those of a shard lie side by side
+        self._launches = [
+            self._bind("splat_tiles", count, tile_offset=first, slot=slot)
+            for slot, (first, count) in enumerate(shard_worlds(len(self.tiles["lost"]), threads))
+        ]
+
+    def __call__(self) -> None:
+        """Splat what the arrays hold now; ``missed`` then says how many points of each world reach no node.
+
+        Raises:
+            ValueError: for a splat by tiles whose points reach 2^31 tiles or more in all.
+        """
+        if not self.tiled:
+            run_shards(self._launches, self.threads)
+            return
+        slot, start = self.tiles["slot"], self.tiles["start"]
+        slot.fill(0)
+        run_shards(self._count, self.threads)
+        # the entries of a tile: those of the first chunk, of the second, ...: ordered by index whatever the chunks
+        ends = np.cumsum(slot.T.ravel(), dtype=np.int64)
+        total = int(ends[-1])
+        if total > 2**31 - 1 - TILE_ROWS:
+            raise ValueError(f"the points reach {total} tiles in all; there may be 2^31: splat fewer worlds at once")
+        starts = np.concatenate([[0], ends[:-1]]).reshape(-1, self.threads)
+        slot[...] = starts.T
+        start[:-1] = starts[:, 0]
+        start[-1] = total
+        if total > self.room:
+            self._reserve(total + total // 8)
+        run_shards(self._list, self.threads)
+        run_shards(self._launches, self.threads)
+        self.missed[...] = self.tiles["lost"].reshape(len(self.missed), -1).sum(axis=1)

@@ -1,0 +1,121 @@
+"""Which nodes a point reaches on a grid, and with which weights: the settings that splat, gather and images share.
+
+With the weights S_ip of point p at node i, a splat is ``image_i = sum_p S_ip value_p``, a gather its transpose
+``value_p = sum_i S_ip image_i``. What S is, says ``Stencil.normalize``:
+
+- "particle": S_ip = W(|x_p - x_i|) / sum_j W(|x_p - x_j|) over the nodes in the grid: each point's weights sum to 1, at
+  the border too, so a splat conserves the sum of its values and a gather reproduces constants (the theses' way);
+- "sum": S_ip = W in 1/m^2, the SPH sum (seed, eq. 3.7), for values m/rho A;
+- "shepard" (splat only): the SPH sum divided by that of ones: a weighted average, which reproduces constants.
+
+Stencils "bilinear" (seed, eqs 3.15-3.17) and "bspline" (cubic B-spline, which smooths but reproduces linear fields)
+have weights that sum to 1 by themselves, whatever ``normalize`` says; a point outside the grid is moved to its border.
+With the radial ones a point outside reaches the nodes within h, if any. A point that reaches none is given to its
+nearest node under "particle" (unless ``nearest`` is False) and contributes nothing under "sum".
+"""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+from enum import IntEnum
+from typing import Any, Literal
+
+from dc_kernels.grid.grid import Grid
+from dc_kernels.solve.rows import LANES
+from dc_kernels.sph.smoothing import KERNELS, STENCILS, check_support
+
+SUPPORT = 2.0  # default h [spacing]
+MAX_SUPPORT = 2**20  # [spacing]
+
+KernelName = Literal["poly6", "spiky", "gaussian", "cubic", "wendland", "bilinear", "bspline"]
+
+
+class Normalize(IntEnum):
+    """What weights are divided by, as the kernels know it."""
+
+    SUM = 0
+    """Nothing."""
+    PARTICLE = 1
+    """Their sum over the nodes that a point reaches."""
+
+
+NORMALIZE = {"sum": Normalize.SUM, "particle": Normalize.PARTICLE, "shepard": Normalize.SUM}
+"""What the weights of a point are divided by; those of "shepard" are divided at the nodes, after the splat."""
+
+
+@dataclass(frozen=True)
+class Stencil:
+    """Settings of a splat or a gather: how the weights of a point follow from its distance to the nodes.
+
+    Raises:
+        ValueError: naming the setting, when it is unknown or out of range.
+    """
+
+    kernel: KernelName = "poly6"
+    """Name of the stencil: a radial smoothing kernel, "bilinear" or "bspline"."""
+    _: KW_ONLY
+    h: float | None = None
+    """Support radius of a radial kernel [m]; None: 2 spacings."""
+    normalize: Literal["particle", "shepard", "sum"] = "particle"
+    """What the weights are divided by (see the module)."""
+    nearest: bool = True
+    """Whether a point that reaches no node is given to its nearest one, under "particle"."""
+
+    def __post_init__(self) -> None:
+        if self.kernel not in STENCILS:
+            raise ValueError(f"kernel is {self.kernel!r}; it must be one of {tuple(STENCILS)}")
+        if self.normalize not in NORMALIZE:
+            raise ValueError(f"normalize is {self.normalize!r}; it must be one of {tuple(NORMALIZE)}")
+        if not isinstance(self.nearest, bool):
+            raise ValueError(f"nearest is {self.nearest!r}; it must be True or False")
+        if self.h is not None:
+            check_support(self.h)
+
+    def support(self, spacing: float) -> float:
+        """Return the support radius on a grid [m].
+
+        Raises:
+            ValueError: when it is more than 2^20 spacings.
+        """
+        if self.h is None:
+            return SUPPORT * spacing
+        if self.kernel in KERNELS and self.h > spacing * MAX_SUPPORT:
+            raise ValueError(f"h is {self.h!r} m, {self.h / spacing:.3g} spacings; it must be at most 2^20 of them")
+        return float(self.h)
+
+    def window(self, spacing: float) -> int:
+        """Return the columns of the widest window of a point: whole vectors, as the kernels place them."""
+        if self.kernel not in KERNELS:
+            return LANES
+        return (int(2 * (self.support(spacing) / spacing)) // LANES + 1) * LANES
+
+    def arguments(self, grid: Grid) -> dict[str, Any]:
+        """Return the numbers of ``grid.fields.STENCIL`` on a grid, by name.
+
+        Raises:
+            ValueError: see ``support``.
+        """
+        return {
+            "kernel": STENCILS[self.kernel],
+            "normalize": int(NORMALIZE[self.normalize]),
+            "nearest": int(self.nearest),
+            "spacing": grid.spacing,
+            "h": self.support(grid.spacing),
+        }
+
+    def check_gather(self, reverse: bool = False) -> None:
+        """Check that a gather can have this stencil.
+
+        Raises:
+            ValueError: for "shepard", and unless ``normalize`` is "particle" where the gather is reversed.
+        """
+        if reverse and self.normalize != "particle":
+            raise ValueError(f"normalize is {self.normalize!r}; reverse needs 'particle'")
+        if self.normalize == "shepard":
+            raise ValueError("normalize is 'shepard', which only a splat can be; it must be 'particle' or 'sum'")
+
+
+POLY6 = Stencil()
+"""The stencil of a splat unless another one is asked for: poly6 of 2 spacings, each point's weights of sum 1."""
+BILINEAR = Stencil("bilinear")
+"""The stencil of a gather unless another one is asked for."""
