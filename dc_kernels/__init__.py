@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from dc_kernels.model.builder import ModelBuilder
     from dc_kernels.model.config import SolverConfig
     from dc_kernels.model.enums import BodyType, Flag, ShapeType
-    from dc_kernels.neighbors.search import Neighbors, neighbor_lists, neighbor_pairs
+    from dc_kernels.neighbors.search import Neighbors, NeighborSearch, neighbor_lists, neighbor_pairs
     from dc_kernels.simulation import Simulation
     from dc_kernels.solve.rows import LANES
     from dc_kernels.solve.schedules import SolveStats
@@ -53,6 +53,7 @@ __all__ = [
     "Joints",
     "Model",
     "ModelBuilder",
+    "NeighborSearch",
     "Neighbors",
     "ShapeType",
     "Simulation",
@@ -88,7 +89,7 @@ _MODULES = {
     "model.builder": ("ModelBuilder",),
     "model.config": ("SolverConfig",),
     "model.enums": ("BodyType", "Flag", "ShapeType"),
-    "neighbors.search": ("Neighbors", "neighbor_lists", "neighbor_pairs"),
+    "neighbors.search": ("NeighborSearch", "Neighbors", "neighbor_lists", "neighbor_pairs"),
     "simulation": ("Simulation",),
     "solve.rows": ("LANES",),
     "solve.schedules": ("SolveStats",),

@@ -21,6 +21,7 @@ from dc_kernels.grid.scene import Scene, SceneSplat
 from dc_kernels.grid.splat import allocate_image, points_group
 from dc_kernels.grid.stencil import BILINEAR, Stencil
 from dc_kernels.model.arrays import kernel_array, to_numpy, to_torch
+from dc_kernels.runtime.capture import HOST, refuse_recording
 from dc_kernels.runtime.inputs import check_count
 from dc_kernels.runtime.interop import address
 from dc_kernels.runtime.program import Fed, Program, Stage
@@ -207,6 +208,7 @@ class Images:
             program = self._scene.program([*stages, *weigh, gather])
 
             def run_reverse(image: Any, pointer: int) -> None:
+                refuse_recording("a reverse gather", HOST)
                 np.copyto(share, to_numpy(image))
                 program()
 

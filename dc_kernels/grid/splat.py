@@ -13,6 +13,7 @@ from dc_kernels.grid.layout import BAND, CHUNK, TILE_COLUMNS, TILE_ROWS
 from dc_kernels.grid.stencil import Stencil
 from dc_kernels.model.arrays import aligned_zeros, float_dtype, kernel_array, to_numpy
 from dc_kernels.runtime.backends import Launch, bind, kernel_file, make_kernels
+from dc_kernels.runtime.capture import HOST, recording, refuse_recording
 from dc_kernels.runtime.program import Kernel, Stage
 from dc_kernels.runtime.threads import run_shards, shard_worlds
 
@@ -102,7 +103,7 @@ class Splat:
             channel_offset: first channel that is written.
             backend: of the arrays.
             threads: that worlds or tiles are shared by.
-            tiled: None: as the size of the image tells; the oracle has no tiles.
+            tiled: None: as the size of the image tells, but not in a recording; the oracle has no tiles.
         """
         dtype = to_numpy(value).dtype
         self.table, self.backend, self.threads = transfer_kernels(backend, dtype.name), backend, threads
@@ -112,6 +113,7 @@ class Splat:
         window = stencil.window(grid.spacing)
         if tiled is None:
             tiled = backend == "warp" and rows * columns * channels * dtype.itemsize > TILED_BYTES
+            tiled = tiled and not recording()  # tiles are counted on the host
         self.tiled = bool(tiled) and columns >= window
         self.missed = np.zeros(worlds, np.int32)
         self.values: dict[str, Any] = {
@@ -182,10 +184,12 @@ class Splat:
 
         Raises:
             ValueError: for a splat by tiles whose points reach 2^31 tiles or more in all.
+            RuntimeError: for a splat by tiles in a recording.
         """
         if not self.tiled:
             run_shards(self._launches, self.threads)
             return
+        refuse_recording("a splat by tiles", f"{HOST}; one that is bound in the recording has none")
         slot, start = self.tiles["slot"], self.tiles["start"]
         slot.fill(0)
         run_shards(self._count, self.threads)

@@ -12,6 +12,7 @@ from dc_kernels.grid.splat import Splat, allocate_image, first_and_count, points
 from dc_kernels.grid.stencil import BILINEAR, POLY6, Stencil
 from dc_kernels.model.arrays import kernel_array
 from dc_kernels.runtime.backends import Launch, check_backend
+from dc_kernels.runtime.capture import clear
 from dc_kernels.runtime.inputs import check_array, check_bins, check_count, check_layout, check_points, check_start
 from dc_kernels.runtime.interop import host_view
 from dc_kernels.runtime.program import Program, Stage
@@ -65,7 +66,7 @@ class Transfer:
             out = allocate_image(shape[0], shape[1], self.grid, bound.points.dtype)
         else:
             out = check_layout("out", out, shape, bound.points.dtype)
-            out.fill(0)
+            clear(kernel_array(out, self.backend))
         bound.bind_splat(values, out)()  # what is checked already is not looked at again
         return out
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.model.arrays import kernel_arrays
-from dc_kernels.runtime.backends import bind, make_kernels
+from dc_kernels.neighbors.fields import CELLS
+from dc_kernels.runtime.backends import bind, kernel_file, make_kernels
 from dc_kernels.runtime.inputs import MAX_INDEX
 from dc_kernels.runtime.threads import map_threads
 
@@ -66,8 +67,8 @@ class SortedCells:
             raise ValueError(f"points of world {w} span more than float64 holds on axis {k}; they must span less [m]")
         return shared
 
-    def sorter(self, points: np.ndarray, starts: np.ndarray, box: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-        """Arrays for the sorted points, and a call that fills them for a shard."""
+    def sorter(self, points: np.ndarray, starts: np.ndarray, box: dict[str, Any]) -> tuple[Any, Any]:
+        """The group of the sorted points, and a call that fills it for a shard."""
         n, worlds = len(points), len(starts) - 1
         cells = {
             "start": starts.astype(np.int32),
@@ -79,7 +80,7 @@ class SortedCells:
             "line_count": np.empty(worlds, np.int32),
             "line_stride": np.empty(worlds, np.int64),
         }
-        shared = kernel_arrays(cells, self.backend)
+        shared = kernel_file(self.backend, "structs").group("Cells", self.dtype.name, CELLS, cells)
         point = kernel_arrays({"point": points}, self.backend)
 
         def sort(first: int, count: int) -> None:
@@ -88,7 +89,7 @@ class SortedCells:
             # with its number and column; a few rows more for worlds of few points
             words = 2 + (2 + 1 + 4) / 2 + math.ceil((self.dtype.itemsize * self.dim + 8) / 8)
             scratch = {"scratch": np.empty((most + 256, math.ceil(words)), np.int64)}
-            values = {"world_offset": first, "worlds": count, "reach": self.reach, **box, **point, **shared}
+            values = {"world_offset": first, "worlds": count, "reach": self.reach, "cells": shared, **box, **point}
             self.call("sort_points", {**values, **kernel_arrays(scratch, self.backend)})
 
         return shared, sort
@@ -117,7 +118,7 @@ def hash_pairs(
     def shard(s: int) -> np.ndarray:
         first, count = shards[s]
         sort(first, count)
-        values = {"world_offset": first, "worlds": count, "limit": limit, **cells}
+        values = {"world_offset": first, "worlds": count, "limit": limit, "cells": cells}
         pairs, total = hashed.fill("sweep_pairs", "pair", int(starts[first + count] - starts[first]), (2,), values)
         pairs.resize((total, 2), refcheck=False)  # returns the rest to the system
         return pairs
@@ -132,12 +133,12 @@ def hash_lists(
     points: np.ndarray,
     radius: float,
     limit: Any,
-    first_query: np.ndarray,
-    first_point: np.ndarray,
+    starts: tuple[np.ndarray, np.ndarray],
     threads: int,
     backend: str,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The method "hash" of ``neighbor_lists``: start and index of the lists."""
+    """The method "hash" of ``neighbor_lists``: start and index of the lists; ``starts`` of queries and points."""
+    first_query, first_point = starts
     shards = shards_of(np.diff(first_query) + np.diff(first_point), threads)
     hashed = SortedCells(radius, points, backend)
     same = queries is points and np.array_equal(first_query, first_point)
@@ -146,8 +147,8 @@ def hash_lists(
     cells, sort_points = hashed.sorter(points, first_point, box)
     query_cells, sort_queries = (cells, None) if same else hashed.sorter(queries, first_query, box)
     span = np.zeros((len(queries), 2), np.int64)
-    values = {f"query_{name}": array for name, array in query_cells.items()}
-    values = {"limit": limit, **cells, **values, **kernel_arrays({"list_span": span}, backend)}
+    spans = kernel_arrays({"list_span": span}, backend)
+    values = {"limit": limit, "cells": cells, "queries": query_cells, **spans}
 
     def sweep(s: int) -> np.ndarray:
         first, count = shards[s]
@@ -162,7 +163,7 @@ def hash_lists(
     start = np.zeros(len(queries) + 1, np.int64)
     np.cumsum(span[:, 1], out=start[1:])
     index = np.empty(allowed(int(start[-1])), np.int32)
-    order = {**values, **kernel_arrays({"list_start": start, "index": index}, backend)}
+    order = {**spans, **kernel_arrays({"list_start": start, "index": index}, backend)}
 
     def arrange(s: int) -> None:
         first, count = shards[s]

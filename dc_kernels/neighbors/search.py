@@ -37,6 +37,88 @@ class Neighbors:
     """Points within the radius, numbered over all worlds, (m,) int32."""
 
 
+class NeighborSearch:
+    """A search within one radius: what its calls share, checked once."""
+
+    def __init__(self, radius: float, *, method: str = "hash", threads: int = 1, backend: str = "warp") -> None:
+        """Check the settings, but for the radius, whose square must fit the dtype of the points.
+
+        Args:
+            radius: largest distance, > 0 [m].
+            method: "hash" (cells sorted by place), "kdtree" (SciPy's), "tree" (boxes in a hierarchy) or "all" (every
+                pair tested).
+            threads: Python threads that the worlds are shared among; the result does not depend on it.
+            backend: "warp", or "numpy" for the oracle of the method "hash".
+
+        Raises:
+            ValueError: naming the argument and the limit.
+        """
+        self.radius, self.backend = radius, backend
+        self._search = _search(method, backend)
+        self.threads = check_count("threads", threads)
+
+    def pairs(self, points: Any, *, start: Any = None) -> np.ndarray:
+        """Return every pair of points of the same world that are at most the radius apart, once.
+
+        Arguments, result and errors are those of ``neighbor_pairs``.
+        """
+        refuse_recording("neighbor_pairs", "the host sizes what it finds")
+        points = check_points("points", points, (2, 3))
+        starts = check_start("start", start, len(points))
+        limit, search = _square("radius", self.radius, points.dtype), self._search
+        if search is None:
+            return hash_pairs(points, self.radius, limit, starts, self.threads, self.backend)
+
+        def world(w: int) -> np.ndarray:
+            first, last = starts[w : w + 2]
+            a, b = search(None, points[first:last], limit)
+            pairs = np.empty((len(a), 2), np.int32)
+            pairs[:, 0], pairs[:, 1] = np.minimum(a, b), np.maximum(a, b)
+            pairs += np.int32(first)
+            return pairs
+
+        found = map_threads(world, range(len(starts) - 1), self.threads)
+        return np.concatenate(found) if found else np.empty((0, 2), np.int32)
+
+    def lists(self, queries: Any, points: Any, *, query_start: Any = None, point_start: Any = None) -> Neighbors:
+        """Return the points within the radius of each query, world by world.
+
+        Arguments, result and errors are those of ``neighbor_lists``.
+        """
+        refuse_recording("neighbor_lists", "the host sizes what it finds")
+        queries = check_points("queries", queries, (2, 3))
+        points = check_points("points", points, (2, 3))
+        for what in ("dtype", "shape"):
+            a, b = (getattr(array, what) for array in (queries, points))
+            if (a[1:], b[1:]) != (b[1:], a[1:]) if what == "shape" else a != b:
+                raise ValueError(f"queries has {what} {a}, points has {what} {b}; they must agree")
+        first_query = check_start("query_start", query_start, len(queries))
+        first_point = check_start("point_start", point_start, len(points))
+        worlds = len(first_query) - 1
+        if len(first_point) != worlds + 1:
+            raise ValueError(
+                f"query_start has {worlds} worlds, point_start has {len(first_point) - 1}; they must agree"
+            )
+        limit, search = _square("radius", self.radius, points.dtype), self._search
+        if search is None:
+            found = hash_lists(
+                queries, points, self.radius, limit, (first_query, first_point), self.threads, self.backend
+            )
+            return Neighbors(*found)
+
+        def world(w: int) -> tuple[np.ndarray, np.ndarray]:
+            q0, q1 = first_query[w : w + 2]
+            p0, p1 = first_point[w : w + 2]
+            a, b = search(queries[q0:q1], points[p0:p1], limit)
+            order = np.argsort(a.astype(np.int64) * (p1 - p0) + b)
+            return np.bincount(a, minlength=q1 - q0), (b[order] + p0).astype(np.int32)
+
+        parts = map_threads(world, range(worlds), self.threads)
+        lists = np.zeros(len(queries) + 1, np.int64)
+        np.cumsum(np.concatenate([count for count, _ in parts]) if parts else [], out=lists[1:])
+        return Neighbors(lists, np.concatenate([index for _, index in parts]) if parts else np.empty(0, np.int32))
+
+
 def neighbor_pairs(
     points: np.ndarray,
     radius: float,
@@ -46,7 +128,7 @@ def neighbor_pairs(
     threads: int = 1,
     backend: str = "warp",
 ) -> np.ndarray:
-    """Every pair of points of the same world that are at most a radius apart, once.
+    """Return every pair of points of the same world that are at most a radius apart, once.
 
     Args:
         points: (n, 2) or (n, 3), float32 or float64, C-contiguous [m].
@@ -64,25 +146,8 @@ def neighbor_pairs(
         ValueError: naming the argument, the index and the limit.
         ImportError: for "kdtree" without SciPy.
     """
-    refuse_recording("neighbor_pairs", "the host sizes what it finds")
-    points = check_points("points", points, (2, 3))
-    starts = check_start("start", start, len(points))
-    limit = _square("radius", radius, points.dtype)
-    search = _search(method, backend)
-    check_count("threads", threads)
-    if search is None:
-        return hash_pairs(points, radius, limit, starts, threads, backend)
-
-    def world(w: int) -> np.ndarray:
-        first, last = starts[w : w + 2]
-        a, b = search(None, points[first:last], limit)
-        pairs = np.empty((len(a), 2), np.int32)
-        pairs[:, 0], pairs[:, 1] = np.minimum(a, b), np.maximum(a, b)
-        pairs += np.int32(first)
-        return pairs
-
-    found = map_threads(world, range(len(starts) - 1), threads)
-    return np.concatenate(found) if found else np.empty((0, 2), np.int32)
+    search = NeighborSearch(radius, method=method, threads=threads, backend=backend)
+    return search.pairs(points, start=start)
 
 
 def neighbor_lists(
@@ -96,7 +161,7 @@ def neighbor_lists(
     threads: int = 1,
     backend: str = "warp",
 ) -> Neighbors:
-    """The points within a radius of each query, world by world; a query that is a point too finds itself.
+    """Return the points within a radius of each query, world by world; a query that is a point too finds itself.
 
     Args:
         queries: (nq, 2) or (nq, 3), float32 or float64, C-contiguous [m].
@@ -112,36 +177,8 @@ def neighbor_lists(
         ValueError: naming the argument, the index and the limit.
         ImportError: for "kdtree" without SciPy.
     """
-    refuse_recording("neighbor_lists", "the host sizes what it finds")
-    queries = check_points("queries", queries, (2, 3))
-    points = check_points("points", points, (2, 3))
-    for what in ("dtype", "shape"):
-        a, b = (getattr(array, what) for array in (queries, points))
-        if (a[1:], b[1:]) != (b[1:], a[1:]) if what == "shape" else a != b:
-            raise ValueError(f"queries has {what} {a}, points has {what} {b}; they must agree")
-    first_query = check_start("query_start", query_start, len(queries))
-    first_point = check_start("point_start", point_start, len(points))
-    if len(first_query) != len(first_point):
-        raise ValueError(
-            f"query_start has {len(first_query) - 1} worlds, point_start has {len(first_point) - 1}; they must agree"
-        )
-    limit = _square("radius", radius, points.dtype)
-    search = _search(method, backend)
-    check_count("threads", threads)
-    if search is None:
-        return Neighbors(*hash_lists(queries, points, radius, limit, first_query, first_point, threads, backend))
-
-    def world(w: int) -> tuple[np.ndarray, np.ndarray]:
-        q0, q1 = first_query[w : w + 2]
-        p0, p1 = first_point[w : w + 2]
-        a, b = search(queries[q0:q1], points[p0:p1], limit)
-        order = np.argsort(a.astype(np.int64) * (p1 - p0) + b)
-        return np.bincount(a, minlength=q1 - q0), (b[order] + p0).astype(np.int32)
-
-    found = map_threads(world, range(len(first_query) - 1), threads)
-    lists = np.zeros(len(queries) + 1, np.int64)
-    np.cumsum(np.concatenate([count for count, _ in found]) if found else [], out=lists[1:])
-    return Neighbors(lists, np.concatenate([index for _, index in found]) if found else np.empty(0, np.int32))
+    search = NeighborSearch(radius, method=method, threads=threads, backend=backend)
+    return search.lists(queries, points, query_start=query_start, point_start=point_start)
 
 
 # ---------------------------------------------------------------------- checks

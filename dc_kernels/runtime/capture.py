@@ -11,6 +11,8 @@ from typing import Any
 
 from dc_kernels.runtime.building import start_warp
 
+HOST = "a part of it runs on the host"
+
 
 def recording() -> bool:
     """Whether this thread records a graph on the CPU, so that launches are noted and not run."""
@@ -30,6 +32,16 @@ def refuse_recording(what: str, why: str) -> None:
     """
     if recording():
         raise RuntimeError(f"{what} cannot be recorded in a graph: {why}")
+
+
+def clear(array: Any) -> None:
+    """Fill an array of a backend in the CPU's memory with zeros: now, or in a recording at each replay."""
+    if recording():
+        array.zero_()
+    elif hasattr(array, "fill"):
+        array.fill(0)
+    else:
+        array.numpy().fill(0)
 
 
 @functools.cache

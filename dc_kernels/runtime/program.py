@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 from dc_kernels.model.arrays import kernel_array
 from dc_kernels.runtime.backends import Launch, bind
-from dc_kernels.runtime.capture import recording
+from dc_kernels.runtime.capture import HOST, recording, refuse_recording
 from dc_kernels.runtime.interop import host_view
 from dc_kernels.runtime.sequences import as_one
 from dc_kernels.runtime.threads import run_shards, shard_worlds
@@ -62,8 +62,10 @@ class Program:
         """
         self.stages = list(stages)
         self._steps: list[Launch] = []
+        self._host = False  # whether a stage does more than launch
         for kind, group in itertools.groupby(map(_as_kernel, stages), type):
             if kind is not Kernel:
+                self._host = True
                 self._steps += [stage for stage in group if not isinstance(stage, Kernel)]
                 continue
             run = [stage for stage in group if isinstance(stage, Kernel)]
@@ -74,7 +76,13 @@ class Program:
             self._steps.append(shards[0] if len(shards) == 1 else functools.partial(run_shards, shards, threads))
 
     def __call__(self) -> None:
-        """Run all stages."""
+        """Run all stages.
+
+        Raises:
+            RuntimeError: in a recording, where a stage is more than kernels.
+        """
+        if self._host:
+            refuse_recording("a splat by tiles, or a reverse gather,", HOST)
         for step in self._steps:
             step()
 

@@ -18,10 +18,11 @@ import numpy as np
 
 from dc_kernels.model.arrays import kernel_arrays
 from dc_kernels.neighbors.search import Neighbors, neighbor_lists
-from dc_kernels.runtime.backends import bind, check_backend, make_kernels
+from dc_kernels.runtime.backends import bind, check_backend, kernel_file, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_array, check_count, check_points
 from dc_kernels.runtime.threads import run_shards
+from dc_kernels.sph.fields import LISTS, SUM
 from dc_kernels.sph.quantities import CHUNK, PUBLIC, Quantity
 from dc_kernels.sph.smoothing import KERNELS, scale
 
@@ -134,7 +135,7 @@ def sum_lists(
     columns = round(width * factors.get(quantity, 1))
     out = np.empty((len(queries), columns), points.dtype)
     arrays = {"query": queries, "point": points, "value": value, "out": out}
-    scalars = {"kernel": KERNELS[kernel], "quantity": int(quantity), "h": h, "scale": factor}
+    scalars = {"kernel": KERNELS[kernel], "quantity": int(quantity), "swapped": 0, "h": h, "scale": factor}
     _run("sum_neighbors", lists, arrays, scalars, threads, backend)
     return out
 
@@ -202,12 +203,16 @@ def _run(
     if not len(queries):
         return
     table = make_kernels(backend, "sph.sums", queries.dtype.name)
-    named = {**arrays, "neighbor_start": lists.start, "neighbor_index": lists.index}
-    named = kernel_arrays(named, backend)
+    group, dtype = kernel_file(backend, "structs").group, queries.dtype.name
+    named = {
+        **kernel_arrays(arrays, backend),
+        "sum": group("Sum", dtype, SUM, scalars),
+        "lists": group("Lists", dtype, LISTS, {"start": lists.start, "index": lists.index}),
+    }
     chunks = -(-len(queries) // CHUNK)
     bounds = np.linspace(0, chunks, min(threads, chunks) + 1).astype(int)
     launches = [
-        bind(table[name], int(last - first), {**named, **scalars, "chunk_offset": int(first)}, "cpu")
+        bind(table[name], int(last - first), {**named, "chunk_offset": int(first)}, "cpu")
         for first, last in itertools.pairwise(bounds)
     ]
     run_shards(launches, threads)

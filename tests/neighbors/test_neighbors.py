@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dc_kernels.model.arrays import to_numpy
 from dc_kernels.neighbors import cells as cell_search
 from dc_kernels.neighbors.cells import SortedCells, shards_of
+from dc_kernels.neighbors.fields import CELLS
 from dc_kernels.neighbors.search import METHODS, neighbor_lists, neighbor_pairs
 
 
@@ -197,11 +199,9 @@ def test_cells_and_sweeps_are_the_oracles(dim, kind):
     found = {}
     for backend in ("warp", "numpy"):
         cells = SortedCells(radius, points, backend)
-        arrays, sort = cells.sorter(points, start, cells.boxes(3, (points, start)))
+        group, sort = cells.sorter(points, start, cells.boxes(3, (points, start)))
         sort(0, 3)
-        found[backend] = {
-            name: array if backend == "numpy" else array.numpy() for name, array in arrays.items() if name != "start"
-        }
+        found[backend] = {name: to_numpy(getattr(group, name)) for name in CELLS if name != "start"}
     used = found["numpy"].pop("line_count")
     np.testing.assert_array_equal(found["warp"].pop("line_count"), used)
     for w, lines in enumerate(used):

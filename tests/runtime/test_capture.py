@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import warp as wp
 
 import dc_kernels as dc
 from dc_kernels import delassus
+from dc_kernels.grid import splat as splats
 
 DT = 0.01
 STATE = ("position", "angle", "velocity", "angular_velocity", "time")
@@ -97,6 +99,82 @@ def test_a_graph_leaves_a_world_without_room_to_the_next_step():
     assert_same(sim, alone)
 
 
+GRID = dc.Grid(rows=17, columns=19, spacing=0.25)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("normalize", ["particle", "shepard"])
+@pytest.mark.parametrize("size", ["small", "large"])
+def test_a_splat_becomes_part_of_the_graph(monkeypatch, size, normalize, threads):
+    """Large images, which go tile by tile, are recorded without tiles; the image is written anew at each replay."""
+    monkeypatch.setattr(splats, "TILED_BYTES", 0 if size == "large" else 2**23)
+    points, values = POINTS.copy(), np.ones((30, 1))
+    out = np.full((2, 1, 17, 19), 7.0)
+    options = {"start": [0, 11, 30], "stencil": dc.Stencil(normalize=normalize), "threads": threads}
+    graph = record(lambda: dc.splat(points, values, GRID, out=out, **options))
+    assert (out == 7.0).all()
+    for step in range(3):
+        points += 0.3
+        values *= 1.5
+        if step < 2:
+            out[...] = 7.0
+        replay(graph)
+        np.testing.assert_array_equal(out, dc.splat(points, values, GRID, **options))
+
+
+def test_what_a_recorded_splat_needs_lives_as_long_as_the_graph():
+    points = POINTS.copy()
+    found = []
+    graph = record(lambda: found.append(dc.splat(points, np.ones((30, 1)), GRID)))
+    gc.collect()
+    filler = [np.full(30, 1e30) for _ in range(100)]
+    replay(graph)
+    np.testing.assert_array_equal(found[0], dc.splat(points, np.ones((30, 1)), GRID))
+    assert len(filler) == 100
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_gather_becomes_part_of_the_graph(threads):
+    points, image = POINTS.copy(), np.random.default_rng(1).normal(size=(2, 3, 17, 19))
+    out = np.zeros((30, 3))
+    options = {"start": [0, 11, 30], "threads": threads}
+    graph = record(lambda: dc.gather(image, points, GRID, out=out, **options))
+    assert not out.any()
+    for _ in range(2):
+        points += 0.3
+        image *= 2.0
+        replay(graph)
+        np.testing.assert_array_equal(out, dc.gather(image, points, GRID, **options))
+
+
+def test_images_of_a_simulation_become_part_of_the_graph():
+    """Step, splat, impulses and a start from an image, as one graph."""
+    sims = [simulation(20), simulation(20)]
+    images = [dc.Images(sim, dc.ImageSpec(GRID)) for sim in sims]
+    given = np.random.default_rng(2).normal(scale=1e-3, size=(2, 2, 17, 19)).astype(np.float32)
+
+    def step(sim, image):
+        sim.collide(DT)
+        image.start_from(given)
+        sim.solve()
+        sim.advance()
+        return image.splat(), image.impulse_image(), image.gather(given, at="bodies")
+
+    for sim, image in zip(sims, images):
+        sim.run(60, DT)
+        for call in (image.splat, image.impulse_image):
+            call()
+    found = []
+    graph = record(lambda: found.extend(step(sims[0], images[0])))
+    for _ in range(5):
+        replay(graph)
+        wanted = step(sims[1], images[1])
+        for a, b in zip(found, wanted):
+            np.testing.assert_array_equal(dc.to_numpy(a), dc.to_numpy(b))
+    assert_same(*sims)
+    assert dc.to_numpy(found[1]).any()
+
+
 def lists(backend="warp"):
     return dc.neighbor_lists(POINTS, POINTS, 0.5, backend=backend)
 
@@ -113,6 +191,21 @@ def collided(**options):
     return sim
 
 
+def bound_splat():
+    """A splat by tiles that was bound before the recording."""
+    points = dc.Transfer(dc.Grid(rows=2001, columns=2001, spacing=0.0075)).at(POINTS)
+    return points.splat(np.ones((30, 1)), np.zeros((1, 1, 2001, 2001)))
+
+
+def reverse_gather_of_images():
+    images = dc.Images(simulation(), dc.ImageSpec(GRID))
+    return lambda: images.gather(np.ones((2, 1, 17, 19), np.float32), at="bodies", reverse=True)
+
+
+def reverse_gather():
+    return dc.gather(np.ones((1, 1, 17, 19)), POINTS, GRID, dc.Stencil(), reverse=True)
+
+
 REFUSED = {
     "start": lambda: (sim := simulation(), lambda: sim.step(DT, start=print)),
     "callback": lambda: (sim := simulation(), lambda: sim.run(1, DT, callback=print)),
@@ -120,6 +213,9 @@ REFUSED = {
     "schedule": lambda: (sim := simulation(schedule="color"), lambda: sim.step(DT)),
     "numpy": lambda: (sim := simulation(backend="numpy"), lambda: sim.step(DT)),
     "time steps": lambda: (sim := simulation(), lambda: sim.collide(np.array([DT, 2 * DT]))),
+    "tiles": lambda: (bound_splat(),),
+    "reverse gather": lambda: (reverse_gather,),
+    "reverse gather of images": lambda: (reverse_gather_of_images(),),
     "pairs": lambda: (None, lambda: dc.neighbor_pairs(POINTS, 0.5)),
     "lists": lambda: (None, lists),
     "density": lambda: (None, lambda: dc.sph_density(POINTS, np.ones(30), 0.5)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 
@@ -34,23 +35,16 @@ def sort_points(
     world_offset: int,
     worlds: int,
     reach: float,
-    start: Array,
     point: Array,
     lower: Array,
     upper: Array,
     scratch: Array,
-    place: Array,
-    number: Array,
-    column: Array,
-    line_key: Array,
-    line_start: Array,
-    line_count: Array,
-    line_stride: Array,
+    cells: Any,
 ) -> None:
-    """Points by line, then column, then index; no scratch is used."""
+    """Sort points by line, then column, then index; no scratch is used."""
     for w in range(world_offset, world_offset + worlds):
-        first, last = start[w : w + 2]
-        line_count[w] = line_stride[w] = 0
+        first, last = cells.start[w : w + 2]
+        cells.line_count[w] = cells.line_stride[w] = 0
         if first == last:
             continue
         extent = upper[w] - lower[w]
@@ -58,24 +52,24 @@ def sort_points(
         cell = ((point[first:last].astype(np.float64) - lower[w]) * inverse).astype(np.int64)
         keys = cell[:, 1]
         if point.shape[1] == 3:
-            line_stride[w] = int(extent[1] * inverse[1]) + 2
-            keys = cell[:, 2] * line_stride[w] + cell[:, 1]
+            cells.line_stride[w] = int(extent[1] * inverse[1]) + 2
+            keys = cell[:, 2] * cells.line_stride[w] + cell[:, 1]
         order = np.lexsort((cell[:, 0], keys))
-        number[first:last] = first + order
-        column[first:last] = cell[order, 0]
-        place[:, first:last] = point[first:last][order].T
+        cells.number[first:last] = first + order
+        cells.column[first:last] = cell[order, 0]
+        cells.place[:, first:last] = point[first:last][order].T
         used = np.unique(keys)
         starts = np.searchsorted(keys[order], used)
-        line_count[w] = len(used)
-        line_key[first : first + len(used)] = used
-        line_start[first + w : first + w + len(used) + 1] = [*(first + starts), last]
+        cells.line_count[w] = len(used)
+        cells.line_key[first : first + len(used)] = used
+        cells.line_start[first + w : first + w + len(used) + 1] = [*(first + starts), last]
 
 
-def _lines(w: int, start: Array, line_key: Array, line_start: Array, line_count: Array) -> dict[int, range]:
+def _lines(w: int, cells: Any) -> dict[int, range]:
     """Places in the order of the cells, by the key of the line."""
-    first = start[w]
-    keys = line_key[first : first + line_count[w]]
-    starts = line_start[first + w : first + w + line_count[w] + 1]
+    first = cells.start[w]
+    keys = cells.line_key[first : first + cells.line_count[w]]
+    starts = cells.line_start[first + w : first + w + cells.line_count[w] + 1]
     return {int(k): range(a, b) for k, (a, b) in zip(keys, itertools.pairwise(starts.tolist()), strict=True)}
 
 
@@ -86,27 +80,12 @@ def _near(a: Array, b: Array, limit: float) -> bool:
         return bool((square if len(d) == 2 else square + d[2] * d[2]) <= limit)
 
 
-def sweep_pairs(
-    tid: int,
-    world_offset: int,
-    worlds: int,
-    limit: float,
-    start: Array,
-    place: Array,
-    number: Array,
-    column: Array,
-    line_key: Array,
-    line_start: Array,
-    line_count: Array,
-    line_stride: Array,
-    found: Array,
-    pair: Array,
-) -> None:
-    """Each line against itself, then against those ahead of it; counts on when there is no room."""
-    out = 0
+def sweep_pairs(tid: int, world_offset: int, worlds: int, limit: float, cells: Any, found: Array, pair: Array) -> None:
+    """Test each line against itself, then against those ahead of it; count on when there is no room."""
+    out, place = 0, cells.place
     for w in range(world_offset, world_offset + worlds):
-        before, stride = out, int(line_stride[w])
-        lines = _lines(w, start, line_key, line_start, line_count)
+        before, stride = out, int(cells.line_stride[w])
+        lines = _lines(w, cells)
         for k, points in lines.items():
             for away in (0, 1, stride - 1, stride, stride + 1)[: 5 if len(place) == 3 else 2]:
                 others = lines.get(k + away, range(0))
@@ -114,7 +93,7 @@ def sweep_pairs(
                     for j in others:
                         if (away != 0 or j > i) and _near(place[:, i], place[:, j], limit):
                             if out < len(pair):
-                                pair[out] = sorted((number[i], number[j]))
+                                pair[out] = sorted((cells.number[i], cells.number[j]))
                             out += 1
         found[w - world_offset] = out - before
 
@@ -124,40 +103,27 @@ def sweep_lists(
     world_offset: int,
     worlds: int,
     limit: float,
-    query_start: Array,
-    query_place: Array,
-    query_number: Array,
-    query_column: Array,
-    query_line_key: Array,
-    query_line_start: Array,
-    query_line_count: Array,
-    start: Array,
-    place: Array,
-    number: Array,
-    column: Array,
-    line_key: Array,
-    line_start: Array,
-    line_count: Array,
-    line_stride: Array,
+    queries: Any,
+    cells: Any,
     list_span: Array,
     found: Array,
     entry: Array,
 ) -> None:
-    """Each query of a line against the lines around it; counts on when there is no room."""
-    out = 0
+    """Test each query of a line against the lines around it; count on when there is no room."""
+    out, place = 0, cells.place
     for w in range(world_offset, world_offset + worlds):
-        before = out
-        layers = (-int(line_stride[w]), 0, int(line_stride[w])) if len(place) == 3 else (0,)
-        lines = _lines(w, start, line_key, line_start, line_count)
-        for k, queries in _lines(w, query_start, query_line_key, query_line_start, query_line_count).items():
-            for i in queries:
-                q = query_number[i]
+        before, stride = out, int(cells.line_stride[w])
+        layers = (-stride, 0, stride) if len(place) == 3 else (0,)
+        lines = _lines(w, cells)
+        for k, places in _lines(w, queries).items():
+            for i in places:
+                q = queries.number[i]
                 list_span[q, 0] = out
                 for layer in layers:
                     for j in itertools.chain(*(lines.get(k + layer + row, range(0)) for row in (-1, 0, 1))):
-                        if _near(query_place[:, i], place[:, j], limit):
+                        if _near(queries.place[:, i], place[:, j], limit):
                             if out < len(entry):
-                                entry[out] = number[j]
+                                entry[out] = cells.number[j]
                             out += 1
                 list_span[q, 1] = out - list_span[q, 0]
         found[w - world_offset] = out - before

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from dc_kernels._numpy.common import Array, Kernels
@@ -15,31 +17,20 @@ def kernels(dtype: str) -> Kernels:
 
 
 def sum_neighbors(
-    tid: int,
-    chunk_offset: int,
-    kernel: int,
-    quantity: int,
-    h: float,
-    scale: float,
-    query: Array,
-    neighbor_start: Array,
-    neighbor_index: Array,
-    point: Array,
-    value: Array,
-    out: Array,
+    tid: int, chunk_offset: int, sum: Any, lists: Any, query: Array, point: Array, value: Array, out: Array
 ) -> None:
-    """Seed, equations 3.7 and 3.8: out = sum of the neighbours' values times W, grad W, lap W, or . grad W."""
-    dim = point.shape[1]
+    """Add up the neighbours' values times W, grad W, lap W, or . grad W (seed, equations 3.7 and 3.8)."""
+    dim, h, scale, quantity = point.shape[1], sum.h, sum.scale, sum.quantity
     for q in _queries(tid + chunk_offset, query):
-        near = neighbor_index[neighbor_start[q] : neighbor_start[q + 1]]
+        near = lists.index[lists.start[q] : lists.start[q + 1]]
         e = _offsets(query[q], point[near], h)
         a = value[near].astype(np.float64)
         if quantity == Quantity.VALUE:
-            out[q] = scale * (weigh(kernel, "w", e) @ a)
+            out[q] = scale * (weigh(sum.kernel, "w", e) @ a)
         elif quantity == Quantity.LAPLACIAN:
-            out[q] = scale * (weigh(kernel, "laplacian", e) @ a)
+            out[q] = scale * (weigh(sum.kernel, "laplacian", e) @ a)
         else:
-            slope = weigh(kernel, "f", e)[:, None] * e
+            slope = weigh(sum.kernel, "f", e)[:, None] * e
             if quantity == Quantity.GRADIENT:
                 out[q] = scale * (a.T @ slope).ravel()
             else:
@@ -49,37 +40,32 @@ def sum_neighbors(
 def pull_neighbors(
     tid: int,
     chunk_offset: int,
-    kernel: int,
-    quantity: int,
-    swapped: int,
-    h: float,
-    scale: float,
+    sum: Any,
+    lists: Any,
     query: Array,
-    neighbor_start: Array,
-    neighbor_index: Array,
     point: Array,
     query_value: Array,
     value: Array,
     out: Array,
 ) -> None:
-    """The gradient of sum(query_value . sum_neighbors(value)) by the queries' positions.
+    """Differentiate sum(query_value . sum_neighbors(value)) by the queries' positions.
 
     Swapped, the queries are the particles of that sum and the neighbours its queries: by the particles' positions.
     """
-    dim = point.shape[1]
+    dim, h, scale, quantity = point.shape[1], sum.h, sum.scale, sum.quantity
     for q in _queries(tid + chunk_offset, query):
-        near = neighbor_index[neighbor_start[q] : neighbor_start[q + 1]]
+        near = lists.index[lists.start[q] : lists.start[q + 1]]
         e = _offsets(query[q], point[near], h)
         u, a = query_value[q].astype(np.float64), value[near].astype(np.float64)
         if quantity != Quantity.GRADIENT:
-            weight = weigh(kernel, "f" if quantity == Quantity.VALUE else "laplacian_slope", e)
+            weight = weigh(sum.kernel, "f" if quantity == Quantity.VALUE else "laplacian_slope", e)
             out[q] = scale * ((weight * (a @ u)) @ e)
             continue
-        if swapped:
+        if sum.swapped:
             both = -np.einsum("c,jck->jk", u, a.reshape(len(a), len(u), dim))
         else:
             both = a @ u.reshape(a.shape[1], dim)
-        out[q] = scale * np.einsum("jik,jk->i", weigh(kernel, "hessian", e), both)
+        out[q] = scale * np.einsum("jik,jk->i", weigh(sum.kernel, "hessian", e), both)
 
 
 def _queries(chunk: int, query: Array) -> range:

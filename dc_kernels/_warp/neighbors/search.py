@@ -1,4 +1,19 @@
-"""Neighbour search: points sorted by cell and swept (``cells``, ``sweeps``), and queries of a tree of boxes."""
+"""Cells sorted by place, in native code for the CPU, swept for neighbours; and queries of a tree of boxes.
+
+Cells are squares (cubes) a little larger than the radius, so a point's neighbours lie in its own cell and the 8 (26)
+around it. A line is the row of cells along x with one key (row, or layer and row); the points of a line are sorted by
+their column. A sweep walks along a line and along a neighbouring one at once and tests LANES points at a time, from
+the first column that can hold a neighbour to the last: there is no table of cells, so only occupied lines cost time
+and memory, however wide the domain (Teschner et al. 2003 hash the cells for the same end; Green 2010 sorts them).
+
+Lines are grouped by counting when there are few (a dense domain), else their keys are radix sorted and numbered
+first. The columns of a line are counted too, or radix sorted where the line has wide gaps. Both sorts keep the order
+of the points, so a cell's points come by index. At most 2^30 cells lie along an axis: in a domain wider than 2^30
+radii they are larger, which costs time but loses nothing.
+
+Cells are found in float64 with an error of 2^-22 cells at most, which CELL_SLACK of the side allows for. The distance
+test is done in the points' dtype and without contraction.
+"""
 
 from functools import cache
 from typing import Any
@@ -6,8 +21,22 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.common import kernel_module, scalar_types
-from dc_kernels._warp.neighbors.cells import cell_functions
-from dc_kernels._warp.neighbors.sweeps import sweep_functions
+from dc_kernels._warp.native import native_code
+from dc_kernels._warp.structs import struct_type
+from dc_kernels.neighbors.fields import CELLS
+
+LANES = 16  # points tested at once, and the padding behind sorted points and pairs
+CELL_SLACK = 2.0**-16
+MAX_CELLS = 2.0**30
+MAX_FOUND = 2**31 - 1  # a search stops above: the arrays could not be larger
+SPARE = 4  # up to so many lines for a point are counted, more are sorted by key; columns alike
+
+
+def code(dtype: str, dim: int, *names: str) -> str:
+    """The native code of headers in ``native/neighbors`` for a scalar type and a number of dimensions."""
+    files = ("prelude.h", *(f"neighbors/{name}.h" for name in ("prelude", *names)))
+    macros = {"CELL_SLACK": CELL_SLACK, "MAX_CELLS": MAX_CELLS, "MAX_FOUND": MAX_FOUND, "SPARE": SPARE}
+    return native_code(*files, dtype=dtype, DIM=dim, LANES=LANES, **macros)
 
 
 @cache
@@ -17,173 +46,135 @@ def kernels(dtype: str, dim: int) -> dict[str, Any]:
     A launch takes ``worlds`` worlds from ``world_offset`` on, one after the other.
     """
     real = scalar_types(dtype).real
+    Cells = struct_type("Cells", dtype, CELLS)
+    integers, longs = wp.array(dtype=wp.int32), wp.array(dtype=wp.int64)
+    values, pairs, doubles = (wp.array(dtype=kind, ndim=2) for kind in (real, wp.int32, wp.float64))
+    tables = wp.array(dtype=wp.int64, ndim=2)
     module = kernel_module("neighbors", dtype, dim)
-    native = {**cell_functions(dtype, dim), **sweep_functions(dtype, dim)}
-    native_bound, native_sort = native["bound_points"], native["sort_points"]
-    native_pairs, native_lists, native_order = native["sweep_pairs"], native["sweep_lists"], native["order_lists"]
+
+    @wp.func_native(code(dtype, dim, "bound"))
+    def bound(
+        world_offset: wp.int32,
+        worlds: wp.int32,
+        start: integers,
+        point: values,
+        lower: doubles,
+        upper: doubles,
+    ): ...
 
     @wp.kernel(module=module, enable_backward=False)
     def bound_points(
         world_offset: int,
         worlds: int,
-        start: wp.array(dtype=wp.int32),
-        point: wp.array2d(dtype=real),
+        start: integers,
+        point: values,
         # In, out: the box so far; (inf, -inf) is the empty one.
-        lower: wp.array2d(dtype=wp.float64),
-        upper: wp.array2d(dtype=wp.float64),
+        lower: doubles,
+        upper: doubles,
     ):
-        """Box of each world's points, and of what it held before."""
-        native_bound(world_offset, worlds, start, point, lower, upper)
+        """Widen the box of each world by its points."""
+        bound(world_offset, worlds, start, point, lower, upper)
+
+    @wp.func_native(code(dtype, dim, "sort"))
+    def sort(
+        world_offset: wp.int32,
+        worlds: wp.int32,
+        reach: wp.float64,
+        point: values,
+        lower: doubles,
+        upper: doubles,
+        scratch: tables,
+        cells: Cells,
+    ): ...
 
     @wp.kernel(module=module, enable_backward=False)
     def sort_points(
         world_offset: int,
         worlds: int,
         reach: wp.float64,
-        start: wp.array(dtype=wp.int32),
-        point: wp.array2d(dtype=real),
-        lower: wp.array2d(dtype=wp.float64),
-        upper: wp.array2d(dtype=wp.float64),
+        point: values,
+        lower: doubles,
+        upper: doubles,
         # Scratch, for one world at a time:
-        scratch: wp.array2d(dtype=wp.int64),
-        # Out: points by line, then column, then index; a world's lines begin at start[w], their starts at start[w] + w.
-        place: wp.array2d(dtype=real),
-        number: wp.array(dtype=wp.int32),
-        column: wp.array(dtype=wp.int32),
-        line_key: wp.array(dtype=wp.int64),
-        line_start: wp.array(dtype=wp.int32),
-        line_count: wp.array(dtype=wp.int32),
-        line_stride: wp.array(dtype=wp.int64),
+        scratch: tables,
+        # Out:
+        cells: Cells,
     ):
-        """Points sorted into cells of a side just above ``reach``."""
-        native_sort(
-            world_offset,
-            worlds,
-            reach,
-            start,
-            point,
-            lower,
-            upper,
-            scratch,
-            place,
-            number,
-            column,
-            line_key,
-            line_start,
-            line_count,
-            line_stride,
-        )
+        """Sort points into cells of a side just above ``reach``."""
+        sort(world_offset, worlds, reach, point, lower, upper, scratch, cells)
+
+    @wp.func_native(code(dtype, dim, "near", "pairs"))
+    def find_pairs(world_offset: wp.int32, worlds: wp.int32, limit: real, cells: Cells, found: longs, pair: pairs): ...
 
     @wp.kernel(module=module, enable_backward=False)
     def sweep_pairs(
         world_offset: int,
         worlds: int,
         limit: real,
-        start: wp.array(dtype=wp.int32),
-        place: wp.array2d(dtype=real),
-        number: wp.array(dtype=wp.int32),
-        column: wp.array(dtype=wp.int32),
-        line_key: wp.array(dtype=wp.int64),
-        line_start: wp.array(dtype=wp.int32),
-        line_count: wp.array(dtype=wp.int32),
-        line_stride: wp.array(dtype=wp.int64),
+        cells: Cells,
         # Out:
-        found: wp.array(dtype=wp.int64),
-        pair: wp.array2d(dtype=wp.int32),
+        found: longs,
+        pair: pairs,
     ):
-        """Pairs at most sqrt(limit) apart, a world's after those of the one before; counts on when there is no room.
+        """Find pairs at most sqrt(limit) apart, world by world; count on when there is no room.
 
         All are stored if those found and LANES more have room.
         """
-        native_pairs(
-            world_offset,
-            worlds,
-            limit,
-            start,
-            place,
-            number,
-            column,
-            line_key,
-            line_start,
-            line_count,
-            line_stride,
-            found,
-            pair,
-        )
+        find_pairs(world_offset, worlds, limit, cells, found, pair)
+
+    @wp.func_native(code(dtype, dim, "near", "lists"))
+    def find_lists(
+        world_offset: wp.int32,
+        worlds: wp.int32,
+        limit: real,
+        queries: Cells,
+        cells: Cells,
+        list_span: tables,
+        found: longs,
+        entry: integers,
+    ): ...
 
     @wp.kernel(module=module, enable_backward=False)
     def sweep_lists(
         world_offset: int,
         worlds: int,
         limit: real,
-        query_start: wp.array(dtype=wp.int32),
-        query_place: wp.array2d(dtype=real),
-        query_number: wp.array(dtype=wp.int32),
-        query_column: wp.array(dtype=wp.int32),
-        query_line_key: wp.array(dtype=wp.int64),
-        query_line_start: wp.array(dtype=wp.int32),
-        query_line_count: wp.array(dtype=wp.int32),
-        start: wp.array(dtype=wp.int32),
-        place: wp.array2d(dtype=real),
-        number: wp.array(dtype=wp.int32),
-        column: wp.array(dtype=wp.int32),
-        line_key: wp.array(dtype=wp.int64),
-        line_start: wp.array(dtype=wp.int32),
-        line_count: wp.array(dtype=wp.int32),
-        line_stride: wp.array(dtype=wp.int64),
+        queries: Cells,
+        cells: Cells,
         # Out:
         # of each query, first entry and number:
-        list_span: wp.array2d(dtype=wp.int64),
-        found: wp.array(dtype=wp.int64),
-        entry: wp.array(dtype=wp.int32),
+        list_span: tables,
+        found: longs,
+        entry: integers,
     ):
-        """The points at most sqrt(limit) from each query, the lists in the order of the sorted queries.
+        """Find the points at most sqrt(limit) from each query, the lists in the order of the sorted queries.
 
         Counts on when there is no room; all are stored if those found and LANES more have room.
         """
-        native_lists(
-            world_offset,
-            worlds,
-            limit,
-            query_start,
-            query_place,
-            query_number,
-            query_column,
-            query_line_key,
-            query_line_start,
-            query_line_count,
-            start,
-            place,
-            number,
-            column,
-            line_key,
-            line_start,
-            line_count,
-            line_stride,
-            list_span,
-            found,
-            entry,
-        )
+        find_lists(world_offset, worlds, limit, queries, cells, list_span, found, entry)
+
+    @wp.func_native(code(dtype, dim, "order"))
+    def order(
+        query_offset: wp.int32,
+        queries: wp.int32,
+        list_span: tables,
+        list_start: longs,
+        entry: integers,
+        index: integers,
+    ): ...
 
     @wp.kernel(module=module, enable_backward=False)
     def order_lists(
         query_offset: int,
         queries: int,
-        list_span: wp.array2d(dtype=wp.int64),
-        list_start: wp.array(dtype=wp.int64),
-        entry: wp.array(dtype=wp.int32),
+        list_span: tables,
+        list_start: longs,
+        entry: integers,
         # Out:
-        index: wp.array(dtype=wp.int32),
+        index: integers,
     ):
-        """Lists in the order of the queries, each ascending."""
-        native_order(
-            query_offset,
-            queries,
-            list_span,
-            list_start,
-            entry,
-            index,
-        )
+        """Copy the lists in the order of the queries, each ascending."""
+        order(query_offset, queries, list_span, list_start, entry, index)
 
     return {
         "bound_points": bound_points,

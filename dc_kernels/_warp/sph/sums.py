@@ -8,6 +8,8 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module, scalar_types
 from dc_kernels._warp.native import native_code
 from dc_kernels._warp.sph.smoothing import block_macros
+from dc_kernels._warp.structs import struct_type
+from dc_kernels.sph.fields import LISTS, SUM
 from dc_kernels.sph.quantities import CHUNK, Quantity
 
 N_CHUNK = wp.constant(CHUNK)
@@ -23,92 +25,69 @@ def _code(dtype: str, name: str) -> str:
 @cache
 def kernels(dtype: str) -> dict[str, Any]:
     """``sum_neighbors`` and ``pull_neighbors``; a thread takes CHUNK queries."""
-    real = scalar_types(dtype).real
+    Sum, Lists = struct_type("Sum", dtype, SUM), struct_type("Lists", dtype, LISTS)
+    values = wp.array(dtype=scalar_types(dtype).real, ndim=2)
     module = kernel_module("sph", dtype)
 
     @wp.func_native(_code(dtype, "sph/sum.h"))
     def sum_range(
         first: wp.int32,
         last: wp.int32,
-        kernel: wp.int32,
-        quantity: wp.int32,
-        inv_h: real,
-        scale: real,
-        query: wp.array2d(dtype=real),
-        neighbor_start: wp.array(dtype=wp.int64),
-        neighbor_index: wp.array(dtype=wp.int32),
-        point: wp.array2d(dtype=real),
-        value: wp.array2d(dtype=real),
-        out: wp.array2d(dtype=real),
-    ): ...
-
-    @wp.func_native(_code(dtype, "sph/pull.h"))
-    def pull_range(
-        first: wp.int32,
-        last: wp.int32,
-        kernel: wp.int32,
-        quantity: wp.int32,
-        swapped: wp.int32,
-        inv_h: real,
-        scale: real,
-        query: wp.array2d(dtype=real),
-        neighbor_start: wp.array(dtype=wp.int64),
-        neighbor_index: wp.array(dtype=wp.int32),
-        point: wp.array2d(dtype=real),
-        query_value: wp.array2d(dtype=real),
-        value: wp.array2d(dtype=real),
-        out: wp.array2d(dtype=real),
+        sum: Sum,
+        lists: Lists,
+        query: values,
+        point: values,
+        value: values,
+        out: values,
     ): ...
 
     @wp.kernel(module=module, enable_backward=False)
     def sum_neighbors(
         chunk_offset: int,
-        kernel: int,
-        quantity: int,
-        h: real,
-        scale: real,
-        query: wp.array2d(dtype=real),
-        neighbor_start: wp.array(dtype=wp.int64),
-        neighbor_index: wp.array(dtype=wp.int32),
-        point: wp.array2d(dtype=real),
-        value: wp.array2d(dtype=real),
-        # out:
-        out: wp.array2d(dtype=real),
+        sum: Sum,
+        lists: Lists,
+        query: values,
+        point: values,
+        value: values,
+        # Out:
+        out: values,
     ):
-        """Seed, equations 3.7 and 3.8: out = sum of the neighbours' values times W, grad W, lap W, or . grad W."""
+        """Add up the neighbours' values times W, grad W, lap W, or . grad W (seed, equations 3.7 and 3.8)."""
         first = (wp.tid() + chunk_offset) * N_CHUNK
         last = wp.min(first + N_CHUNK, query.shape[0])
-        sum_range(
-            first, last, kernel, quantity, real(1.0) / h, scale,
-            query, neighbor_start, neighbor_index, point, value, out,
-        )  # fmt: skip
+        sum_range(first, last, sum, lists, query, point, value, out)
+
+    @wp.func_native(_code(dtype, "sph/pull.h"))
+    def pull_range(
+        first: wp.int32,
+        last: wp.int32,
+        sum: Sum,
+        lists: Lists,
+        query: values,
+        point: values,
+        query_value: values,
+        value: values,
+        out: values,
+    ): ...
 
     @wp.kernel(module=module, enable_backward=False)
     def pull_neighbors(
         chunk_offset: int,
-        kernel: int,
-        quantity: int,
-        swapped: int,
-        h: real,
-        scale: real,
-        query: wp.array2d(dtype=real),
-        neighbor_start: wp.array(dtype=wp.int64),
-        neighbor_index: wp.array(dtype=wp.int32),
-        point: wp.array2d(dtype=real),
-        query_value: wp.array2d(dtype=real),
-        value: wp.array2d(dtype=real),
-        # out:
-        out: wp.array2d(dtype=real),
+        sum: Sum,
+        lists: Lists,
+        query: values,
+        point: values,
+        query_value: values,
+        value: values,
+        # Out:
+        out: values,
     ):
-        """The gradient of sum(query_value . sum_neighbors(value)) by the queries' positions.
+        """Differentiate sum(query_value . sum_neighbors(value)) by the queries' positions.
 
         Swapped, the queries are the particles of that sum and the neighbours its queries: by the particles' positions.
         """
         first = (wp.tid() + chunk_offset) * N_CHUNK
         last = wp.min(first + N_CHUNK, query.shape[0])
-        pull_range(
-            first, last, kernel, quantity, swapped, real(1.0) / h, scale,
-            query, neighbor_start, neighbor_index, point, query_value, value, out,
-        )  # fmt: skip
+        pull_range(first, last, sum, lists, query, point, query_value, value, out)
 
     return {"sum_neighbors": sum_neighbors, "pull_neighbors": pull_neighbors}

@@ -14,7 +14,7 @@ int* const value = (int*)(key + (2 + words) * rows);
 int* const line = value + 2 * rows;
 int* const count = line + rows;
 const Long room = SPARE * (Long)rows;
-const size_t stride = place.shape[1];
+const size_t stride = cells.place.shape[1];
 // sorts key[..m] below 2^bits, with value; returns where in both the result begins
 auto radix = [&](Long m, int bits) -> size_t {
     Unsigned* const k = key;
@@ -61,28 +61,28 @@ auto radix = [&](Long m, int bits) -> size_t {
 auto bits_of = [](Unsigned last) -> int { return last == 0 ? 1 : 64 - __builtin_clzll(last); };
 
 for (int w = world_offset; w < world_offset + worlds; ++w) {
-    const int first = start.data[w];
-    const Long m = start.data[w + 1] - first;
-    line_count.data[w] = 0;
-    line_stride.data[w] = 0;
+    const int first = cells.start.data[w];
+    const Long m = cells.start.data[w + 1] - first;
+    cells.line_count.data[w] = 0;
+    cells.line_stride.data[w] = 0;
     if (m == 0) continue;
     double low[DIM], inverse[DIM];
-    Long cells[DIM];
+    Long across[DIM];
     for (int a = 0; a < DIM; ++a) {
         const double extent = upper.data[(size_t)w * DIM + a] - lower.data[(size_t)w * DIM + a];
         const double side = reach * (1.0 + CELL_SLACK), least = extent / MAX_CELLS;
         low[a] = lower.data[(size_t)w * DIM + a];
         inverse[a] = 1.0 / (side > least ? side : least);
-        cells[a] = (Long)(extent * inverse[a]) + 1;
+        across[a] = (Long)(extent * inverse[a]) + 1;
     }
     const Real* p = point.data + (size_t)first * DIM;
     auto cell = [&](Long i, int a) -> int { return (int)(((double)p[i * DIM + a] - low[a]) * inverse[a]); };
     // an empty row behind each layer: the neighbouring keys of a layer's end rows belong to nobody
-    const Long layer = DIM == 3 ? cells[1] + 1 : 0;
+    const Long layer = DIM == 3 ? across[1] + 1 : 0;
     auto line_of = [&](Long i) -> Long { return DIM == 3 ? cell(i, DIM - 1) * layer + cell(i, 1) : cell(i, 1); };
-    const Long lines = DIM == 3 ? cells[DIM - 1] * layer : cells[1];
-    Long* const keys = line_key.data + first;
-    int* const starts = line_start.data + (size_t)first + w;
+    const Long lines = DIM == 3 ? across[DIM - 1] * layer : across[1];
+    Long* const keys = cells.line_key.data + first;
+    int* const starts = cells.line_start.data + (size_t)first + w;
     int used = 0;
     if (lines <= room) {
         for (Long k = 0; k < lines; ++k) count[k] = 0;
@@ -118,8 +118,8 @@ for (int w = world_offset; w < world_offset + worlds; ++w) {
         }
     }
     starts[used] = first + (int)m;
-    line_count.data[w] = used;
-    line_stride.data[w] = layer;
+    cells.line_count.data[w] = used;
+    cells.line_stride.data[w] = layer;
 
     for (Long i = 0; i < m; ++i) {
         Record& to = record[count[line[i]]++];
@@ -132,9 +132,9 @@ for (int w = world_offset; w < world_offset + worlds; ++w) {
         const Record* from = record + a;
         auto put = [&](Long at, const Record& q) {
             at += starts[l];
-            for (int k = 0; k < DIM; ++k) place.data[k * stride + at] = q.p[k];
-            number.data[at] = q.number;
-            column.data[at] = q.column;
+            for (int k = 0; k < DIM; ++k) cells.place.data[k * stride + at] = q.p[k];
+            cells.number.data[at] = q.number;
+            cells.column.data[at] = q.column;
         };
         int least = from[0].column, most = least;
         for (Long i = 1; i < size; ++i) {
@@ -163,12 +163,12 @@ for (int w = world_offset; w < world_offset + worlds; ++w) {
     }
 }
 // lanes behind the last point are masked, but they are read
-if (world_offset + worlds == start.shape[0] - 1) {
+if (world_offset + worlds == cells.start.shape[0] - 1) {
     for (int i = 0; i < LANES; ++i) {
-        const size_t at = (size_t)start.data[world_offset + worlds] + i;
-        for (int a = 0; a < DIM; ++a) place.data[a * stride + at] = 0;
-        number.data[at] = 0;
-        column.data[at] = 0;
+        const size_t at = (size_t)cells.start.data[world_offset + worlds] + i;
+        for (int a = 0; a < DIM; ++a) cells.place.data[a * stride + at] = 0;
+        cells.number.data[at] = 0;
+        cells.column.data[at] = 0;
     }
 }
 #endif

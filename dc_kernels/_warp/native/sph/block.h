@@ -4,6 +4,7 @@
 // Hessian), and with 0 from n on. run(term, add) does both for all queries and blocks; add(q, vectors) sees one block.
 // Macros: BLOCK (a multiple of LANES), the codes POLY6 ... WENDLAND and TERM_W ... TERM_LAPLACIAN_SLOPE.
 #if !defined(__CUDA_ARCH__)
+const Real inv_h = 1 / sum.h;
 const int dim = (int)point.shape[1];
 const Real* const places = (const Real*)point.data;
 int at[BLOCK];
@@ -66,7 +67,7 @@ auto weigh = [&](int term, int n, int vectors) {
                 for (int j = n; j < LANES * vectors; ++j) s1[j] = 0;
         }
     };
-    switch (kernel) {
+    switch (sum.kernel) {
         case POLY6:
             fill(poly6_w, poly6_f, poly6_g, poly6_k);
             break;
@@ -88,10 +89,10 @@ auto weigh = [&](int term, int n, int vectors) {
 auto run = [&](int term, auto add) {
     const Real* from = (const Real*)query.data;
     for (int q = first; q < last; ++q) {
-        const int64_t end = neighbor_start.data[q + 1];
-        for (int64_t b = neighbor_start.data[q]; b < end; b += BLOCK) {
+        const int64_t end = lists.start.data[q + 1];
+        for (int64_t b = lists.start.data[q]; b < end; b += BLOCK) {
             const int n = end - b < BLOCK ? (int)(end - b) : BLOCK;
-            const int vectors = gather(from + (size_t)q * dim, neighbor_index.data + b, n);
+            const int vectors = gather(from + (size_t)q * dim, lists.index.data + b, n);
             weigh(term, n, vectors);
             add(q, vectors);
         }

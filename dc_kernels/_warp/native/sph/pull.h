@@ -2,8 +2,8 @@
 #if !defined(__CUDA_ARCH__)
 const Real* const query_values = (const Real*)query_value.data;
 const int own_width = (int)query_value.shape[1];
-if (quantity != QUANTITY_GRADIENT) {
-    run(quantity == QUANTITY_VALUE ? TERM_F : TERM_LAPLACIAN_SLOPE, [&](int q, int vectors) {
+if (sum.quantity != QUANTITY_GRADIENT) {
+    run(sum.quantity == QUANTITY_VALUE ? TERM_F : TERM_LAPLACIAN_SLOPE, [&](int q, int vectors) {
         const Real* own = query_values + (size_t)q * own_width;
         Vector x[3] = {zero, zero, zero};
         for (int j = 0; j < LANES * vectors; j += LANES) {
@@ -12,19 +12,19 @@ if (quantity != QUANTITY_GRADIENT) {
             a *= load(s0 + j);
             for (int k = 0; k < dim; ++k) x[k] += a * load(offsets[k] + j);
         }
-        for (int k = 0; k < dim; ++k) sums[(size_t)q * dim + k] += scale * total(x[k]);
+        for (int k = 0; k < dim; ++k) sums[(size_t)q * dim + k] += sum.scale * total(x[k]);
     });
 } else {
     // one side's values have a component for each axis: the queries', or, if swapped, the neighbours'
-    const Real signed_scale = swapped ? -scale : scale;
-    const int channels = swapped ? own_width : width;
+    const Real signed_scale = sum.swapped ? -sum.scale : sum.scale;
+    const int channels = sum.swapped ? own_width : width;
     run(TERM_HESSIAN, [&](int q, int vectors) {
         const Real* own = query_values + (size_t)q * own_width;
         Vector x[3] = {zero, zero, zero};
         for (int j = 0; j < LANES * vectors; j += LANES) {
             Vector s[3] = {zero, zero, zero}, along = zero;
             for (int c = 0; c < channels; ++c) {
-                if (swapped) {
+                if (sum.swapped) {
                     for (int k = 0; k < dim; ++k) s[k] += own[c] * column(j, c * dim + k);
                 } else {
                     const Vector a = column(j, c);
