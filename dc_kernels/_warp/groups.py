@@ -129,10 +129,15 @@ def contiguous_groups(dtype: str) -> Any:
     """
     for name, table in GROUPS.items():
         struct = getattr(group_types(dtype), _class_name(name))
-        known = [field.name for field in table.values() if len(field.axes) == 1]
-        assumptions = [f"__builtin_assume(group.{name}.strides[0] == sizeof(*group.{name}.data));" for name in known]
 
-        @wp.func_native("\n".join(["", *assumptions, ""]))
+        @wp.func_native(contiguity(table))
         def contiguous(group: struct): ...
 
     return contiguous
+
+
+def contiguity(table: Mapping[str, Field]) -> str:
+    """Native code that tells the compiler that elements of the arrays of ``group`` follow each other."""
+    last = {field.name: len(field.axes) - 1 for field in table.values()}
+    assumptions = (f"__builtin_assume(group.{n}.strides[{i}] == sizeof(*group.{n}.data));" for n, i in last.items())
+    return "\n".join(["", *assumptions, ""])

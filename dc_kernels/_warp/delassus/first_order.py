@@ -13,9 +13,10 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.delassus import accelerate
 from dc_kernels._warp.delassus.groups import search_types
+from dc_kernels._warp.groups import contiguity
 from dc_kernels._warp.native import native_code
 from dc_kernels._warp.solve.laws import natural_map_squared
-from dc_kernels.delassus.groups import Acceleration, Reason
+from dc_kernels.delassus.groups import MEMORY, PROBLEM, SEARCH, Acceleration, Reason
 
 
 @cache
@@ -41,6 +42,15 @@ def kernels(dtype: str) -> dict[str, Any]:
     aitken, nncg, anderson, momentum = between.aitken, between.nncg, between.anderson, between.momentum
     sweep = sweep_function(dtype)
     huge, zero, one = real(3e38), real(0.0), real(1.0)
+
+    @wp.func_native(contiguity(PROBLEM))
+    def contiguous_problem(group: t.Problem): ...
+
+    @wp.func_native(contiguity(SEARCH))
+    def contiguous_search(group: t.Search): ...
+
+    @wp.func_native(contiguity(MEMORY))
+    def contiguous_memory(group: t.Memory): ...
 
     @wp.func(module=module)
     def velocity(c: int, problem: t.Problem, impulse: wp.array(dtype=vec2)):
@@ -128,6 +138,9 @@ def kernels(dtype: str) -> dict[str, Any]:
         progress: wp.array(dtype=t.Progress),
     ):
         """Sweep until both natural maps are met, or fell by no ``gain`` in ``patience`` looks, or sweeps are spent."""
+        contiguous_problem(problem)
+        contiguous_search(search)
+        contiguous_memory(memory)
         begin(settings, progress)
         running = int(1)
         while running == 1:

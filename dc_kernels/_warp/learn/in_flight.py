@@ -6,10 +6,10 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.common import cross, kernel_module, tangent
-from dc_kernels._warp.groups import array_struct, group_types, scalar_struct
+from dc_kernels._warp.groups import array_struct, contiguity, contiguous_groups, group_types, scalar_struct
 from dc_kernels._warp.solve.accelerate.aitken import series_limit
 from dc_kernels._warp.solve.laws import relative_speed
-from dc_kernels.learn.channels import Channel, Feature, Output
+from dc_kernels.learn.channels import Channel, Feature, Output, Scale
 from dc_kernels.learn.groups import READING, SETTINGS
 from dc_kernels.solve.rows import COLUMNS, LANES
 
@@ -59,13 +59,18 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     """``solve_features`` and ``correct_impulses``; a thread each world that is asked for."""
     t = group_types(dtype)
     real, vec2, vec4 = t.real, t.vec2, t.vec4
+    vec3 = wp.types.vector(3, real)
     Reading, Settings = array_struct("Reading", dtype, READING), scalar_struct("ReadingSettings", dtype, SETTINGS)
     module = kernel_module("in_flight", dtype, variant)
+    contiguous = contiguous_groups(dtype)
     columns = COLUMNS[variant]
     width = wp.constant(len(columns) * LANES)
     EN, ET, BIAS = (wp.constant(columns.index(name) * LANES) for name in ("en", "et", "bias"))
     zero, one = real(0.0), real(1.0)
     tiny = real(1e-20)
+
+    @wp.func_native(contiguity(READING))
+    def contiguous_reading(group: Reading): ...
 
     @wp.func(module=module)
     def local_step(c: int, x: vec2, contacts: t.Contacts, rows: t.Rows, motion: t.Motion):
@@ -86,12 +91,12 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         return vec4(free_n, free_t, new[0] - x[0], new[1] - x[1])
 
     @wp.func(module=module)
-    def cell(k: int, at: vec2, settings: Settings, reading: Reading):
+    def cell(at: vec2, origin: vec2, spacing: real, squares: wp.array4d(dtype=real)):
         """The lower left of four nodes around a place, moved into the grid, and the place's shares of the cell."""
-        x = wp.max((at[0] - reading.grid_origin[k][0]) / settings.rate_spacing, zero)
-        y = wp.max((at[1] - reading.grid_origin[k][1]) / settings.rate_spacing, zero)
-        i = wp.min(int(x), reading.squares.shape[3] - 2)
-        j = wp.min(int(y), reading.squares.shape[2] - 2)
+        x = wp.max((at[0] - origin[0]) / spacing, zero)
+        y = wp.max((at[1] - origin[1]) / spacing, zero)
+        i = wp.min(int(x), squares.shape[3] - 2)
+        j = wp.min(int(y), squares.shape[2] - 2)
         return vec4(real(i), real(j), wp.min(x - real(i), one), wp.min(y - real(j), one))
 
     @wp.func(module=module)
@@ -173,7 +178,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             i = rows.slot[c]
             s = reading.step[base + k0]
             last = vec2(rows.before[i], rows.before[i + N_LANES])
-            around = cell(k, contact_point(c, state, contacts), settings, reading)
+            at = contact_point(c, state, contacts)
+            around = cell(at, reading.grid_origin[k], settings.rate_spacing, reading.squares)
             add_squares(k, around, wp.dot(s, s), wp.dot(last, last), reading.squares)
 
     @wp.func(module=module)
@@ -183,48 +189,39 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         values[row, column + 1] = tan
 
     @wp.func(module=module)
-    def put_vector(row: int, column: int, x: vec2, scale: real, weight: real, n: vec2, values: wp.array2d(dtype=real)):
-        """Put four channels, the squashed vector p of components x times n: what a contact passes on, from any side."""
+    def passed_on(x: vec2, scale: real, weight: real, n: vec2):
+        """The squashed vector p of components x times n: what a contact passes on, from whichever side."""
         u = (x[0] * n + x[1] * tangent(n)) * scale
         length = wp.length(u) + tiny
         u = u * (weight * squash(length) / length)
-        values[row, column] = u[0] * n[0]
-        values[row, column + 1] = u[0] * n[1]
-        values[row, column + 2] = u[1] * n[0]
-        values[row, column + 3] = u[1] * n[1]
+        return vec4(u[0] * n[0], u[0] * n[1], u[1] * n[0], u[1] * n[1])
 
     @wp.func(module=module)
-    def flag(condition: bool):
+    def put_four(row: int, column: int, value: vec4, values: wp.array2d(dtype=real)):
+        for k in range(4):
+            values[row, column + k] = value[k]
+
+    @wp.func(module=module)
+    def where(condition: bool, value: real):
+        """The value where the condition holds, else 0."""
         if condition:
-            return one
+            return value
         return zero
 
     @wp.func(module=module)
-    def put_body(
-        row: int,
-        column: int,
-        degree: int,
-        total: vec4,
-        moves: bool,
-        sigma: real,
-        n: vec2,
-        local: wp.array2d(dtype=real),
-    ):
-        """The steps that act on a body, along normal and tangent, and how many they are; 0 where it does not move."""
-        moving = zero
-        if moves:
-            moving = one / sigma
+    def at_body(total: vec4, moving: real, sigma: real, n: vec2):
+        """The steps that act on a body, along normal and tangent, and how many they are; ``moving``: 1 / sigma or 0."""
         tan = tangent(n)
         along_n = squash((total[0] * n[0] + total[1] * n[1]) * moving)
         along_t = squash((total[0] * tan[0] + total[1] * tan[1]) * moving)
-        put_pair(row, column, along_n, along_t, local)
-        local[row, degree] = real(0.25) * total[2] * moving * sigma
+        return vec3(along_n, along_t, real(0.25) * total[2] * moving * sigma)
 
     @wp.func(module=module)
     def read_contact(
         k: int,
         c: int,
         m: int,
+        inverse: real,
         settings: Settings,
         state: t.State,
         contacts: t.Contacts,
@@ -232,16 +229,16 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         motion: t.Motion,
         reading: Reading,
     ):
-        """Columns of one contact that are not the whole world's."""
+        """Columns of one contact that are not the whole world's; ``inverse``: 1 / sigma."""
         local = reading.local
         image = reading.image_value
-        sigma = reading.scale[k][0]
-        inverse = one / sigma
+        sigma = reading.scale[k][Scale.STEP]
         x = contacts.impulse[c]
         at = contact_point(c, state, contacts)
-        near = reading.scale[k][2]
+        near = reading.scale[k][Scale.RATE]
         if settings.begin == 0:
-            near = rate_near(k, cell(k, at, settings, reading), settings.cap, reading.squares)
+            around = cell(at, reading.grid_origin[k], settings.rate_spacing, reading.squares)
+            near = rate_near(k, around, settings.cap, reading.squares)
         reading.rate[m] = near
         s = reading.step[m] * inverse
         found = local_step(c, x, contacts, rows, motion) * inverse
@@ -257,9 +254,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         used = zero
         if limit > zero:
             used = x[1] / limit
-        sliding = flag(wp.abs(used) > real(ON_CONE))
-        closed = flag(x[0] > zero)
-        new = flag(contacts.age[c] == 0)
+        sliding = where(wp.abs(used) > real(ON_CONE), one)
+        closed = where(x[0] > zero, one)
+        new = where(contacts.age[c] == 0, one)
         double_cos = n[0] * n[0] - n[1] * n[1]
         double_sin = real(2.0) * n[0] * n[1]
         put_pair(m, Feature.STEP_N, squash(s[0]), squash(s[1]), local)
@@ -273,13 +270,16 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         local[m, Feature.NEW] = new
         put_pair(m, Feature.NORMAL_COS, double_cos, double_sin, local)
         put_pair(m, Feature.FREE_N, squash(found[0]), squash(found[1]), local)
-        put_body(m, Feature.BODY_A_N, Feature.DEGREE_A, reading.body_sum[a], ma > zero, sigma, n, local)
-        put_body(m, Feature.BODY_B_N, Feature.DEGREE_B, reading.body_sum[b], mb > zero, sigma, n, local)
+        at_a = at_body(reading.body_sum[a], where(ma > zero, inverse), sigma, n)
+        at_b = at_body(reading.body_sum[b], where(mb > zero, inverse), sigma, n)
+        put_pair(m, Feature.BODY_A_N, at_a[0], at_a[1], local)
+        put_pair(m, Feature.BODY_B_N, at_b[0], at_b[1], local)
+        put_pair(m, Feature.DEGREE_A, at_a[2], at_b[2], local)
         local[m, Feature.SHARE_A] = ma / (ma + mb + tiny)
         local[m, Feature.RATE_NEAR] = wp.log(one + near) * real(0.5)
-        put_vector(m, Channel.STEP_XX, s, one, one, n, image)
-        put_vector(m, Channel.SINCE_XX, since, one, real(0.5), n, image)
-        put_vector(m, Channel.IMPULSE_XX, x, inverse, real(0.25), n, image)
+        put_four(m, Channel.STEP_XX, passed_on(s, one, one, n), image)
+        put_four(m, Channel.SINCE_XX, passed_on(since, one, real(0.5), n), image)
+        put_four(m, Channel.IMPULSE_XX, passed_on(x, inverse, real(0.25), n), image)
         image[m, Channel.CONTACTS] = one
         put_pair(m, Channel.NORMAL_COS, double_cos, double_sin, image)
         image[m, Channel.NEW] = new
@@ -308,6 +308,12 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         reading: Reading,
     ):
         """Read the contacts of the worlds that are asked for: columns, images, places (``Feature``, ``Channel``)."""
+        contiguous(model)
+        contiguous(state)
+        contiguous(contacts)
+        contiguous(rows)
+        contiguous(motion)
+        contiguous_reading(reading)
         k = wp.tid() + world_offset
         base = reading.packed_start[k]
         count = reading.packed_start[k + 1] - base
@@ -329,9 +335,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         log_left = wp.log(sigma / (settings.tolerance + tiny)) * real(0.25)
         log_count = wp.log(real(count)) * real(0.25)
         local = reading.local
+        inverse = one / sigma
+        first = contacts.contact_start[w]
         for k0 in range(count):
             m = base + k0
-            read_contact(k, contacts.contact_start[w] + k0, m, settings, state, contacts, rows, motion, reading)
+            read_contact(k, first + k0, m, inverse, settings, state, contacts, rows, motion, reading)
             local[m, Feature.RATE] = log_rate
             local[m, Feature.BEGIN] = real(settings.begin)
             local[m, Feature.SWEEPS] = log_sweeps
@@ -345,10 +353,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         """What an output adds to the impulses x of a contact, before the cone."""
         s = reading.step[m]
         wide = one + reading.rate[m]
-        free_n = output[m, Output.FREE_N] + output[m, Output.CARRIED_N] * x[0] / scale[1]
-        free_t = output[m, Output.FREE_T] + output[m, Output.CARRIED_T] * x[1] / scale[1]
-        dn = wide * output[m, Output.STEP_N] * s[0] + scale[3] * free_n
-        dt = wide * output[m, Output.STEP_T] * s[1] + scale[3] * free_t
+        free_n = output[m, Output.FREE_N] + output[m, Output.CARRIED_N] * x[0] / scale[Scale.IMPULSE]
+        free_t = output[m, Output.FREE_T] + output[m, Output.CARRIED_T] * x[1] / scale[Scale.IMPULSE]
+        dn = wide * output[m, Output.STEP_N] * s[0] + scale[Scale.EXPECTED] * free_n
+        dt = wide * output[m, Output.STEP_T] * s[1] + scale[Scale.EXPECTED] * free_t
         return vec2(dn, dt)
 
     @wp.kernel(module=module, enable_backward=False)
@@ -387,7 +395,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             squares += change[0] * change[0] + change[1] * change[1]
         rms = wp.sqrt(squares / real(count))
         # a comparison with NaN is false
-        if not (rms <= settings.limit * scale[3]):
+        if not (rms <= settings.limit * scale[Scale.EXPECTED]):
             return
         for k0 in range(count):
             c = first + k0
