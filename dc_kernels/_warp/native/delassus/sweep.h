@@ -1,6 +1,13 @@
 // One sweep of projected Gauss-Seidel over all contacts of a problem, the normal of each before its friction; returns
 // the squared norm of its step. A store and the next row's load of it are what a sweep waits for: plain pointers, no
 // strides, two sums a direction. Macro: REAL.
+#if defined(__CUDA_ARCH__)
+#define LARGER(a, b) ((a) > (b) ? (a) : (b))
+#define SMALLER(a, b) ((a) < (b) ? (a) : (b))
+#else
+#define LARGER __builtin_elementwise_max
+#define SMALLER __builtin_elementwise_min
+#endif
 const int n = problem.mu.shape[0];
 const int* const start = problem.row_start.data;
 const int* const column = problem.column.data;
@@ -28,12 +35,12 @@ for (int c = 0; c < n; ++c) {
     un += vn;
     ut += vt;
     const REAL rn = x[2 * c], rt = x[2 * c + 1];
-    const REAL n1 = __builtin_elementwise_max(rn - omega * inverse[2 * c] * un, low[c]);
-    const REAL limit = __builtin_elementwise_max(mu[c] * n1, none);
+    const REAL n1 = LARGER(rn - omega * inverse[2 * c] * un, low[c]);
+    const REAL limit = LARGER(mu[c] * n1, none);
     const REAL dn = n1 - rn;
     ut += couple[c] * dn;
     const REAL free = rt - omega * inverse[2 * c + 1] * ut;
-    const REAL t1 = __builtin_elementwise_min(__builtin_elementwise_max(free, -limit), limit);
+    const REAL t1 = SMALLER(LARGER(free, -limit), limit);
     const REAL dt = t1 - rt;
     x[2 * c] = n1;
     x[2 * c + 1] = t1;
@@ -42,3 +49,5 @@ for (int c = 0; c < n; ++c) {
     total += dn * dn + dt * dt;
 }
 return total;
+#undef LARGER
+#undef SMALLER
