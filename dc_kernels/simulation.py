@@ -38,8 +38,10 @@ class Simulation:
     Worlds are independent: the result of each has the same bits whatever the others, ``threads`` and the schedule.
 
     Several Python threads may call simulations at once; calls of one simulation wait for each other. A call on the CPU
-    within ``wp.ScopedCapture`` becomes part of that graph. The graph cannot grow: a world that runs out of room stays
-    where it is, its flag set, until the next call outside the graph mends that.
+    within ``wp.ScopedCapture`` becomes part of that graph, or raises RuntimeError before anything is recorded. The
+    graph cannot grow: a world that runs out of room stays where it is, its flag set, until the next call outside the
+    graph mends that. ``layout_version`` has changed then, and the graph, which knows the arrays of before, is to be
+    made anew.
     """
 
     motion: Motion

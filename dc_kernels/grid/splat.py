@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import threading
 from typing import Any
 
 import numpy as np
@@ -126,6 +127,7 @@ class Splat:
             "image": image,
         }
         self.touched: Any = None
+        self._lock = threading.Lock()
         if not self.tiled:
             self.touched = kernel_array(np.zeros((worlds, -(-rows // BAND)), np.int32), backend)
             self.values["touched"] = self.touched
@@ -190,6 +192,10 @@ class Splat:
             run_shards(self._launches, self.threads)
             return
         refuse_recording("a splat by tiles", f"{HOST}; one that is bound in the recording has none")
+        with self._lock:  # two calls at once would count into the same tiles
+            self._splat_tiles()
+
+    def _splat_tiles(self) -> None:
         slot, start = self.tiles["slot"], self.tiles["start"]
         slot.fill(0)
         run_shards(self._count, self.threads)

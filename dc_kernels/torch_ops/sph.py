@@ -14,11 +14,11 @@ Gaussian, which jumps there by 3.4e-4 of its peak. A second derivative is not of
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.neighbors.search import Neighbors, neighbor_lists
+from dc_kernels.neighbors.search import Neighbors, NeighborSearch
 from dc_kernels.runtime.inputs import check_array
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.optional import require
@@ -118,34 +118,35 @@ def sph_density_torch(
 # ------------------------------------------------------------------ operators
 
 
+class _Options(NamedTuple):
+    """What ``_COMMON`` holds behind the five tensors of the particles."""
+
+    query_start: Any
+    point_start: Any
+    h: float
+    kernel: str
+    quantity: str
+    method: str
+    threads: int
+
+    def starts(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """First query and first particle of each world."""
+        return tensor_integers("query_start", self.query_start), tensor_integers("point_start", self.point_start)
+
+
+def _arrays(*tensors: Any) -> dict[str, np.ndarray]:
+    """The five tensors by name, the same memory."""
+    names = ("queries", "points", "values", "mass", "density")
+    return {name: tensor_array(name, tensor) for name, tensor in zip(names, tensors)}
+
+
 @torch.library.custom_op("deep_contact::sph_sum", mutates_args=(), schema=f"({_COMMON}) -> Tensor")
-def _sum(
-    queries: Any,
-    points: Any,
-    values: Any,
-    mass: Any,
-    density: Any,
-    query_start: Any,
-    point_start: Any,
-    h: float,
-    kernel: str,
-    quantity: str,
-    method: str,
-    threads: int,
-) -> Any:
-    named = {"queries": queries, "points": points, "values": values, "mass": mass, "density": density}
-    arrays: dict[str, Any] = {name: tensor_array(name, tensor) for name, tensor in named.items()}
-    result = sph_sum(
-        **arrays,
-        h=h,
-        kernel=kernel,
-        query_start=tensor_integers("query_start", query_start),
-        point_start=tensor_integers("point_start", point_start),
-        quantity=quantity,
-        method=method,
-        threads=threads,
-    )
-    return torch.from_numpy(result)
+def _sum(queries: Any, points: Any, values: Any, mass: Any, density: Any, *rest: Any) -> Any:
+    options = _Options(*rest)
+    query_start, point_start = options.starts()
+    arrays: dict[str, Any] = _arrays(queries, points, values, mass, density)
+    settings = {name: getattr(options, name) for name in ("h", "kernel", "quantity", "method", "threads")}
+    return torch.from_numpy(sph_sum(**arrays, query_start=query_start, point_start=point_start, **settings))
 
 
 @_sum.register_fake
@@ -158,39 +159,26 @@ def _(queries: Any, points: Any, values: Any, *rest: Any) -> Any:
     mutates_args=(),
     schema=f"(Tensor cotangent, {_COMMON}, bool[] wanted) -> (Tensor, Tensor, Tensor, Tensor, Tensor)",
 )
-def _sum_backward(
-    cotangent: Any,
-    queries: Any,
-    points: Any,
-    values: Any,
-    mass: Any,
-    density: Any,
-    query_start: Any,
-    point_start: Any,
-    h: float,
-    kernel: str,
-    quantity: str,
-    method: str,
-    threads: int,
-    wanted: list[bool],
-) -> tuple[Any, ...]:
+def _sum_backward(cotangent: Any, *inputs: Any) -> tuple[Any, ...]:
     """Cotangents of the five tensors; an empty one for each that is not wanted."""
-    named = {"queries": queries, "points": points, "values": values, "mass": mass, "density": density}
-    q, p, a, m, rho = (tensor_array(name, tensor) for name, tensor in named.items())
+    q, p, a, m, rho = _arrays(*inputs[:5]).values()
+    options, wanted = _Options(*inputs[5:-1]), inputs[-1]
+    h, kernel, threads = options.h, options.kernel, options.threads
     check_particles(q, p, a, m, rho)
-    code = check_options(quantity, threads, "warp")
+    code = check_options(options.quantity, threads, "warp")
     # autograd hands over expanded tensors, such as the ones of a sum
     y = tensor_array("cotangent", cotangent.contiguous())
     check_array("cotangent", y, out_shape(code, len(q), a.shape[1], p.shape[1]), p.dtype)
     y = y.reshape(len(q), y.size // max(len(q), 1))
-    starts = [tensor_integers("query_start", query_start), tensor_integers("point_start", point_start)]
+    starts = options.starts()
     cells = volume(m, rho)
     weighted = a * cells[:, None]
     want_q, want_p, want_a, want_m, want_rho = wanted
 
     def search(i: int) -> Neighbors:
         sides, first = ((q, p), starts) if i == 0 else ((p, q), starts[::-1])
-        return neighbor_lists(*sides, h, method=method, query_start=first[0], point_start=first[1], threads=threads)
+        search = NeighborSearch(h, method=options.method, threads=threads)
+        return search.lists(*sides, query_start=first[0], point_start=first[1])
 
     # a sum over the queries themselves: who is near whom is symmetric, so one search serves both ways
     itself = q.shape == p.shape and q.ctypes.data == p.ctypes.data and _same(*starts)
@@ -198,17 +186,17 @@ def _sum_backward(
     among_queries: Any = among_points if itself else (search(1) if any(wanted[1:]) else None)
     empty = np.empty(0, p.dtype)
     by_q = by_p = by_a = by_m = by_rho = empty
-    options: dict[str, Any] = {"threads": threads, "backend": "warp"}
+    way: dict[str, Any] = {"threads": threads, "backend": "warp"}
     if want_q:
-        by_q = pull_lists(among_points, q, p, y, weighted, h, kernel, code, swapped=False, **options)
+        by_q = pull_lists(among_points, q, p, y, weighted, h, kernel, code, swapped=False, **way)
     if want_p:
-        by_p = pull_lists(among_queries, p, q, weighted, y, h, kernel, code, swapped=True, **options)
+        by_p = pull_lists(among_queries, p, q, weighted, y, h, kernel, code, swapped=True, **way)
     if want_a or want_m or want_rho:
         back = Quantity.DIVERGENCE if code == Quantity.GRADIENT else code
         factor = scale(kernel, h, p.shape[1], code.order, p.dtype)
         # grad W is odd: seen from the particle it has the other sign
         sign = -1.0 if code == Quantity.GRADIENT else 1.0
-        unit = sum_lists(among_queries, p, q, y, h, sign * factor, kernel, back, **options)
+        unit = sum_lists(among_queries, p, q, y, h, sign * factor, kernel, back, **way)
         by_a = cells[:, None] * unit if want_a else empty
         by_volume = (a * unit).sum(axis=1)
         by_m = by_volume / rho if want_m else empty

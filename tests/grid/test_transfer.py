@@ -461,6 +461,31 @@ def test_a_million_particles_as_numpy_adds_them():
 # ---------------------------------------------------------------------- refusals
 
 
+@pytest.mark.parametrize("normalize", ["particle", "shepard", "sum"])
+def test_a_transfer_is_called_again_with_other_points(normalize):
+    grid, stencil = Grid(rows=12, columns=9, spacing=SPACING), Stencil("cubic", h=0.6, normalize=normalize)
+    transfer = Transfer(grid, stencil, threads=2)
+    for count, dtype in ((20, np.float32), (3, np.float64)):
+        points, values = (
+            border_cloud(grid, count, dtype=dtype) if count > 3 else cloud(grid, count),
+            np.ones((count, 2)),
+        )
+        values = values.astype(dtype)
+        image = transfer.splat(points, values)
+        np.testing.assert_array_equal(image, splat(points, values, grid, stencil))
+        bound, again = transfer.at(points), np.zeros_like(image)
+        run = bound.splat(values, again)
+        for _ in range(2):
+            run()
+            np.testing.assert_array_equal(again, image)
+        if normalize == "shepard":
+            continue
+        for reverse in (False, True) if normalize == "particle" else (False,):
+            found = np.zeros_like(values)
+            bound.gather(image, found, reverse=reverse)()
+            np.testing.assert_array_equal(found, gather(image, points, grid, stencil, reverse=reverse))
+
+
 def test_out_is_written_whole_and_returned():
     grid = Grid(rows=6, columns=7, spacing=SPACING)
     points, values = cloud(grid, 5), np.ones((5, 2))

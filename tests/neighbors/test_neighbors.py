@@ -11,7 +11,7 @@ from dc_kernels.model.arrays import to_numpy
 from dc_kernels.neighbors import cells as cell_search
 from dc_kernels.neighbors.cells import SortedCells, shards_of
 from dc_kernels.neighbors.fields import CELLS
-from dc_kernels.neighbors.search import METHODS, neighbor_lists, neighbor_pairs
+from dc_kernels.neighbors.search import METHODS, NeighborSearch, neighbor_lists, neighbor_pairs
 
 
 def in_order(pairs):
@@ -225,6 +225,19 @@ def test_cells_and_sweeps_are_the_oracles(dim, kind):
     ours, oracle = (neighbor_lists(queries, points, radius, backend=backend) for backend in ("warp", "numpy"))
     np.testing.assert_array_equal(ours.start, oracle.start)
     np.testing.assert_array_equal(ours.index, oracle.index)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_search_is_called_again_with_other_points(method):
+    rng = np.random.default_rng(6)
+    search = NeighborSearch(0.2, method=method)
+    for count, dim, dtype in ((60, 2, np.float32), (200, 3, np.float64), (0, 2, np.float32)):
+        points = rng.uniform(0.0, 1.0, (count, dim)).astype(dtype)
+        np.testing.assert_array_equal(search.pairs(points), neighbor_pairs(points, 0.2, method=method))
+        found = search.lists(points[::2].copy(), points)
+        wanted = neighbor_lists(points[::2].copy(), points, 0.2)
+        np.testing.assert_array_equal(found.start, wanted.start)
+        np.testing.assert_array_equal(found.index, wanted.index)
 
 
 def test_bad_input_is_named():

@@ -121,6 +121,18 @@ def test_what_is_made_already_waits_for_no_thread_that_makes_kernels():
         assert on_a_thread(lambda: (sim.run(5, 0.01), splat(), dc.splat(POINTS, POINTS, GRID), simulation()))
 
 
+def test_calls_of_one_splat_by_tiles_wait_for_each_other():
+    """They share what they count the points of tiles in."""
+    grid = dc.Grid(rows=1500, columns=1500, spacing=0.01)
+    points = np.random.default_rng(3).uniform(0.0, 15.0, (20_000, 2)).astype(np.float32)
+    values, image = np.ones((20_000, 1), np.float32), np.zeros((1, 1, 1500, 1500), np.float32)
+    splat = dc.Transfer(grid).at(points).splat(values, image)
+    splat()
+    wanted = image.copy()
+    threads.map_threads(lambda _: splat(), range(20), 4)
+    np.testing.assert_array_equal(image, wanted)
+
+
 def test_calls_of_one_simulation_wait_for_each_other():
     sim, alone = simulation(), simulation()
     workers = [threading.Thread(target=lambda: [sim.step(0.01) for _ in range(100)]) for _ in range(3)]
