@@ -119,7 +119,7 @@ def test_a_solve_may_choose_it_for_itself():
         sim.contacts.assign("impulse", start)
         sim.solve(replace(sim.config, acceleration=acceleration))
         np.testing.assert_allclose(sim.motion.numpy("solved")[: sim.model.body_count], wanted, atol=1e-7)
-    assert sim.storage.sizes["row past"] >= sim.storage.history_width > 0
+    assert sim.storage.sizes["row past"] >= sim.storage.past_width > 0
     sim.advance()
 
 

@@ -55,9 +55,8 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
             if has_lanes() == 1:
                 pushed = push_lanes(rows.column, rows.body, motion.displacement, first, serial, factor, limit)
                 first = serial
-            for block in range(first, last):
-                for lane in range(N_LANES):
-                    pushed = wp.max(pushed, push_row(block, lane, rows, motion.displacement, factor, limit))
+            for k in range(first * N_LANES, last * N_LANES):
+                pushed = wp.max(pushed, push_row(k / N_LANES, k % N_LANES, rows, motion.displacement, factor, limit))
             iteration += 1
 
     return {"correct_positions": correct_positions}

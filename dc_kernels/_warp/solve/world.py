@@ -63,18 +63,17 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         first = span.first
         change = real(0.0)
         if config.method == JACOBI:
-            for block in range(first, span.last):
-                for lane in range(N_LANES):
-                    change = wp.max(change, jacobi_row(block, lane, rows, motion, omega))
+            for k in range(first * N_LANES, span.last * N_LANES):
+                change = wp.max(change, jacobi_row(k / N_LANES, k % N_LANES, rows, motion, omega))
             return change
         if has_lanes() == 1:
             change = sweep_lanes(
                 rows.column, rows.body, motion.solved, rows.impulse, rows.change, first, span.serial, omega
             )
             first = span.serial
-        for block in range(first, span.last):
-            for lane in range(N_LANES):
-                change = wp.max(change, sweep_row(block, lane, rows, motion.solved, omega))
+        # one loop over the rows: Warp would unroll one over lanes, which takes the compiler half a minute
+        for k in range(first * N_LANES, span.last * N_LANES):
+            change = wp.max(change, sweep_row(k / N_LANES, k % N_LANES, rows, motion.solved, omega))
         return change
 
     @wp.func(module=module)
@@ -84,9 +83,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         if has_lanes() == 1:
             apply_lanes(rows.column, rows.body, motion.solved, delta, first, span.serial)
             first = span.serial
-        for block in range(first, span.last):
-            for lane in range(N_LANES):
-                apply_row(block, lane, rows, motion.solved, delta)
+        for k in range(first * N_LANES, span.last * N_LANES):
+            apply_row(k / N_LANES, k % N_LANES, rows, motion.solved, delta)
 
     @wp.func(module=module)
     def refresh(span: Span, motion: t.Motion, rows: t.Rows):
@@ -117,9 +115,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     def natural_map(span: Span, bodies: wp.array(dtype=vec4), rows: t.Rows):
         """Relative natural map: its 2-norm over that of the impulses a frictional stop of each row alone would take."""
         total = real(0.0)
-        for block in range(span.first, span.last):
-            for lane in range(N_LANES):
-                total += natural_map_row(block, lane, rows, bodies)
+        for k in range(span.first * N_LANES, span.last * N_LANES):
+            total += natural_map_row(k / N_LANES, k % N_LANES, rows, bodies)
         total = wp.sqrt(total)
         scale = rows.scale[span.world]
         if scale > tiny:
