@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import threading
 from collections.abc import Callable, Mapping
@@ -164,7 +163,8 @@ class Simulation:
         """Pack every launch's arguments, for each shard of worlds."""
         config = self._config
         groups = kernel_file(self.backend, "groups")
-        self._scalars = functools.partial(_scalars, groups, self.dtype.name)
+        tables = {"config": CONFIG, "launch": LAUNCH}
+        self._scalars = lambda name, values: groups.scalars(name, self.dtype.name, values, tables[name])
         self._settings = {
             **config.kernel_values(),
             "uniform_friction": uniform(self.model.numpy("shape_friction")),
@@ -545,8 +545,3 @@ class Simulation:
         from dc_kernels.explain import explain
 
         return explain(self)
-
-
-def _scalars(groups: Any, dtype: str, name: str, values: Mapping[str, Any]) -> Any:
-    """Numbers as one argument of the kernels."""
-    return groups.scalars(name, dtype, values, {"config": CONFIG, "launch": LAUNCH}[name])
