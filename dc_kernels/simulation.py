@@ -123,8 +123,6 @@ class Simulation:
         self._solves: dict[tuple[SolverConfig | None, int | None, bool], list[Rounds]] = {}
         self._bind_all()
 
-    # ------------------------------------------------------------------ set-up
-
     def _check_groups(self) -> None:
         model = self.model
         for name, group in (("state", self.state), ("joints", self.joints)):
