@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from dc_kernels.model.enums import BodyType, Flag, ShapeType
     from dc_kernels.neighbors.search import Neighbors, NeighborSearch, neighbor_lists, neighbor_pairs
     from dc_kernels.simulation import Simulation
+    from dc_kernels.solve.contacts import SolveStats
     from dc_kernels.solve.rows import LANES
-    from dc_kernels.solve.schedules import SolveStats
     from dc_kernels.sph.sums import sph_density, sph_sum
 
 __version__ = "0.1.0"
@@ -92,7 +92,7 @@ _MODULES = {
     "neighbors.search": ("NeighborSearch", "Neighbors", "neighbor_lists", "neighbor_pairs"),
     "simulation": ("Simulation",),
     "solve.rows": ("LANES",),
-    "solve.schedules": ("SolveStats",),
+    "solve.contacts": ("SolveStats",),
     "sph.sums": ("sph_density", "sph_sum"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

@@ -9,22 +9,25 @@ from typing import Any, Literal
 
 import numpy as np
 
+from dc_kernels.collide.broadphase import Pairs
+from dc_kernels.collide.narrowphase import Cache
 from dc_kernels.model.arrays import Contacts, Joints, Model, State, uniform
 from dc_kernels.model.config import ACCELERATIONS, CONFIG, SolverConfig
 from dc_kernels.model.enums import CAPACITY_FLAGS, BodyType, ShapeType
 from dc_kernels.model.fields import GROUPS, LAUNCH
-from dc_kernels.runtime.backends import Launch, bind, kernel_file, kernel_table
+from dc_kernels.runtime.backends import Launch, bind, kernel_file
 from dc_kernels.runtime.capture import recording, refuse_recording
 from dc_kernels.runtime.inputs import check_count
 from dc_kernels.runtime.sequences import Rounds, Watch, in_turn
 from dc_kernels.runtime.stepping import Shards
+from dc_kernels.solve.contacts import Rows, SolveStats
+from dc_kernels.solve.integrate import PADDING, Motion
 from dc_kernels.solve.iteration import NEVER
-from dc_kernels.solve.schedules import SCHEDULES, SolveStats, check_iteration
-from dc_kernels.storage import PADDING, Cache, Motion, Pairs, Rows, Storage
+from dc_kernels.solve.schedules import SCHEDULES, check_iteration
+from dc_kernels.stages import Phase, kernel_table, of_phase
+from dc_kernels.storage import Storage
 
 Start = Callable[["Simulation"], None]
-Phase = Literal["advance", "collide", "solve"]
-_COLLIDE = ("predict", "update_pairs", "narrowphase", "match_contacts", "color_constraints", "pack_rows")
 
 
 class Simulation:
@@ -113,7 +116,14 @@ class Simulation:
         self._one_by_one = schedule == "world" and self.device == "cpu"
         at_once = shards if self._one_by_one else model.world_count
         self.storage = Storage(
-            model, joints, self._config, self.variant, pairs_per_shape, contacts_per_body, shards, at_once
+            model,
+            joints,
+            self._config,
+            variant=self.variant,
+            pairs=pairs_per_shape,
+            contacts=contacts_per_body,
+            shards=shards,
+            at_once=at_once,
         )
         self._rename_groups()
         self._phase: Phase = "advance"
@@ -154,8 +164,8 @@ class Simulation:
 
     def _rename_groups(self) -> None:
         """The groups of the storage under the names users know."""
-        for name in ("motion", "pairs", "contacts", "cache", "rows", "stats"):
-            setattr(self, name, getattr(self.storage, name))
+        for name, group in self.storage.groups().items():
+            setattr(self, name, group)
 
     def _bind_all(self) -> None:
         """Pack every launch's arguments, for each shard of worlds."""
@@ -172,9 +182,7 @@ class Simulation:
             "config": self._scalars("config", self._settings),
             **{name: groups.array_group(getattr(self, name), name) for name in GROUPS},
         }
-        self._advance = ["displace", "commit"]
-        if config.position_correction == "ngs" and config.position_iterations:
-            self._advance.insert(1, "correct_positions")
+        self._corrected = config.position_correction == "ngs" and config.position_iterations > 0
         self._rounds.clear()
         self._solves.clear()
         # views are kept: making one takes longer than a small world's kernels
@@ -182,16 +190,16 @@ class Simulation:
         used = (self.pairs.count, self.contacts.contact_count, self.rows.block_needed)
         self._watch = Watch(self.state.flags, int(CAPACITY_FLAGS), used if self.device == "cpu" else ())
 
-    def _phase_rounds(self, phase: str) -> list[Rounds]:
+    def _phase_rounds(self, phase: Phase | Literal["step"]) -> list[Rounds]:
         """A phase, or the whole "step", over each shard; bound when first wanted."""
         if phase not in self._rounds:
-            phases = ("collide", "solve", "advance") if phase == "step" else (phase,)
+            phases: tuple[Phase, ...] = ("collide", "solve", "advance") if phase == "step" else (phase,)
             # a whole step that runs out of room halts all shards; else all should say what they need
             self._rounds[phase] = self._bind_rounds(phases, together=phase == "step")
         return self._rounds[phase]
 
     def _bind_rounds(
-        self, phases: tuple[str, ...], changed: Mapping[str, Any] | None = None, together: bool = False
+        self, phases: tuple[Phase, ...], changed: Mapping[str, Any] | None = None, together: bool = False
     ) -> list[Rounds]:
         def bind(first: int, count: int) -> list[Launch]:
             return [launch for phase in phases for launch in self._phase_launches(phase, first, count, changed)]
@@ -199,12 +207,11 @@ class Simulation:
         return self._shards.rounds(bind, self._watch, together)
 
     def _phase_launches(
-        self, phase: str, first: int, count: int, changed: Mapping[str, Any] | None = None
+        self, phase: Phase, first: int, count: int, changed: Mapping[str, Any] | None = None
     ) -> list[Launch]:
         if phase == "solve":
             return SCHEDULES[self.schedule](self, first, count, changed or {})
-        names = _COLLIDE if phase == "collide" else self._advance
-        return [self.bind(name, first, count) for name in names]
+        return [self.bind(name, first, count) for name in of_phase(phase, self._corrected)]
 
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
         """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
@@ -214,7 +221,7 @@ class Simulation:
         """Arguments of the kernels for worlds from ``first`` on, with ``changed`` settings or numbers of the launch."""
         # empty lanes write zeros to a padding body: one for each shard, or threads would share its cache line
         shard = next((i for i, (a, n) in enumerate(self._shards.ranges) if a <= first < a + n), 0)
-        width = self.storage.past_width
+        width = self.storage.solver.past_width
         launch = {
             "world_offset": first,
             "padding_body": self.model.body_count + PADDING * shard,
@@ -270,7 +277,8 @@ class Simulation:
     def warmup(self) -> None:
         """Compile and bind everything now, which the first step would do otherwise (seconds, if not in the cache)."""
         with self._lock:
-            for phase in ("collide", "solve", "advance", "step"):
+            every: tuple[Phase | Literal["step"], ...] = ("collide", "solve", "advance", "step")
+            for phase in every:
                 self._phase_rounds(phase)
 
     def step(self, dt: float, start: Start | None = None) -> None:
@@ -315,7 +323,7 @@ class Simulation:
                 else:
                     self.collide(dt)
                     start(self)
-                    self.storage.check_start()
+                    self.check_start()
                     self.solve()
                     self.advance()
                 if callback is not None:
@@ -442,7 +450,7 @@ class Simulation:
         if self.schedule != "world":
             refuse_recording(f"a step with schedule {self.schedule!r}", "the host drives it")
 
-    def _take(self, phase: str) -> bool:
+    def _take(self, phase: Phase) -> bool:
         """Run a phase in all worlds; whether one ran out of room."""
         return self._shards.run(self._phase_rounds(phase), 1)
 
@@ -487,6 +495,10 @@ class Simulation:
         self.storage.grow(flags, self._config, error=self.on_overflow == "raise")
         self._bind_all()
 
+    def check_start(self) -> None:
+        """Raise ValueError, naming the contact, if a start impulse is NaN or inf."""
+        self.storage.narrowphase.check_start()
+
     def restore_contacts(self, count: np.ndarray, arrays: Mapping[str, np.ndarray], contact_dt: np.ndarray) -> None:
         """Put contacts of an earlier run into the cache that the next step starts from.
 
@@ -519,7 +531,7 @@ class Simulation:
         """Bytes allocated: by what they grow with (bodies with their shapes and pairs, contacts with their rows)."""
         total = {"body_bytes": 0, "contact_bytes": 0, "joint_bytes": 0}
         owner = {"contact": "contact_bytes", "joint": "joint_bytes"}
-        for group in (self.model, self.state, self.joints, *self.storage.groups()):
+        for group in (self.model, self.state, self.joints, *self.storage.groups().values()):
             for axis, size in group.nbytes_by_axis().items():
                 key = "contact_bytes" if axis.startswith("row") else owner.get(axis, "body_bytes")
                 total[key] += size
@@ -536,7 +548,7 @@ class Simulation:
         """A simulation from a snapshot; options as for the constructor (see ``snapshot.load``)."""
         from dc_kernels.snapshot import load
 
-        return load(path, **options)
+        return load(cls, path, **options)
 
     def explain(self) -> str:
         """What runs for this scene, what is skipped, and why."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import io
 import os
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -86,6 +86,7 @@ def save(sim: Simulation, path: str | os.PathLike[str]) -> None:
 
 
 def load(
+    make: Callable[..., Simulation],
     path: str | os.PathLike[str],
     threads: int = 1,
     *,
@@ -96,6 +97,7 @@ def load(
     """The simulation of a snapshot.
 
     Args:
+        make: the class ``Simulation``, or what makes one of the constructor's arguments.
         path: the file.
         threads: of the simulation; the result does not depend on it.
         device: "cpu" or a CUDA device of Warp; None: the one it was saved from.
@@ -108,8 +110,6 @@ def load(
         OSError: when there is no such file, or it must not be read.
         ImportError: without h5py, naming the extra that installs it.
     """
-    from dc_kernels.simulation import Simulation
-
     h5py = require("h5py", "pipeline")
     path = Path(path)
     try:
@@ -133,7 +133,7 @@ def load(
     joints = _filled(Joints(header.sizes, header.real, device, backend), values["joints"])
     state = State(header.sizes, header.real, device, backend)
     options = {"config": header.config, "threads": threads, **header.options, **options}
-    sim = Simulation(model, state, joints, **options)
+    sim = make(model, state, joints, **options)
     _filled(state, values["state"])  # afterwards: the constructor would refuse the force that froze a world
     sim.restore_contacts(count, contacts, contact_dt)
     return sim

@@ -7,7 +7,7 @@ One buffer serves every user: on the CPU an array is allocated once, 64-byte ali
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -156,8 +156,22 @@ class ArrayGroup:
         self.dtype = float_dtype(dtype)
         self.device = device
         self.backend = backend
+        self.version = 0
+        """Number of times that arrays were allocated anew."""
         for name, field in self.table.items():
             setattr(self, name, allocate(field, sizes, self.dtype, device, backend))
+
+    def reallocate(self, names: Iterable[str], **sizes: int) -> None:
+        """Replace arrays by zeroed ones of other sizes; views taken before are stale.
+
+        Args:
+            names: fields to allocate anew.
+            sizes: new elements on the axes by their names.
+        """
+        self.version += 1
+        self.sizes.update(sizes)
+        for name in names:
+            setattr(self, name, allocate(self.table[name], self.sizes, self.dtype, self.device, self.backend))
 
     if TYPE_CHECKING:
 

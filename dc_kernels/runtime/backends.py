@@ -81,28 +81,6 @@ def make_kernels(backend: str, path: str, *options: Any, factory: str = "kernels
     return _made[key]
 
 
-def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool) -> dict[str, Any]:
-    """All kernels of a simulation by name.
-
-    Args:
-        backend: "warp", or "numpy": the oracle, never fast.
-        dtype: "float32" or "float64".
-        variant: layout of solver rows, a key of ``rows.COLUMNS``.
-        only_discs: whether all that moves are discs about their centre of mass.
-    """
-    table: dict[str, Any] = {}
-    for stage, *options in (
-        ("solve.integrate",),
-        ("collide.broadphase",),
-        ("collide.narrowphase", only_discs),
-        ("collide.contacts",),
-        ("solve.pack", variant),
-        ("solve.schedules", variant),
-    ):
-        table.update(make_kernels(backend, stage, dtype, *options))
-    return table
-
-
 def argument_names(kernel: Any) -> list[str]:
     """Names of a kernel's arguments in order, without the thread index of the numpy backend."""
     if hasattr(kernel, "adj"):

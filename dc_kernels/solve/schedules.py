@@ -7,24 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup
 from dc_kernels.model.config import SolverConfig
-from dc_kernels.model.fields import STATS
 from dc_kernels.runtime.backends import Launch, bind
 from dc_kernels.solve.rows import COLORS, LANES, SERIAL_COLOR
 
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
-
-
-class SolveStats(ArrayGroup):
-    """What the last solve of each world did (``model.fields.STATS``).
-
-    ``history`` holds the largest impulse change of each sweep, (W, max_sweeps), zero beyond ``sweeps``; it is (W, 0)
-    unless the settings ask for it.
-    """
-
-    table = STATS
 
 
 # settings of the iteration alone: rows, contacts and the room reserved do not depend on them

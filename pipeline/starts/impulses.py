@@ -55,7 +55,7 @@ class ImpulseStart(ABC):
         """
         with self.clock.part("start"):
             self.write()
-            self.sim.storage.check_start()
+            self.sim.check_start()
         if started is not None:
             started()
         with self.clock.part("solve"):

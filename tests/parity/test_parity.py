@@ -18,8 +18,9 @@ from dc_kernels.model.arrays import to_numpy
 from dc_kernels.model.config import CONFIG
 from dc_kernels.model.enums import CAPACITY_FLAGS, Flag
 from dc_kernels.model.fields import GROUPS, LAUNCH, MOTION, STATE
-from dc_kernels.runtime.backends import argument_names, bind, kernel_table
+from dc_kernels.runtime.backends import argument_names, bind
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR
+from dc_kernels.stages import STEP, kernel_table
 
 DT = 0.01
 # Allowed difference, relative to the largest value of the array (1 if all are smaller): of one kernel, where a whole
@@ -202,6 +203,13 @@ def test_backends_have_the_same_kernels(dtype: str, variant: str, only_discs: bo
         assert argument_names(warp[name]) == argument_names(oracle[name]), name
 
 
+def test_kernels_take_what_their_stages_name() -> None:
+    table = kernel_table("numpy", "float32", "general", False)
+    for stage in STEP:
+        wanted = {*stage.reads, *stage.writes}
+        assert set(argument_names(table[stage.kernel])) & set(GROUPS) == wanted, stage.kernel
+
+
 # ---------------------------------------------------------------------- kernel by kernel
 
 
@@ -233,8 +241,14 @@ class Pair:
         used = [key for key in argument_names(self.oracle[name]) if key in GROUPS]
         copies = {key: self.copied(key) for key in used}
         numbers = {key: numbers_of(values[key], table) for key, table in (("config", CONFIG), ("launch", LAUNCH))}
+        written = {group for stage in STEP if stage.kernel == name for group in stage.writes}
+        unwritten = {key: self.copied(key) for key in used if written and key not in written}
         bind(self.oracle[name], dim, {**more, **numbers, **copies}, "cpu")()
         bind(self.sim.kernels[name], dim, values, "cpu")()
+        for key, before in unwritten.items():
+            for field in getattr(self.sim, key).table:
+                now = getattr(self.sim, key).numpy(field)
+                assert now.tobytes() == getattr(before, field).tobytes(), f"{name} writes {key}.{field}"
         for key in used:
             group = getattr(self.sim, key)
             for field in set(group.table) - SCRATCH:

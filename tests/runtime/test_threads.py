@@ -174,17 +174,15 @@ def test_a_thread_steps_while_another_records_a_graph():
 def test_a_second_thread_changes_no_bit_and_is_taken_where_it_pays(monkeypatch, share):
     sim, alone = simulation(5, 20, threads=3), simulation(5, 20)
     monkeypatch.setattr(stepping, "WORTH_THREADS", 0 if share else 10**9)
-    used = set()
-    take = stepping.Rounds.take
-    monkeypatch.setattr(
-        stepping.Rounds, "take", lambda self, rounds: (used.add(threading.get_ident()), take(self, rounds))[1]
-    )
+    shared = []  # threads asked for; whether the second finds anything left is a race
+    together = stepping.run_together
+    monkeypatch.setattr(stepping, "run_together", lambda work, n: (shared.append(n), together(work, n))[1])
     for steps in (1, 40, 3):
         sim.run(steps, 0.01)
         alone.run(steps, 0.01)
     for name in ("position", "velocity", "angle"):
         np.testing.assert_array_equal(sim.state.numpy(name), alone.state.numpy(name))
-    assert (len(used) > 1) == share
+    assert shared == [3] * 3 * share
 
 
 def test_results_come_in_order_and_an_error_arrives_when_all_have_ended():

@@ -111,7 +111,7 @@ def test_it_pays_where_one_method_stalls():
 def test_a_solve_may_choose_it_for_itself():
     """The room that it needs is made when it is asked for, and grows with the contacts."""
     sim = impact(config=dc.SolverConfig(acceleration="none", tolerance=1e-10, max_sweeps=50_000))
-    assert sim.storage.sizes["row past"] == 0
+    assert sim.rows.sizes["row past"] == 0
     start = sim.contacts.numpy("impulse").copy()
     sim.solve()
     wanted = sim.motion.numpy("solved")[: sim.model.body_count].copy()
@@ -119,7 +119,7 @@ def test_a_solve_may_choose_it_for_itself():
         sim.contacts.assign("impulse", start)
         sim.solve(replace(sim.config, acceleration=acceleration))
         np.testing.assert_allclose(sim.motion.numpy("solved")[: sim.model.body_count], wanted, atol=1e-7)
-    assert sim.storage.sizes["row past"] >= sim.storage.past_width > 0
+    assert sim.rows.sizes["row past"] >= sim.storage.solver.past_width > 0
     sim.advance()
 
 

@@ -1,0 +1,83 @@
+"""Room that each world has for what a step makes: reserved, and grown when a step needed more."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.model.arrays import to_numpy
+from dc_kernels.model.enums import Flag
+
+GROWTH = 1.25  # of what a step needed, so that a growing pile reallocates rarely
+
+
+class Room:
+    """Slots of one kind that each world has reserved.
+
+    Attributes:
+        slots: how many, (W,) int64.
+    """
+
+    def __init__(self, what: str, flag: Flag, slots: np.ndarray) -> None:
+        """Reserve.
+
+        Args:
+            what: the slots' name in messages.
+            flag: set in ``state.flags`` of a world that needed more.
+            slots: how many to reserve, (W,).
+        """
+        self.what, self.flag = what, flag
+        self.slots = np.asarray(slots, np.int64)
+
+    @property
+    def total(self) -> int:
+        """Slots of all worlds."""
+        return int(self.slots.sum())
+
+    def starts(self) -> np.ndarray:
+        """The first slot of each world, and the end, (W + 1,) int32."""
+        return starts(self.slots)
+
+    def grow(self, flags: np.ndarray, needed: np.ndarray, error: bool) -> None:
+        """Reserve more for the worlds whose flags say that they ran out.
+
+        Args:
+            flags: of the worlds, (W,).
+            needed: what each world's last step needed, (W,).
+            error: raise instead.
+
+        Raises:
+            OverflowError: with ``error``, naming world, need and room.
+        """
+        full = np.flatnonzero(flags & int(self.flag))
+        if len(full) and error:
+            w = int(full[0])
+            raise OverflowError(
+                f"world {w} needs {int(needed[w])} {self.what}, {int(self.slots[w])} are reserved; "
+                "the step was not taken"
+            )
+        self.slots[full] = np.ceil(GROWTH * needed[full]).astype(np.int64)
+
+
+def starts(slots: np.ndarray) -> np.ndarray:
+    """Offsets of consecutive segments of the given sizes, (W + 1,) int32.
+
+    Raises:
+        ValueError: for more than an int32 can count.
+    """
+    total = np.concatenate([[0], np.cumsum(slots, dtype=np.int64)])
+    if total[-1] >= 2**31:
+        raise ValueError(f"all worlds together need {int(total[-1])} slots; the limit is {2**31 - 1}")
+    return total.astype(np.int32)
+
+
+def move_segments(array: Any, target: Any, old: np.ndarray, new: np.ndarray, counts: np.ndarray) -> None:
+    """Copy the used part of every world's segment to its place in a new layout."""
+    source = to_numpy(array)
+    room = to_numpy(target)
+    for w in np.flatnonzero(counts):
+        n = int(counts[w])
+        room[new[w] : new[w] + n] = source[old[w] : old[w] + n]
+    if not isinstance(target, np.ndarray) and room.ctypes.data != target.ptr:
+        target.assign(room)

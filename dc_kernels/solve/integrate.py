@@ -1,0 +1,51 @@
+"""Semi-implicit Euler (seed, chapter 2.1): velocities before the contacts, positions after them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dc_kernels.model.arrays import ArrayGroup, Model
+from dc_kernels.model.fields import MOTION
+
+PADDING = 8  # bodies between the padding bodies of two shards: more than a cache line
+
+
+class Motion(ArrayGroup):
+    """Velocities and displacements of the step in flight (``model.fields.MOTION``)."""
+
+    table = MOTION
+
+
+class Integrator:
+    """Velocities and displacements of a step; its kernels are ``predict``, ``displace`` and ``commit``.
+
+    Behind the bodies lies a padding body for each shard of worlds, which empty solver lanes write to.
+    """
+
+    def __init__(self, model: Model, shards: int, method: str) -> None:
+        """Allocate for a model whose worlds are divided into shards, and for a method of the solver."""
+        bodies = model.body_count + PADDING * shards
+        sizes = {**model.sizes, "body+1": bodies, "body sum": bodies if method == "jacobi" else 1}
+        self.motion = Motion(sizes, model.dtype, model.device, model.backend)
+        self.motion.assign("weight", typical_weight(model))
+
+    def provide(self, method: str) -> bool:
+        """Allocate what a method needs and has not got yet; whether there was any."""
+        missing = method == "jacobi" and self.motion.sizes["body sum"] == 1
+        if missing:
+            self.motion.reallocate(("summed",), **{"body sum": self.motion.sizes["body+1"]})
+        return missing
+
+
+def typical_weight(model: Model) -> np.ndarray:
+    """Gravity times the geometric mean of the dynamic bodies' masses, (W,) [N]; 0 in a world without any.
+
+    The geometric mean follows light bodies among heavy ones, and not to where a heavy one's round-off lies above it.
+    """
+    worlds = np.repeat(np.arange(model.world_count), np.diff(model.numpy("body_start")))
+    dynamic = model.numpy("inv_mass") > 0
+    mass = model.numpy("mass").astype(np.float64)[dynamic]
+    count = np.bincount(worlds[dynamic], minlength=model.world_count)
+    total = np.bincount(worlds[dynamic], weights=np.log(mass), minlength=model.world_count)
+    mean = np.where(count > 0, np.exp(total / np.maximum(count, 1)), 0.0)
+    return (mean * np.linalg.norm(model.numpy("gravity").astype(np.float64), axis=1)).astype(model.dtype)
