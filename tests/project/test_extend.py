@@ -92,7 +92,7 @@ def test_the_examples_from_outside_run():
 
 
 def test_sections():
-    assert list(SECTIONS) == ["A scene", "A start", "A backend"]
+    assert list(SECTIONS) == ["A scene", "A start", "An acceleration", "A joint", "A backend"]
 
 
 def test_edits():
