@@ -9,22 +9,27 @@ from typing import Any, Literal
 
 import numpy as np
 
+from dc_kernels import snapshot
+from dc_kernels.binding import Binding
 from dc_kernels.collide.broadphase import Pairs
 from dc_kernels.collide.narrowphase import Cache
-from dc_kernels.model.arrays import Contacts, Joints, Model, State, uniform
-from dc_kernels.model.config import ACCELERATIONS, CONFIG, SolverConfig
-from dc_kernels.model.enums import CAPACITY_FLAGS, BodyType, ShapeType
-from dc_kernels.model.fields import GROUPS, LAUNCH
-from dc_kernels.runtime.backends import Launch, bind, kernel_file
-from dc_kernels.runtime.capture import recording, refuse_recording
-from dc_kernels.runtime.inputs import check_count
+from dc_kernels.explain import explain
+from dc_kernels.model.agreement import check_agreement
+from dc_kernels.model.arrays import Contacts, Joints, Model, State
+from dc_kernels.model.config import SolverConfig
+from dc_kernels.model.enums import CAPACITY_FLAGS
+from dc_kernels.model.fields import GROUPS
+from dc_kernels.reports import capacity, memory
+from dc_kernels.runtime.backends import Launch
+from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recording
+from dc_kernels.runtime.inputs import check_choice, check_count, check_room
 from dc_kernels.runtime.sequences import Rounds, Watch, in_turn
 from dc_kernels.runtime.stepping import Shards
 from dc_kernels.solve.contacts import Rows, SolveStats
-from dc_kernels.solve.integrate import PADDING, Motion
-from dc_kernels.solve.iteration import NEVER
-from dc_kernels.solve.schedules import SCHEDULES, check_iteration
-from dc_kernels.stages import Phase, kernel_table, of_phase
+from dc_kernels.solve.integrate import Motion
+from dc_kernels.solve.rows import only_centred_discs, variant_of
+from dc_kernels.solve.schedules import SCHEDULES, check_iteration, check_pause, settings_of_solve
+from dc_kernels.stages import PHASES, Phase, kernel_table, of_phase
 from dc_kernels.storage import Storage
 
 Start = Callable[["Simulation"], None]
@@ -87,13 +92,9 @@ class Simulation:
             ValueError: for settings out of range, or arrays of another model, dtype, device or backend.
         """
         threads = check_count("threads", threads)
-        if schedule not in SCHEDULES:
-            raise ValueError(f"schedule is {schedule!r}; it must be one of {tuple(SCHEDULES)}")
-        if on_overflow not in ("grow", "raise"):
-            raise ValueError(f"on_overflow is {on_overflow!r}; it must be 'grow' or 'raise'")
-        for name, value in (("pairs_per_shape", pairs_per_shape), ("contacts_per_body", contacts_per_body)):
-            if not 0.0 <= value < float("inf"):
-                raise ValueError(f"{name} is {value!r}; it must be finite and not negative")
+        check_choice("schedule", schedule, SCHEDULES)
+        check_choice("on_overflow", on_overflow, ("grow", "raise"))
+        check_room(pairs_per_shape=pairs_per_shape, contacts_per_body=contacts_per_body)
         self.model = model
         self.state = state
         self.dtype = model.dtype
@@ -102,19 +103,20 @@ class Simulation:
         if joints is None:
             joints = Joints({"joint": 0}, self.dtype, self.device, self.backend)
         self.joints = joints
-        self._check_groups()
+        check_agreement(model, state, joints)
         self.schedule = schedule
         self.on_overflow = on_overflow
         self._shards = Shards(model.world_count, model.body_count, threads)
         self.threads = self._shards.threads
         shards = len(self._shards.ranges)
         self.specialize = specialize
-        self.variant = self._row_variant()
+        self.only_discs = only_centred_discs(model)
+        self.variant = variant_of(model, self.only_discs and specialize)
         self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, self.only_discs and specialize)
         self._config = config or SolverConfig()
         # on a CPU a shard solves world after world
-        self._one_by_one = schedule == "world" and self.device == "cpu"
-        at_once = shards if self._one_by_one else model.world_count
+        self._in_turn = schedule == "world" and self.device == "cpu"
+        at_once = shards if self._in_turn else model.world_count
         self.storage = Storage(
             model,
             joints,
@@ -125,75 +127,38 @@ class Simulation:
             shards=shards,
             at_once=at_once,
         )
-        self._rename_groups()
+        owned = {"model": model, "state": state, "joints": joints, **self.storage.groups()}
+        self._binding = Binding(self.kernels, owned, self._shards.ranges)
         self._phase: Phase = "advance"
-        self._dt: float | None = None  # the last one that was found right
         self._lock = threading.RLock()
         self._rounds: dict[str, list[Rounds]] = {}
         self._solves: dict[tuple[SolverConfig | None, int | None, bool], list[Rounds]] = {}
         self._bind_all()
 
-    def _check_groups(self) -> None:
-        model = self.model
-        for name, group in (("state", self.state), ("joints", self.joints)):
-            for what in ("dtype", "device", "backend"):
-                if getattr(group, what) != getattr(model, what):
-                    raise ValueError(
-                        f"{name}.{what} is {getattr(group, what)}; it must be the model's, {getattr(model, what)}"
-                    )
-        for axis in ("body", "world"):
-            if self.state.sizes[axis] != model.sizes[axis]:
-                raise ValueError(
-                    f"state has {self.state.sizes[axis]} on axis {axis!r}; it must be the model's {model.sizes[axis]}"
-                )
-        if self.joints.sizes["joint"] != model.joint_count:
-            raise ValueError(f"joints has {self.joints.sizes['joint']}; it must be the model's {model.joint_count}")
-        model.check("model")
-        self.state.check("state")
-        self.joints.check("joints")
-
-    def _row_variant(self) -> str:
-        """Row variant: what the scene needs and no more."""
-        model = self.model
-        moving = (model.numpy("body_type") != BodyType.STATIC)[model.numpy("shape_body")]
-        centred_disc = (model.numpy("shape_type") == ShapeType.DISC) & ~model.numpy("shape_center").any(axis=1)
-        self.only_discs = bool((~moving | centred_disc).all())
-        if model.joint_count:
-            return "joints"
-        return "discs" if self.only_discs and self.specialize else "general"
-
-    def _rename_groups(self) -> None:
-        """The groups of the storage under the names users know."""
+    def _bind_all(self) -> None:
+        """Take arrays and settings anew; launches are bound when they are first wanted."""
+        config = self._config
         for name, group in self.storage.groups().items():
             setattr(self, name, group)
-
-    def _bind_all(self) -> None:
-        """Pack every launch's arguments, for each shard of worlds."""
-        config = self._config
-        groups = kernel_file(self.backend, "groups")
-        tables = {"config": CONFIG, "launch": LAUNCH}
-        self._scalars = lambda name, values: groups.scalars(name, self.dtype.name, values, tables[name])
-        self._settings = {
-            **config.kernel_values(),
-            "uniform_friction": uniform(self.model.numpy("shape_friction")),
-            "uniform_restitution": uniform(self.model.numpy("shape_restitution")),
-        }
-        self.values: dict[str, Any] = {
-            "config": self._scalars("config", self._settings),
-            **{name: groups.array_group(getattr(self, name), name) for name in GROUPS},
-        }
+        groups = {name: getattr(self, name) for name in GROUPS}
+        self._binding.renew(config, groups, self.storage.solver.past_width, self._in_turn)
         self._corrected = config.position_correction == "ngs" and config.position_iterations > 0
         self._rounds.clear()
         self._solves.clear()
-        # views are kept: making one takes longer than a small world's kernels
-        self._flags, self._step_dt = self.state.numpy("flags"), self.motion.numpy("step_dt")
+        # a view is kept: making one takes longer than a small world's kernels
+        self._flags = self.state.numpy("flags")
         used = (self.pairs.count, self.contacts.contact_count, self.rows.block_needed)
         self._watch = Watch(self.state.flags, int(CAPACITY_FLAGS), used if self.device == "cpu" else ())
 
-    def _phase_rounds(self, phase: Phase | Literal["step"]) -> list[Rounds]:
+    @property
+    def values(self) -> Mapping[str, Any]:
+        """The groups and the settings as kernels take them, by name."""
+        return self._binding.values
+
+    def _phase_rounds(self, phase: Any) -> list[Rounds]:
         """A phase, or the whole "step", over each shard; bound when first wanted."""
         if phase not in self._rounds:
-            phases: tuple[Phase, ...] = ("collide", "solve", "advance") if phase == "step" else (phase,)
+            phases: tuple[Phase, ...] = PHASES if phase == "step" else (phase,)
             # a whole step that runs out of room halts all shards; else all should say what they need
             self._rounds[phase] = self._bind_rounds(phases, together=phase == "step")
         return self._rounds[phase]
@@ -215,27 +180,11 @@ class Simulation:
 
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
         """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
-        return bind(self.kernels[name], count, self.launch_values(first, changed or {}), self.device)
+        return self._binding.bind(name, first, count, changed or {})
 
     def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments of the kernels for worlds from ``first`` on, with ``changed`` settings or numbers of the launch."""
-        # empty lanes write zeros to a padding body: one for each shard, or threads would share its cache line
-        shard = next((i for i, (a, n) in enumerate(self._shards.ranges) if a <= first < a + n), 0)
-        width = self.storage.solver.past_width
-        launch = {
-            "world_offset": first,
-            "padding_body": self.model.body_count + PADDING * shard,
-            "past_offset": width * (shard if self._one_by_one else first),
-            "past_step": 0 if self._one_by_one else width,
-            "resume": 0,
-            "pause": NEVER,
-            **{name: value for name, value in changed.items() if name in LAUNCH},
-        }
-        values = {**self.values, "launch": self._scalars("launch", launch)}
-        settings = {name: value for name, value in changed.items() if name not in launch}
-        if settings:
-            values["config"] = self._scalars("config", {**self._settings, **settings})
-        return values
+        return self._binding.launch_values(first, changed)
 
     @property
     def config(self) -> SolverConfig:
@@ -244,8 +193,7 @@ class Simulation:
 
     @config.setter
     def config(self, config: SolverConfig) -> None:
-        before = self._config
-        if config == before:
+        if config == (before := self._config):
             return
         refuse_recording("a change of config", "make it before")
         with self._lock:
@@ -272,13 +220,10 @@ class Simulation:
         """
         return self.storage.version
 
-    # ------------------------------------------------------------------ stepping
-
     def warmup(self) -> None:
         """Compile and bind everything now, which the first step would do otherwise (seconds, if not in the cache)."""
         with self._lock:
-            every: tuple[Phase | Literal["step"], ...] = ("collide", "solve", "advance", "step")
-            for phase in every:
+            for phase in (*PHASES, "step"):
                 self._phase_rounds(phase)
 
     def step(self, dt: float, start: Start | None = None) -> None:
@@ -313,7 +258,8 @@ class Simulation:
         if start is not None or callback is not None:
             refuse_recording("a step with start or callback", "these run in Python")
         with self._lock:
-            self._set_dt(dt)
+            self._check_recording()
+            self.storage.integrator.set_time_step(dt)
             if start is None and callback is None:
                 self._run_steps(steps)
                 return
@@ -339,7 +285,8 @@ class Simulation:
             ValueError, OverflowError: see ``step``.
         """
         with self._lock:
-            self._set_dt(dt)
+            self._check_recording()
+            self.storage.integrator.set_time_step(dt)
             self._collide()
 
     def solve(self, config: SolverConfig | None = None, *, pause: int | None = None) -> None:
@@ -386,11 +333,7 @@ class Simulation:
         return ~done & (self.state.numpy("flags") == 0)
 
     def _solve(self, config: SolverConfig | None, pause: int | None, resume: bool) -> None:
-        if pause is not None or resume:
-            if self.schedule != "world":
-                raise ValueError(f"schedule is {self.schedule!r}; only 'world' can pause a solve")
-            if pause is not None and not 0 <= pause < NEVER:
-                raise ValueError(f"pause is {pause}; it must lie in [0, {NEVER})")
+        check_pause(pause, resume, self.schedule)
         self._check_recording()
         if config is None and pause is None and not resume:
             self._take("solve")
@@ -401,10 +344,7 @@ class Simulation:
                     check_iteration(config, self._config)
                     if self.storage.provide(config):
                         self._bind_all()
-                changed = (config or self._config).kernel_values()
-                if (pause is not None or resume) and changed["acceleration"] == ACCELERATIONS["adaptive"]:
-                    changed["acceleration"] = ACCELERATIONS["aitken"]  # what a stretch remembers outlives no launch
-                changed.update(resume=int(resume), pause=NEVER if pause is None else pause)
+                changed = settings_of_solve(config or self._config, pause, resume)
                 self._solves[key] = self._bind_rounds(("solve",), changed)
             self._shards.run(self._solves[key], 1)
         self._phase = "solve"
@@ -418,37 +358,10 @@ class Simulation:
             self._take("advance")
             self._phase = "advance"
 
-    def _set_dt(self, dt: float | np.ndarray) -> None:
-        if not isinstance(dt, float) or dt != self._dt:
-            self._check_dt(dt)
-        if recording():
-            self._check_recording()
-            if np.ndim(dt):
-                refuse_recording("a time step of each world", "a graph holds one of all")
-            self.motion.step_dt.fill_(float(dt))  # a replay may find that of another call
-        elif self.device == "cpu":
-            self._step_dt[...] = dt
-        else:
-            self.motion.assign("step_dt", np.broadcast_to(dt, self._step_dt.shape))
-
-    def _check_dt(self, dt: float | np.ndarray) -> None:
-        value = np.asarray(dt, np.float64)
-        if value.ndim and value.shape != self._step_dt.shape:
-            raise ValueError(f"dt has shape {value.shape}; it must be a number or have shape {self._step_dt.shape}")
-        if not ((value > 0.0) & (value < float("inf"))).all():
-            raise ValueError(f"dt is {dt!r}; it must be finite and > 0 [s]")
-        if not value.astype(self.dtype).all():
-            raise ValueError(f"dt is {dt!r}; it underflows {self.dtype.name}")
-        self._dt = dt if isinstance(dt, float) else None
-
     def _check_recording(self) -> None:
         """Refuse what cannot become part of the graph that this thread records."""
-        if not recording():
-            return
-        if self.backend != "warp":
-            refuse_recording("a step of the numpy backend", "it runs at once")
-        if self.schedule != "world":
-            refuse_recording(f"a step with schedule {self.schedule!r}", "the host drives it")
+        if recording():
+            refuse_hosted(self.backend, self.schedule)
 
     def _take(self, phase: Phase) -> bool:
         """Run a phase in all worlds; whether one ran out of room."""
@@ -485,8 +398,6 @@ class Simulation:
             in_turn(self._phase_launches("collide", w, 1))()
         in_turn([*self._phase_launches("solve", w, 1), *self._phase_launches("advance", w, 1)])()
 
-    # ------------------------------------------------------------------ capacity
-
     def _grow(self) -> None:
         """More room for the worlds that ran out of it; their step is then repeated from ``collide``."""
         flags = self.state.numpy("flags").copy()
@@ -517,41 +428,23 @@ class Simulation:
             self._phase = "advance"
             self._bind_all()
 
-    # ------------------------------------------------------------------ reports
-
     def capacity(self) -> dict[str, dict[str, int]]:
         """Pairs, contacts and blocks of rows: reserved in all worlds, used now, and the most one world used."""
-        used, room = self.storage.used(), self.storage.reserved()
-        return {
-            name: {"reserved": int(room[name].sum()), "used": int(used[name].sum()), "peak_of_a_world": int(peak)}
-            for name, peak in zip(used, self._shards.peak.max(axis=0))
-        }
+        return capacity(self.storage, self._shards.peak.max(axis=0))
 
     def memory(self) -> dict[str, int]:
         """Bytes allocated: by what they grow with (bodies with their shapes and pairs, contacts with their rows)."""
-        total = {"body_bytes": 0, "contact_bytes": 0, "joint_bytes": 0}
-        owner = {"contact": "contact_bytes", "joint": "joint_bytes"}
-        for group in (self.model, self.state, self.joints, *self.storage.groups().values()):
-            for axis, size in group.nbytes_by_axis().items():
-                key = "contact_bytes" if axis.startswith("row") else owner.get(axis, "body_bytes")
-                total[key] += size
-        return total
+        return memory((self.model, self.state, self.joints, *self.storage.groups().values()))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a snapshot to continue from, bit for bit (see ``snapshot.save``)."""
-        from dc_kernels.snapshot import save
-
-        save(self, path)
+        snapshot.save(self, path)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], **options: Any) -> Simulation:
         """A simulation from a snapshot; options as for the constructor (see ``snapshot.load``)."""
-        from dc_kernels.snapshot import load
-
-        return load(cls, path, **options)
+        return snapshot.load(cls, path, **options)
 
     def explain(self) -> str:
         """What runs for this scene, what is skipped, and why."""
-        from dc_kernels.explain import explain
-
         return explain(self)

@@ -11,6 +11,8 @@ from typing import Any, Literal, NamedTuple
 from dc_kernels.runtime.backends import make_kernels
 
 Phase = Literal["advance", "collide", "solve"]
+PHASES: tuple[Phase, ...] = ("collide", "solve", "advance")
+"""Parts of a step in order."""
 
 
 class Stage(NamedTuple):

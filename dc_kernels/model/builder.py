@@ -35,52 +35,12 @@ from dc_kernels.model.assemble import (
 )
 from dc_kernels.model.checks import ALL_BITS, fill, number, pair
 from dc_kernels.model.enums import BodyType, ShapeType
+from dc_kernels.model.row_table import RowTable
 from dc_kernels.model.shapes import TOLERANCE, box_vertices, convex_polygon, points
 from dc_kernels.runtime.backends import on_numpy
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
-
-
-class _Rows:
-    """A table of float64 numbers that grows by single rows and by blocks."""
-
-    def __init__(self, width: int) -> None:
-        self.count = 0
-        self._width = width
-        self._rows: list[tuple[float, ...]] = []
-        self._blocks: list[np.ndarray] = []
-
-    def append(self, *row: float) -> int:
-        self._rows.append(row)
-        self.count += 1
-        return self.count - 1
-
-    def extend(self, block: np.ndarray) -> None:
-        self._flush()
-        self._blocks.append(block)
-        self.count += len(block)
-
-    def collect(self) -> np.ndarray:
-        self._flush()
-        if len(self._blocks) != 1:
-            self._blocks = [np.concatenate([np.empty((0, self._width)), *self._blocks])]
-        return self._blocks[0]
-
-    def row(self, index: int) -> Any:
-        first = self.count - len(self._rows)
-        if index >= first:
-            return self._rows[index - first]
-        for block in reversed(self._blocks):  # what is asked for was mostly added lately
-            first -= len(block)
-            if index >= first:
-                return block[index - first]
-        raise IndexError(index)
-
-    def _flush(self) -> None:
-        if self._rows:
-            self._blocks.append(np.array(self._rows, np.float64))
-            self._rows = []
 
 
 class Material(TypedDict, total=False):
@@ -106,10 +66,10 @@ class ModelBuilder:
 
     def __init__(self) -> None:
         self._worlds: list[World] = []
-        self._bodies = _Rows(9)
-        self._shapes = _Rows(9)
-        self._vertices = _Rows(2)
-        self._joints = _Rows(7)  # body a, body b, anchor a, anchor b, length
+        self._bodies = RowTable(9)
+        self._shapes = RowTable(9)
+        self._vertices = RowTable(2)
+        self._joints = RowTable(7)  # body a, body b, anchor a, anchor b, length
 
     def add_world(self, gravity: Any = (0.0, -9.8), origin: Any = (0.0, 0.0), length_scale: float | None = None) -> int:
         """Begin a new world and return its index.

@@ -53,3 +53,11 @@ def _recorder() -> tuple[Any, Any]:
     start_warp()
     own_thread = getattr(context.runtime.core, "wp_apic_get_recording_state", lambda: True)
     return wp.get_device("cpu"), own_thread
+
+
+def refuse_hosted(backend: str, schedule: str) -> None:
+    """Raise RuntimeError for a step that the host takes part in, which no graph can hold."""
+    if backend != "warp":
+        refuse_recording(f"a step of the {backend} backend", "it runs at once")
+    if schedule != "world":
+        refuse_recording(f"a step with schedule {schedule!r}", "the host drives it")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -130,3 +131,34 @@ def check_count(name: str, count: Any) -> int:
     if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 1:
         raise ValueError(f"{name} is {count!r}; it must be an integer of at least 1")
     return int(count)
+
+
+def check_time_step(dt: float | np.ndarray, worlds: int, dtype: np.dtype) -> None:
+    """Raise ValueError for a time step [s] that is not finite and positive, or underflows a scalar type.
+
+    Args:
+        dt: of all worlds, or of each, (W,).
+        worlds: how many there are.
+        dtype: of the simulation.
+    """
+    value = np.asarray(dt, np.float64)
+    if value.ndim and value.shape != (worlds,):
+        raise ValueError(f"dt has shape {value.shape}; it must be a number or have shape {(worlds,)}")
+    if not ((value > 0.0) & (value < float("inf"))).all():
+        raise ValueError(f"dt is {dt!r}; it must be finite and > 0 [s]")
+    if not value.astype(dtype).all():
+        raise ValueError(f"dt is {dt!r}; it underflows {dtype.name}")
+
+
+def check_choice(name: str, value: Any, allowed: Iterable[str]) -> None:
+    """Raise ValueError for a setting that is none of the allowed ones."""
+    allowed = tuple(allowed)
+    if value not in allowed:
+        raise ValueError(f"{name} is {value!r}; it must be one of {allowed}")
+
+
+def check_room(**room: float) -> None:
+    """Raise ValueError for room to reserve that is not finite or negative."""
+    for name, value in room.items():
+        if not 0.0 <= value < float("inf"):
+            raise ValueError(f"{name} is {value!r}; it must be finite and not negative")

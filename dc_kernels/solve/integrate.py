@@ -6,6 +6,8 @@ import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.fields import MOTION
+from dc_kernels.runtime.capture import recording, refuse_recording
+from dc_kernels.runtime.inputs import check_time_step
 
 PADDING = 8  # bodies between the padding bodies of two shards: more than a cache line
 
@@ -28,6 +30,27 @@ class Integrator:
         sizes = {**model.sizes, "body+1": bodies, "body sum": bodies if method == "jacobi" else 1}
         self.motion = Motion(sizes, model.dtype, model.device, model.backend)
         self.motion.assign("weight", typical_weight(model))
+        self._step_dt = self.motion.numpy("step_dt")  # making a view takes longer than a small world's kernels
+        self._checked: float | None = None  # the last time step that was found right
+
+    def set_time_step(self, dt: float | np.ndarray) -> None:
+        """Write the time step [s] of all worlds, or of each, (W,).
+
+        Raises:
+            ValueError: for one that is not finite and positive.
+            RuntimeError: for one of each world in a recording.
+        """
+        if not isinstance(dt, float) or dt != self._checked:
+            check_time_step(dt, len(self._step_dt), self.motion.dtype)
+            self._checked = dt if isinstance(dt, float) else None
+        if recording():
+            if np.ndim(dt):
+                refuse_recording("a time step of each world", "a graph holds one of all")
+            self.motion.step_dt.fill_(float(dt))  # a replay may find that of another call
+        elif self.motion.device == "cpu":
+            self._step_dt[...] = dt
+        else:
+            self.motion.assign("step_dt", np.broadcast_to(dt, self._step_dt.shape))
 
     def provide(self, method: str) -> bool:
         """Allocate what a method needs and has not got yet; whether there was any."""

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from dc_kernels.model.arrays import Model
+from dc_kernels.model.enums import BodyType, ShapeType
+
 # contacts solved, nodes or neighbours weighed, side by side; 16 contacts gained under 5 % and pad small worlds far more
 LANES = 8
 COLORS = 64  # colours of the contact graph: bits of a mask; the last one is the serial overflow colour
@@ -37,3 +40,17 @@ def read_column(columns: np.ndarray, variant: str, name: str, slot: np.ndarray) 
     names = COLUMNS[variant]
     block, lane = np.divmod(slot, 2 * LANES)
     return columns[(block * len(names) + names.index(name)) * LANES + lane]
+
+
+def only_centred_discs(model: Model) -> bool:
+    """Whether all that moves are discs about their centre of mass."""
+    moving = (model.numpy("body_type") != BodyType.STATIC)[model.numpy("shape_body")]
+    centred_disc = (model.numpy("shape_type") == ShapeType.DISC) & ~model.numpy("shape_center").any(axis=1)
+    return bool((~moving | centred_disc).all())
+
+
+def variant_of(model: Model, only_discs: bool) -> str:
+    """The variant of rows that a scene needs, a key of ``COLUMNS``: joints, discs if there is nothing else, general."""
+    if model.joint_count:
+        return "joints"
+    return "discs" if only_discs else "general"

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dc_kernels.model.config import SolverConfig
+from dc_kernels.model.config import ACCELERATIONS, SolverConfig
 from dc_kernels.runtime.backends import Launch, bind
+from dc_kernels.solve.iteration import NEVER
 from dc_kernels.solve.rows import COLORS, LANES, SERIAL_COLOR
 
 if TYPE_CHECKING:
@@ -46,6 +47,24 @@ def check_iteration(config: SolverConfig, own: SolverConfig) -> None:
         raise ValueError(
             f"config.max_sweeps is {config.max_sweeps}; the simulation keeps the history of {own.max_sweeps} sweeps"
         )
+
+
+def check_pause(pause: int | None, resume: bool, schedule: str) -> None:
+    """Raise ValueError for a solve that cannot pause, or a pause out of range."""
+    if pause is None and not resume:
+        return
+    if schedule != "world":
+        raise ValueError(f"schedule is {schedule!r}; only 'world' can pause a solve")
+    if pause is not None and not 0 <= pause < NEVER:
+        raise ValueError(f"pause is {pause}; it must lie in [0, {NEVER})")
+
+
+def settings_of_solve(config: SolverConfig, pause: int | None, resume: bool) -> dict[str, Any]:
+    """Settings and numbers of a launch of one solve, which may pause or go on."""
+    changed = config.kernel_values()
+    if (pause is not None or resume) and changed["acceleration"] == ACCELERATIONS["adaptive"]:
+        changed["acceleration"] = ACCELERATIONS["aitken"]  # what a stretch remembers outlives no launch
+    return {**changed, "resume": int(resume), "pause": NEVER if pause is None else pause}
 
 
 def world_schedule(sim: Simulation, first: int, count: int, values: Mapping[str, Any]) -> list[Launch]:

@@ -7,7 +7,6 @@ import pytest
 from bench import house
 
 # Where a bar is not reached yet, today's figure is the bound: it may fall, and then it is lowered here, but not rise.
-BOUNDS = house.BARS | {"longest_module": 557}
 
 
 @pytest.fixture(scope="module")
@@ -18,4 +17,4 @@ def figures():
 @pytest.mark.parametrize("key", house.KEYS)
 def test_figure_stays_within_its_bound(figures, key):
     value, where = figures[key]
-    assert value <= BOUNDS[key], f"{key} is {value}, at most {BOUNDS[key]}: {where}"
+    assert value <= house.BARS[key], f"{key} is {value}, at most {house.BARS[key]}: {where}"

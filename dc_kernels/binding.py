@@ -1,0 +1,84 @@
+"""Launches of a step's kernels, bound to the groups and settings of a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dc_kernels.model.arrays import ArrayGroup, uniform
+from dc_kernels.model.config import CONFIG, SolverConfig
+from dc_kernels.model.fields import LAUNCH
+from dc_kernels.runtime.backends import Launch, bind, kernel_file
+from dc_kernels.solve.integrate import PADDING
+from dc_kernels.solve.iteration import NEVER
+
+
+class Binding:
+    """Arguments of the kernels of a step by name: the groups, the settings, and the numbers of a launch.
+
+    Attributes:
+        values: groups and settings as kernels take them; made anew by ``renew``.
+    """
+
+    def __init__(
+        self, kernels: Mapping[str, Any], groups: Mapping[str, ArrayGroup], ranges: Sequence[tuple[int, int]]
+    ) -> None:
+        """Prepare.
+
+        Args:
+            kernels: of the backend, by name.
+            groups: every group by the name that kernels have for it, "model" among them.
+            ranges: first world and number of worlds of each shard.
+        """
+        self.kernels, self.ranges = kernels, list(ranges)
+        self.model = groups["model"]
+        self._groups = kernel_file(self.model.backend, "groups")
+        self.values: dict[str, Any] = {}
+        self._settings: dict[str, Any] = {}
+        self._past = (0, False)
+
+    def renew(self, config: SolverConfig, groups: Mapping[str, ArrayGroup], past_width: int, in_turn: bool) -> None:
+        """Take settings and arrays anew.
+
+        Args:
+            config: settings of the solver.
+            groups: every group by name.
+            past_width: numbers that a world's accelerated solve may look back on.
+            in_turn: whether the worlds of a shard are solved one after the other, and so share them.
+        """
+        self._past = (past_width, in_turn)
+        self._settings = {
+            **config.kernel_values(),
+            "uniform_friction": uniform(self.model.numpy("shape_friction")),
+            "uniform_restitution": uniform(self.model.numpy("shape_restitution")),
+        }
+        self.values = {name: self._groups.array_group(group, name) for name, group in groups.items()}
+        self.values["config"] = self._scalars("config", self._settings)
+
+    def _scalars(self, name: str, values: Mapping[str, Any]) -> Any:
+        table = {"config": CONFIG, "launch": LAUNCH}[name]
+        return self._groups.scalars(name, self.model.dtype.name, values, table)
+
+    def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:
+        """Arguments for the worlds from ``first`` on, with ``changed`` settings or numbers of the launch."""
+        # empty lanes write zeros to a padding body: one for each shard, or threads would share its cache line
+        shard = next((i for i, (a, n) in enumerate(self.ranges) if a <= first < a + n), 0)
+        width, in_turn = self._past
+        launch = {
+            "world_offset": first,
+            "padding_body": self.model.sizes["body"] + PADDING * shard,
+            "past_offset": width * (shard if in_turn else first),
+            "past_step": 0 if in_turn else width,
+            "resume": 0,
+            "pause": NEVER,
+            **{name: value for name, value in changed.items() if name in LAUNCH},
+        }
+        values = {**self.values, "launch": self._scalars("launch", launch)}
+        settings = {name: value for name, value in changed.items() if name not in launch}
+        if settings:
+            values["config"] = self._scalars("config", {**self._settings, **settings})
+        return values
+
+    def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any]) -> Launch:
+        """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
+        return bind(self.kernels[name], count, self.launch_values(first, changed), self.model.device)
