@@ -93,6 +93,17 @@ def of_phase(phase: Phase, position_correction: bool = True) -> list[str]:
     return names if position_correction else [name for name in names if name != "correct_positions"]
 
 
+def markdown() -> str:
+    """The stages as a table for people."""
+    rows = ["| phase | kernel | file | reads | writes | what it does | left out |", "| --- " * 7 + "|"]
+    for stage in STEP:
+        groups = [", ".join(f"`{name}`" for name in names) for names in (stage.reads, stage.writes)]
+        place = f"`{stage.file.replace('.', '/')}.py`"
+        cells = (stage.phase, f"`{stage.kernel}`", place, *groups, stage.does, stage.skipped)
+        rows.append(f"| {' | '.join(cells)} |".replace("|  |", "| |"))
+    return "\n".join(rows)
+
+
 def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool) -> dict[str, Any]:
     """All kernels of a simulation by name.
 

@@ -17,6 +17,7 @@ import pytest
 
 import dc_kernels as dc
 from bench.__main__ import NAMES
+from dc_kernels import stages
 from pipeline import cli
 from pipeline.scenes import SCENES
 
@@ -237,3 +238,7 @@ def test_every_option_is_known_to_the_help(helps):
         words = shlex.split(line)[1:]
         known = "".join(text for name, text in helps.items() if " ".join(words).startswith(name))
         assert not [(page, word) for word in words if word.startswith("--") and word not in known]
+
+
+def test_the_table_of_stages_is_that_of_the_code():
+    assert stages.markdown() in (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
