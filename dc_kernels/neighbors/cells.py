@@ -80,7 +80,7 @@ class SortedCells:
             "line_count": np.empty(worlds, np.int32),
             "line_stride": np.empty(worlds, np.int64),
         }
-        shared = kernel_file(self.backend, "structs").group("Cells", self.dtype.name, CELLS, cells)
+        shared = kernel_file(self.backend, "groups").group("cells", self.dtype.name, CELLS, cells)
         point = kernel_arrays({"point": points}, self.backend)
 
         def sort(first: int, count: int) -> None:
