@@ -19,8 +19,9 @@ every array.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from dc_kernels.runtime.lazy import lazy_names
 
 if TYPE_CHECKING:
     from dc_kernels.grid.grid import Grid, GridChoice, choose_grid, shared_cells
@@ -95,17 +96,4 @@ _MODULES = {
     "solve.contacts": ("SolveStats",),
     "sph.sums": ("sph_density", "sph_sum"),
 }
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name from its module on first use (PEP 562)."""
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f".{_MODULE_OF[name]}", __name__), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_names(__name__, _MODULES)

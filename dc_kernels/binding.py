@@ -57,7 +57,7 @@ class Binding:
 
     def _scalars(self, name: str, values: Mapping[str, Any]) -> Any:
         table = {"config": CONFIG, "launch": LAUNCH}[name]
-        return self._groups.scalars(name, self.model.dtype.name, values, table)
+        return self._groups.group(name, self.model.dtype.name, table, values)
 
     def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments for the worlds from ``first`` on, with ``changed`` settings or numbers of the launch."""

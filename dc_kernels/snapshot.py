@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from dc_kernels.measure import contact_slots
-from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State, float_dtype, numpy_spec
+from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State
 from dc_kernels.model.config import SolverConfig
+from dc_kernels.model.dtypes import float_dtype, numpy_spec
 from dc_kernels.model.fields import CONTACTS, Field
 from dc_kernels.runtime.optional import require
 

@@ -1,4 +1,4 @@
-"""Groups of arrays as the oracle takes them: the group itself, and numbers by name."""
+"""Groups of arrays and numbers as the oracle takes them: attributes of one object."""
 
 from __future__ import annotations
 
@@ -8,26 +8,28 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.model.arrays import FLOATS, ArrayGroup, aligned_zeros, struct_dtype
+from dc_kernels.model.dtypes import FLOATS, aligned_zeros, struct_dtype
 from dc_kernels.model.fields import Field
 
 
-def array_group(group: ArrayGroup, name: str) -> ArrayGroup:
-    """The arrays of a group as kernels take them."""
-    return group
+def group(name: str, dtype: str, table: Mapping[str, Field], values: Mapping[str, Any]) -> SimpleNamespace:
+    """An object with the values by name; arrays of other backends on the CPU are seen as numpy's.
+
+    Args:
+        name: of the group.
+        dtype: "float32" or "float64".
+        table: its fields.
+        values: numbers and arrays.
+    """
+    return SimpleNamespace(**{key: v.numpy() if hasattr(v, "numpy") else v for key, v in values.items()})
 
 
-def scalars(name: str, dtype: str, values: Mapping[str, Any], table: Mapping[str, Field]) -> Any:
-    """Numbers by name."""
-    return SimpleNamespace(**values)
+def array_group(arrays: Any, name: str) -> Any:
+    """The arrays of a ``model.arrays.ArrayGroup`` as kernels take them: that itself."""
+    return arrays
 
 
-def struct_array(name: str, dtype: str, table: Mapping[str, Field]) -> tuple[np.ndarray, np.ndarray]:
-    """An array of one struct, as kernels take it, with its fields as attributes, and as NumPy sees it."""
+def element_array(name: str, dtype: str, table: Mapping[str, Field]) -> tuple[np.ndarray, np.ndarray]:
+    """An array of one struct of numbers, as kernels take it, with its fields as attributes, and as NumPy sees it."""
     values = aligned_zeros((1,), struct_dtype(table, FLOATS[dtype]))
     return values.view(np.recarray), values
-
-
-def no_arrays(name: str, dtype: str, table: Mapping[str, Field]) -> None:
-    """A group without arrays, for kernels that do not touch it."""
-    return None

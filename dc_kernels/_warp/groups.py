@@ -1,77 +1,82 @@
-"""Groups of arrays as Warp structs, made from the tables of fields: kernels take these instead of single arrays."""
+"""Groups of arrays and numbers as Warp structs, made from the tables of fields: one argument of a kernel for many."""
 
 from collections.abc import Mapping
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 
 from dc_kernels._warp.common import scalar_types
-from dc_kernels.model.arrays import FLOATS, ArrayGroup, aligned_zeros, struct_dtype, warp_dtype
 from dc_kernels.model.config import CONFIG
+from dc_kernels.model.dtypes import FLOATS, aligned_zeros, numpy_spec, struct_dtype
 from dc_kernels.model.fields import CONTACTS, GROUPS, ITERATION, LAUNCH, ROW, SPAN, Field
+from dc_kernels.runtime.building import building
 
 # what the narrowphase finds of a contact; the rest is matched with the step before
-FOUND = ("key", "body_a", "body_b", "normal", "arm_a", "arm_b", "gap", "friction", "restitution")
+_FOUND = ("key", "body_a", "body_b", "normal", "arm_a", "arm_b", "gap", "friction", "restitution")
+FOUND = {name: CONTACTS[name] for name in _FOUND}
 
 
-_structs: dict[tuple[str, str], Any] = {}
+class _Made(NamedTuple):
+    struct: Any
+    table: Mapping[str, Field]  # kept alive, as its id is the key
+    layout: np.dtype | None  # of an element, as NumPy sees it
 
 
-def _struct_of(name: str, dtype: str, annotations: Mapping[str, Any]) -> Any:
-    """The one Warp struct of a name and scalar type; it lies in a module of its own, so that all kernels share it."""
-    if (name, dtype) not in _structs:
-        module = wp.get_module(f"dc_kernels.groups.{dtype}")
-        fields = type(name, (), {"__annotations__": dict(annotations), "__module__": __name__})
-        _structs[name, dtype] = wp.struct(fields, module=module)
-    return _structs[name, dtype]
+_made: dict[tuple[str, str, int, bool], _Made] = {}
 
 
-def _class_name(name: str) -> str:
-    """The struct of a group: "delassus_problem" is a ``DelassusProblem``."""
-    return "".join(part.capitalize() for part in name.split("_"))
+def struct_type(name: str, dtype: str, table: Mapping[str, Field]) -> Any:
+    """The struct of a group: an array for each field of its table, and a number for each without axes.
 
-
-def scalar_struct(name: str, dtype: str, table: Mapping[str, Field]) -> Any:
-    """The struct of a table whose fields are numbers and small vectors, as the settings and an iteration in flight."""
-    return _struct_of(name, dtype, {field.name: warp_dtype(field, FLOATS[dtype]) for field in table.values()})
-
-
-def array_struct(name: str, dtype: str, table: Mapping[str, Field]) -> Any:
-    """The struct of a table whose fields are arrays."""
-    real = FLOATS[dtype]
-    types = {
-        field.name: iteration_struct(dtype) if field.dtype == "iteration" else warp_dtype(field, real)
-        for field in table.values()
-    }
-    return _struct_of(name, dtype, {n: wp.array(dtype=types[n], ndim=len(field.axes)) for n, field in table.items()})
-
-
-@cache
-def group_types(dtype: str) -> SimpleNamespace:
-    """Types of a scalar's kernels: ``real``, ``vec2``, ``vec4``, the structs of ``GROUPS``, and those of scalars.
-
-    The structs are ``Model``, ``State``, ``Joints``, ``Contacts``, ``Cache``, ``Pairs``, ``Rows``, ``Motion`` and
-    ``Stats`` with an array for each field; ``Config``, ``Launch``, ``Contact``, ``Row`` and ``Span`` with numbers; and
-    ``Iteration``, of which ``Stats.iteration`` holds one for each world.
+    Args:
+        name: of the group: the struct of "delassus_problem" is a ``DelassusProblem``.
+        dtype: "float32" or "float64": what "real" is.
+        table: fields by name; each object is a table of its own.
     """
-    contact = {name: CONTACTS[name] for name in FOUND}
-    tables = {"Config": CONFIG, "Launch": LAUNCH, "Contact": contact, "Row": ROW, "Span": SPAN}
-    types = {name: scalar_struct(name, dtype, table) for name, table in tables.items()}
-    types["Iteration"] = iteration_struct(dtype)
-    for name, table in GROUPS.items():
-        types[_class_name(name)] = array_struct(_class_name(name), dtype, table)
-    return SimpleNamespace(**vars(scalar_types(dtype)), **types)
+    return _struct(name, dtype, table, False).struct
 
 
-@cache
-def iteration_struct(dtype: str) -> Any:
-    """The struct of ``ITERATION``."""
-    struct = scalar_struct("Iteration", dtype, ITERATION)
-    _check_layout(struct, struct_dtype(ITERATION, FLOATS[dtype]))
-    return struct
+def element_type(name: str, dtype: str, table: Mapping[str, Field]) -> Any:
+    """The struct of one element of a table's arrays: a number or small vector for each field."""
+    return _struct(name, dtype, table, True).struct
+
+
+def field_type(field: Field, dtype: str) -> Any:
+    """The Warp type of one element of a field."""
+    if field.dtype == "iteration":
+        return element_type("iteration", dtype, ITERATION)
+    scalar, shape = numpy_spec(field, FLOATS[dtype])
+    base = wp.dtype_from_numpy(scalar)
+    return wp.types.vector(shape[0], base) if shape else base
+
+
+def _struct(name: str, dtype: str, table: Mapping[str, Field], element: bool) -> _Made:
+    """Look up what is made once, so that all kernels and arrays share one type; threads may ask at once."""
+    key = (name, dtype, id(table), element)
+    if key not in _made:
+        with building():
+            if key not in _made:
+                _made[key] = _define(name, dtype, table, element)
+    return _made[key]
+
+
+def _define(name: str, dtype: str, table: Mapping[str, Field], element: bool) -> _Made:
+    annotations = {field.name: field_type(field, dtype) for field in table.values()}
+    if not element:
+        axes = {field.name: len(field.axes) for field in table.values()}
+        annotations = {n: wp.array(dtype=t, ndim=axes[n]) if axes[n] else t for n, t in annotations.items()}
+    label = "".join(part.capitalize() for part in name.split("_"))
+    fields = type(label, (), {"__annotations__": annotations, "__module__": __name__})
+    # in a module of its own, so that all kernels share it
+    struct = wp.struct(fields, module=wp.get_module(f"dc_kernels.groups.{dtype}"))
+    if not element:
+        return _Made(struct, table, None)
+    layout = struct_dtype(table, FLOATS[dtype])
+    _check_layout(struct, layout)
+    return _Made(struct, table, layout)
 
 
 def _check_layout(struct: Any, wanted: np.dtype) -> None:
@@ -82,41 +87,55 @@ def _check_layout(struct: Any, wanted: np.dtype) -> None:
         raise RuntimeError(f"Warp lays out {struct.key} as {found}, NumPy as {wanted}: no view can serve both")
 
 
-def array_group(group: ArrayGroup, name: str) -> Any:
-    """The arrays of a group as kernels take them: one struct; it keeps the arrays alive."""
-    struct = array_struct(_class_name(name), group.dtype.name, group.table)()
-    for field in group.table:
-        setattr(struct, field, group.array(field))
-    return struct
+@cache
+def group_types(dtype: str) -> SimpleNamespace:
+    """Types of a scalar's kernels: ``real``, ``vec2``, ``vec4``, the structs of ``GROUPS``, and those of numbers.
+
+    The structs are ``Model``, ``State``, ``Joints``, ``Contacts``, ``Cache``, ``Pairs``, ``Rows``, ``Motion`` and
+    ``Stats`` with an array for each field; ``Config``, ``Launch``, ``Contact``, ``Row`` and ``Span`` with numbers; and
+    ``Iteration``, of which ``Stats.iteration`` holds one for each world.
+    """
+    groups = {"config": CONFIG, "launch": LAUNCH, **GROUPS}
+    elements = {"contact": FOUND, "row": ROW, "span": SPAN, "iteration": ITERATION}
+    types = {name.capitalize(): struct_type(name, dtype, table) for name, table in groups.items()}
+    types |= {name.capitalize(): element_type(name, dtype, table) for name, table in elements.items()}
+    return SimpleNamespace(**vars(scalar_types(dtype)), **types)
 
 
-def scalars(name: str, dtype: str, values: Mapping[str, Any], table: Mapping[str, Field]) -> Any:
-    """Numbers as kernels take them: one struct, whose fields may be set later."""
-    struct = scalar_struct(_class_name(name), dtype, table)()
+def group(name: str, dtype: str, table: Mapping[str, Field], values: Mapping[str, Any]) -> Any:
+    """A struct that holds values by name, which may be set again later; it keeps arrays alive.
+
+    Args:
+        name: of the group, see ``struct_type``.
+        dtype: "float32" or "float64".
+        table: its fields; one that no value is given for is 0 or an array of nothing.
+        values: numbers, ``wp.array``, or numpy arrays, which are used where they lie.
+    """
+    struct = struct_type(name, dtype, table)()
     for key, value in values.items():
-        setattr(struct, key, value)
+        setattr(struct, key, _shared(value, table[key]) if isinstance(value, np.ndarray) else value)
     return struct
 
 
-def struct_array(name: str, dtype: str, table: Mapping[str, Field]) -> tuple[Any, np.ndarray]:
-    """One struct of numbers in an array, as kernels write it, and its memory, a structured NumPy array to be kept."""
-    struct, layout = _checked_struct(name, dtype, tuple(table.items()))
+def _shared(array: np.ndarray, field: Field) -> wp.array:
+    """The memory of an array for Warp; its dtype is what it has, so that the struct refuses a wrong one."""
+    element, shape = wp.dtype_from_numpy(array.dtype), array.shape
+    if array.ndim > len(field.axes):
+        element, shape = wp.types.vector(shape[-1], element), shape[:-1]
+    return wp.array(array, dtype=element, shape=shape, device="cpu", copy=False)
+
+
+def array_group(arrays: Any, name: str) -> Any:
+    """The arrays of a ``model.arrays.ArrayGroup`` as kernels take them (see ``group``)."""
+    return group(name, arrays.dtype.name, arrays.table, {field: arrays.array(field) for field in arrays.table})
+
+
+def element_array(name: str, dtype: str, table: Mapping[str, Field]) -> tuple[Any, np.ndarray]:
+    """An array of one struct of numbers, as kernels write it, and its memory, a structured NumPy array to be kept."""
+    struct, _, layout = _struct(name, dtype, table, True)
     memory = aligned_zeros((1,), layout)
     # by its address: given the memory itself, Warp derives the struct's layout anew each time
     return wp.array(ptr=memory.ctypes.data, dtype=struct, shape=(1,), device="cpu"), memory
-
-
-@cache
-def _checked_struct(name: str, dtype: str, rows: tuple[tuple[str, Field], ...]) -> tuple[Any, np.dtype]:
-    table = dict(rows)
-    struct, layout = scalar_struct(_class_name(name), dtype, table), struct_dtype(table, FLOATS[dtype])
-    _check_layout(struct, layout)
-    return struct, layout
-
-
-def no_arrays(name: str, dtype: str, table: Mapping[str, Field]) -> Any:
-    """A group without arrays, for kernels that do not touch it."""
-    return array_struct(_class_name(name), dtype, table)()
 
 
 @cache
@@ -128,7 +147,7 @@ def contiguous_groups(dtype: str) -> Any:
     access: a broadphase would take a tenth longer.
     """
     for name, table in GROUPS.items():
-        struct = getattr(group_types(dtype), _class_name(name))
+        struct = struct_type(name, dtype, table)
 
         @wp.func_native(contiguity(table))
         def contiguous(group: struct): ...
@@ -138,6 +157,6 @@ def contiguous_groups(dtype: str) -> Any:
 
 def contiguity(table: Mapping[str, Field]) -> str:
     """Native code that tells the compiler that elements of the arrays of ``group`` follow each other."""
-    last = {field.name: len(field.axes) - 1 for field in table.values()}
+    last = {field.name: len(field.axes) - 1 for field in table.values() if field.axes}
     assumptions = (f"__builtin_assume(group.{n}.strides[{i}] == sizeof(*group.{n}.data));" for n, i in last.items())
     return "\n".join(["", *assumptions, ""])

@@ -7,8 +7,9 @@ module when it is first used.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from dc_kernels.runtime.lazy import lazy_names
 
 if TYPE_CHECKING:
     from dc_kernels.delassus.problem import DelassusProblem, assemble_blocks
@@ -37,17 +38,4 @@ _MODULES = {
     "solver": ("Method", "solve", "warmup"),
     "world": ("from_world", "read_impulses", "refine", "write_impulses"),
 }
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name from its module on first use (PEP 562)."""
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f".{_MODULE_OF[name]}", __name__), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_names(__name__, _MODULES)

@@ -49,18 +49,18 @@ class FirstOrder:
             looks: rows of history kept.
         """
         dtype, backend, n = problem.dtype.name, problem.backend, problem.sizes["contact"]
-        self._kernel = delassus_kernels(backend, dtype)["solve_delassus"]  # first: the structs are made with it
+        self._kernel = delassus_kernels(backend, dtype)["solve_delassus"]
         groups = kernel_file(backend, "groups")
         self.acceleration, self.looks = acceleration, looks
         state = SearchState({"contact": n, "look": looks}, dtype, backend=backend)
         self.impulse, self.best, self._direction, self.history = (
             state.numpy(name) for name in ("impulse", "best", "direction", "history")
         )
-        memory = groups.no_arrays("delassus_memory", dtype, MEMORY)
+        memory = groups.group("delassus_memory", dtype, MEMORY, {})
         if acceleration is Acceleration.ANDERSON:
             sizes = {"contact": n, "remembered contact": WINDOW * n, "window": WINDOW}
             memory = groups.array_group(SearchMemory(sizes, dtype, backend=backend), "delassus_memory")
-        progress, self._progress = groups.struct_array("delassus_progress", dtype, PROGRESS)
+        progress, self._progress = groups.element_array("delassus_progress", dtype, PROGRESS)
         values = {
             "scale": problem.scale,
             "method": int(acceleration),
@@ -71,7 +71,7 @@ class FirstOrder:
             "growth": GROWTH,
             **{name: getattr(DEFAULT, name) for name in AITKEN},
         }
-        self._settings = groups.scalars("delassus_settings", dtype, values, SETTINGS)
+        self._settings = groups.group("delassus_settings", dtype, SETTINGS, values)
         self._values = {
             "settings": self._settings,
             "problem": problem.struct,

@@ -64,21 +64,21 @@ MEMORY = field_table(
 )
 
 SETTINGS = field_table(
-    ("scale", "solve", "real", "1", "what makes an impulse one of the problem as given, with its velocity in |q|"),
-    ("method", "solve", "int32", "1", "Acceleration"),
-    ("max_sweeps", "solve", "int32", "1", "sweeps at most"),
-    ("every", "solve", "int32", "1", "sweeps between two looks at the natural maps"),
-    ("patience", "solve", "int32", "1", "looks without gain that end the solve; 0: none do"),
-    ("gain", "solve", "real", "1", "share that a map falls to where it gains"),
-    ("tolerance", "solve", "real", "1", "of the natural map"),
-    ("scaled_tolerance", "solve", "real", "1", "of the scaled map"),
-    ("omega", "solve", "real", "1", "relaxation of a sweep"),
-    ("aitken_period", "solve", "int32", "1", "least sweeps of an Aitken period"),
-    ("aitken_period_max", "solve", "int32", "1", "most sweeps of an Aitken period"),
-    ("aitken_cap", "solve", "real", "1", "largest multiple of a step that an extrapolation adds"),
-    ("aitken_threshold", "solve", "real", "1", "ratio of two periods' steps above which the next is longer"),
-    ("window", "solve", "int32", "1", "earlier sweeps that Anderson's combination takes"),
-    ("growth", "solve", "real", "1", "of the squared step, at which Anderson's last combination is taken back"),
+    ("scale", "launch", "real", "1", "what makes an impulse one of the problem as given, with its velocity in |q|"),
+    ("method", "launch", "int32", "1", "Acceleration"),
+    ("max_sweeps", "launch", "int32", "1", "sweeps at most"),
+    ("every", "launch", "int32", "1", "sweeps between two looks at the natural maps"),
+    ("patience", "launch", "int32", "1", "looks without gain that end the solve; 0: none do"),
+    ("gain", "launch", "real", "1", "share that a map falls to where it gains"),
+    ("tolerance", "launch", "real", "1", "of the natural map"),
+    ("scaled_tolerance", "launch", "real", "1", "of the scaled map"),
+    ("omega", "launch", "real", "1", "relaxation of a sweep"),
+    ("aitken_period", "launch", "int32", "1", "least sweeps of an Aitken period"),
+    ("aitken_period_max", "launch", "int32", "1", "most sweeps of an Aitken period"),
+    ("aitken_cap", "launch", "real", "1", "largest multiple of a step that an extrapolation adds"),
+    ("aitken_threshold", "launch", "real", "1", "ratio of two periods' steps above which the next is longer"),
+    ("window", "launch", "int32", "1", "earlier sweeps that Anderson's combination takes"),
+    ("growth", "launch", "real", "1", "of the squared step, at which Anderson's last combination is taken back"),
 )
 
 PROGRESS = field_table(

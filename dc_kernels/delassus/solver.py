@@ -10,7 +10,7 @@ import numpy as np
 from dc_kernels.delassus.newton import search_automatically
 from dc_kernels.delassus.problem import DelassusProblem
 from dc_kernels.delassus.search import METHODS, DelassusSolution, Search
-from dc_kernels.model.arrays import FLOATS
+from dc_kernels.model.dtypes import FLOATS
 from dc_kernels.runtime.backends import check_backend
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.optional import require

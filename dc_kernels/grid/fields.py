@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from dc_kernels.model.fields import Field
+from dc_kernels.model.fields import field_table
 
-
-def _table(*rows: tuple[str, str, str, str, str]) -> dict[str, Field]:
-    return {row[0]: Field(*row) for row in rows}
-
-
-STENCIL = _table(
+STENCIL = field_table(
     ("kernel", "launch", "int32", "1", "code of the stencil (``sph.smoothing.STENCILS``)"),
     ("normalize", "launch", "int32", "1", "Normalize"),
     ("nearest", "launch", "int32", "1", "1: a point that reaches no node goes to the nearest one"),
@@ -17,7 +12,7 @@ STENCIL = _table(
     ("h", "launch", "real", "m", "support radius of a radial kernel"),
 )
 
-POINTS = _table(
+POINTS = field_table(
     ("origin", "world", "vec2", "m", "place of the grid's first node in each world"),
     ("start", "world", "int32", "1", "first point of each world"),
     ("count", "world", "int32", "1", "points of each world"),
@@ -25,7 +20,7 @@ POINTS = _table(
     ("bin", "point", "int32", "1", "part of the image that a point belongs to; any array where there is one"),
 )
 
-TILES = _table(
+TILES = field_table(
     ("slot", "chunk,tile", "int32", "1", "points of each chunk in a tile; then where the next is listed"),
     ("start", "tile+1", "int32", "1", "first entry of each tile in order"),
     ("order", "entry", "int32", "1", "points by tile"),
@@ -34,7 +29,7 @@ TILES = _table(
     ("scratch", "slot,number", "real", "1", "where the tile in work of each slot is added up"),
 )
 
-AREA = _table(
+AREA = field_table(
     ("spread", "launch", "int32", "1", "1: bodies are spread over points; 0: each is one at its centre of mass"),
     ("start", "world+1", "int32", "1", "first point of each world"),
     ("body", "point", "int32", "1", "body of each point"),
@@ -42,7 +37,7 @@ AREA = _table(
     ("weight", "point", "real", "1", "share of the body, sums to 1 over its points"),
 )
 
-WALLS = _table(
+WALLS = field_table(
     ("value", "launch", "real", "kg", "what is added to the walls' nodes"),
     ("channel", "launch", "int32", "1", "channel that it is added to"),
     ("start", "world+1", "int32", "1", "first node of each world"),

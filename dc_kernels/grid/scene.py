@@ -12,7 +12,8 @@ from dc_kernels.grid.area import AreaPoints
 from dc_kernels.grid.fields import AREA, WALLS
 from dc_kernels.grid.image_spec import ImageSpec
 from dc_kernels.grid.splat import Splat, points_group
-from dc_kernels.model.arrays import FLOATS, kernel_array
+from dc_kernels.model.arrays import kernel_array
+from dc_kernels.model.dtypes import FLOATS
 from dc_kernels.model.fields import CONTACTS, MODEL, STATE
 from dc_kernels.runtime.backends import kernel_file, make_kernels
 from dc_kernels.runtime.program import Kernel, Program, Stage
@@ -73,8 +74,8 @@ class SceneSplat:
         """
         self.spec, self.scene, self.image, self.threads = spec, scene, image, threads
         self._kernels = make_kernels(scene.backend, "grid.images", scene.dtype)
-        self._state = self._group("State", STATE, scene.state)
-        self._contacts = self._group("Contacts", CONTACTS, scene.contacts)
+        self._state = self._group("state", STATE, scene.state)
+        self._contacts = self._group("contacts", CONTACTS, scene.contacts)
         self.missed_bodies = self.missed_contacts = np.zeros(scene.worlds, np.int32)
         self._place_contacts(place)
         stages: list[Stage] = []
@@ -152,8 +153,8 @@ class SceneSplat:
         }
         arguments = {
             "channel": self._array(spec.body_codes),
-            "area": self._group("Area", AREA, area),
-            "model": self._group("Model", MODEL, self.scene.model),
+            "area": self._group("area", AREA, area),
+            "model": self._group("model", MODEL, self.scene.model),
             "state": self._state,
             "points": points,
             "value": value,
@@ -170,7 +171,7 @@ class SceneSplat:
                 "row": row,
                 "column": column,
             }
-            group = self._group("Walls", WALLS, nodes)
+            group = self._group("walls", WALLS, nodes)
             # each splat clears the walls' nodes, so that they can be added anew
             stages = [splat.clear_also(world, row, column), *stages]
             stages.append(Kernel(self._kernels["add_walls"], {"walls": group, "image": self.image}))
@@ -190,7 +191,7 @@ class SceneSplat:
         )
 
     def _group(self, name: str, table: Mapping[str, Any], values: Mapping[str, Any]) -> Any:
-        return kernel_file(self.scene.backend, "structs").group(name, self.scene.dtype, table, values)
+        return kernel_file(self.scene.backend, "groups").group(name, self.scene.dtype, table, values)
 
     def _points(self, arrays: Mapping[str, Any]) -> Any:
         return points_group(self.spec.grid, self.scene.worlds, self.scene.backend, self.scene.dtype, **arrays)

@@ -12,7 +12,8 @@ from dc_kernels.grid.fields import POINTS, STENCIL, TILES
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.layout import BAND, CHUNK, TILE_COLUMNS, TILE_ROWS
 from dc_kernels.grid.stencil import Stencil
-from dc_kernels.model.arrays import aligned_zeros, float_dtype, kernel_array, to_numpy
+from dc_kernels.model.arrays import kernel_array, to_numpy
+from dc_kernels.model.dtypes import aligned_zeros, float_dtype
 from dc_kernels.runtime.backends import Launch, bind, kernel_file, make_kernels
 from dc_kernels.runtime.capture import HOST, recording, refuse_recording
 from dc_kernels.runtime.program import Kernel, Stage
@@ -48,7 +49,7 @@ def stencil_group(stencil: Stencil, grid: Grid, backend: str, dtype: str) -> Any
     Raises:
         ValueError: when its support is too large for the grid.
     """
-    return kernel_file(backend, "structs").group("Stencil", dtype, STENCIL, stencil.arguments(grid))
+    return kernel_file(backend, "groups").group("stencil", dtype, STENCIL, stencil.arguments(grid))
 
 
 def points_group(grid: Grid, worlds: int, backend: str, dtype: str, **arrays: Any) -> Any:
@@ -63,7 +64,7 @@ def points_group(grid: Grid, worlds: int, backend: str, dtype: str, **arrays: An
     """
     origin = np.tile(np.asarray(grid.origin, dtype), (worlds, 1))
     values = {"origin": origin, "bin": np.zeros(1, np.int32), **arrays}
-    return kernel_file(backend, "structs").group("Points", dtype, POINTS, values)
+    return kernel_file(backend, "groups").group("points", dtype, POINTS, values)
 
 
 class Splat:
@@ -169,7 +170,7 @@ class Splat:
         self.room = entries
         arrays = {**self.tiles, "order": np.zeros(entries + TILE_ROWS, np.int32)}
         dtype = self.tiles["scratch"].dtype.name
-        self.values["tiles"] = kernel_file(self.backend, "structs").group("Tiles", dtype, TILES, arrays)
+        self.values["tiles"] = kernel_file(self.backend, "groups").group("tiles", dtype, TILES, arrays)
         worlds, threads = len(self.missed), self.threads
         self._count, self._list = (
             [self._bind(name, worlds, chunk=chunk) for chunk in range(threads)]

@@ -25,12 +25,12 @@ READING = field_table(
 )
 
 SETTINGS = field_table(
-    ("begin", "reading", "int32", "1", "1 before the first sweep"),
-    ("accelerated", "reading", "int32", "1", "1 where the solver extrapolates by itself"),
-    ("tolerance", "reading", "real", "N s", "of the solve"),
-    ("cap", "reading", "real", "1", "largest extrapolation A"),
-    ("rate_spacing", "reading", "real", "m", "between the nodes that rates are taken at"),
-    ("limit", "reading", "real", "1", "largest RMS of a correction that is taken, over that expected"),
+    ("begin", "launch", "int32", "1", "1 before the first sweep"),
+    ("accelerated", "launch", "int32", "1", "1 where the solver extrapolates by itself"),
+    ("tolerance", "launch", "real", "N s", "of the solve"),
+    ("cap", "launch", "real", "1", "largest extrapolation A"),
+    ("rate_spacing", "launch", "real", "m", "between the nodes that rates are taken at"),
+    ("limit", "launch", "real", "1", "largest RMS of a correction that is taken, over that expected"),
 )
 
 

@@ -252,7 +252,7 @@ class SolveReader:
         }
         # for a solve that goes on, and for one that begins
         settings = [
-            groups.scalars("reading_settings", dtype.name, {**given, "begin": begin}, SETTINGS) for begin in (0, 1)
+            groups.group("reading_settings", dtype.name, SETTINGS, {**given, "begin": begin}) for begin in (0, 1)
         ]
         values = {**sim.values, "reading": groups.array_group(reading, "reading")}
         self.image.fill(0)

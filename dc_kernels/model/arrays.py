@@ -6,70 +6,16 @@ One buffer serves every user: on the CPU an array is allocated once, 64-byte ali
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dc_kernels.model.fields import CONTACTS, ITERATION, JOINTS, MODEL, STATE, Field
+from dc_kernels.model.dtypes import aligned_zeros, float_dtype, numpy_spec
+from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, Field
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
 from dc_kernels.runtime.optional import require
-
-FLOATS: dict[str, np.dtype] = {"float32": np.dtype(np.float32), "float64": np.dtype(np.float64)}
-_COMPONENTS = {"vec2": 2, "vec2d": 2, "vec3": 3, "vec3i": 3, "vec4": 4, "vec8": 8}
-
-
-def float_dtype(dtype: Any) -> np.dtype:
-    """float32 or float64 as a numpy dtype.
-
-    Raises:
-        ValueError: for any other dtype.
-    """
-    name = np.dtype(dtype).name
-    if name not in FLOATS:
-        raise ValueError(f"dtype is {name!r}; it must be one of {tuple(FLOATS)}")
-    return FLOATS[name]
-
-
-def numpy_spec(field: Field, real: np.dtype) -> tuple[np.dtype, tuple[int, ...]]:
-    """Scalar dtype and trailing shape of a field: ("vec2", float32) -> (float32, (2,))."""
-    if field.dtype == "iteration":
-        return struct_dtype(ITERATION, real), ()
-    components = _COMPONENTS.get(field.dtype)
-    shape = () if components is None else (components,)
-    if field.dtype == "vec2d":
-        return np.dtype(np.float64), shape
-    if field.dtype == "vec3i":
-        return np.dtype(np.int32), shape
-    if components is not None or field.dtype == "real":
-        return real, shape
-    return np.dtype(field.dtype), shape
-
-
-def struct_dtype(table: Mapping[str, Field], real: np.dtype) -> np.dtype:
-    """The structured dtype of a table whose fields are numbers and small vectors, laid out as C does."""
-    return np.dtype([(name, *numpy_spec(field, real)) for name, field in table.items()], align=True)
-
-
-def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype, alignment: int = 64) -> np.ndarray:
-    """Zeros whose first byte is aligned for SIMD loads."""
-    count = math.prod(shape)
-    raw = np.zeros(count * dtype.itemsize + alignment, np.uint8)
-    offset = -raw.ctypes.data % alignment
-    return raw[offset : offset + count * dtype.itemsize].view(dtype).reshape(shape)
-
-
-def warp_dtype(field: Field, real: np.dtype) -> Any:
-    """The Warp type of one element of a field."""
-    import warp as wp
-
-    if field.dtype == "iteration":
-        return kernel_file("warp", "groups").iteration_struct(real.name)
-    scalar, shape = numpy_spec(field, real)
-    base = wp.dtype_from_numpy(scalar)
-    return wp.types.vector(shape[0], base) if shape else base
 
 
 def allocate(field: Field, sizes: Mapping[str, int], real: np.dtype, device: str, backend: str) -> Any:
@@ -82,7 +28,7 @@ def allocate(field: Field, sizes: Mapping[str, int], real: np.dtype, device: str
     import warp as wp
 
     start_warp()
-    dtype = warp_dtype(field, real)
+    dtype = kernel_file(backend, "groups").field_type(field, real.name)
     if device == "cpu":
         return wp.array(aligned_zeros((*shape, *inner), scalar), dtype=dtype, device="cpu", copy=False)
     return wp.zeros(shape, dtype=dtype, device=device)
@@ -223,7 +169,7 @@ class ArrayGroup:
             else:
                 import warp as wp
 
-                dtype = warp_dtype(field, self.dtype)
+                dtype = kernel_file(self.backend, "groups").field_type(field, self.dtype.name)
                 if found[0] == "array" and wp.types.types_equal(found[1], dtype):
                     found = (found[0], dtype, found[2])  # Warp makes equal vector types anew
                 found += (str(getattr(array, "device", None)),)

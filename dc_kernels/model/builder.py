@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
-from dc_kernels.model.arrays import Joints, Model, State, float_dtype
+from dc_kernels.model.arrays import Joints, Model, State
 from dc_kernels.model.assemble import (
     ANGLE,
     BODY,
@@ -34,6 +34,7 @@ from dc_kernels.model.assemble import (
     assemble,
 )
 from dc_kernels.model.checks import ALL_BITS, fill, number, pair
+from dc_kernels.model.dtypes import float_dtype
 from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.row_table import RowTable
 from dc_kernels.model.shapes import TOLERANCE, box_vertices, convex_polygon, points

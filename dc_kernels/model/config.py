@@ -146,13 +146,13 @@ class SolverConfig:
 
 def _config_table() -> dict[str, Field]:
     kinds = {"int": "int32", "bool": "int32", "float": "real"}
-    table = {f.name: Field(f.name, "config", kinds.get(str(f.type), "int32"), "1", "") for f in fields(SolverConfig)}
+    table = {f.name: Field(f.name, "launch", kinds.get(str(f.type), "int32"), "1", "") for f in fields(SolverConfig)}
     for name, meaning in (
         ("slack", "overlap within which two separating axes count as equal [length_scale]"),
         ("uniform_friction", "coefficient that all shapes have in common, -1 if they differ"),
         ("uniform_restitution", "coefficient that all shapes have in common, -1 if they differ"),
     ):
-        table[name] = Field(name, "config", "real", "1", meaning)
+        table[name] = Field(name, "launch", "real", "1", meaning)
     return table
 
 

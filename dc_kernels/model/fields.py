@@ -22,7 +22,7 @@ KEY_FEATURE_BITS = 16
 class Field:
     """One array: ``per`` names its axis; ``dtype`` is "real", "vec2", "vec4" (of the model's scalar) or fixed.
 
-    A field of ``ITERATION``, ``CONFIG`` or ``LAUNCH`` is one number or small vector of a struct instead.
+    One number or small vector that a launch is given instead has "launch" there, and no axes.
     """
 
     name: str
@@ -33,8 +33,8 @@ class Field:
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """The axes, one for each dimension: ``per`` names two of them with a comma between."""
-        return tuple(self.per.split(","))
+        """The axes, one for each dimension: ``per`` names several of them with commas between."""
+        return () if self.per == "launch" else tuple(self.per.split(","))
 
 
 def field_table(*rows: tuple[str, str, str, str, str]) -> dict[str, Field]:

@@ -18,6 +18,8 @@ PADDING = 16  # points and entries behind the last that lanes read and write
 MAX_FOUND = MAX_INDEX - PADDING  # pairs, or entries of lists, of a call
 ROOM = 16  # pairs and entries reserved for a point at first: of memory, only what is written becomes resident
 LEAST_ROOM = 1024
+Shapes = dict[str, tuple[tuple[int, ...], Any]]  # shape and dtype by name
+Arrays = dict[str, Any]
 
 
 def allowed(total: int) -> int:
@@ -38,14 +40,65 @@ def shards_of(counts: np.ndarray, threads: int) -> list[tuple[int, int]]:
     return [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
 
 
+class Workspace:
+    """Arrays of a search that are kept from call to call; one call uses them at a time.
+
+    They are bound anew where shapes change, and their memory grows where it must.
+    """
+
+    def __init__(self, backend: str) -> None:
+        """Begin without memory."""
+        self.backend = backend
+        self.room: dict[str, int] = {}  # what searches needed where it was more than they began with
+        self._memory: dict[str, np.ndarray] = {}
+        self._bound: dict[str, tuple[Shapes, Arrays, Arrays]] = {}
+        self._cells: dict[str, tuple[Any, Any]] = {}
+
+    def arrays(self, name: str, shapes: Shapes) -> tuple[Arrays, Arrays]:
+        """Arrays by name and as kernels take them, whose elements are not set; those before of that name are given up.
+
+        Args:
+            name: of their memory.
+            shapes: shape and dtype of each.
+        """
+        bound = self._bound.get(name)
+        if bound is None or bound[0] != shapes:
+            arrays = {key: self._empty(f"{name}.{key}", *shape) for key, shape in shapes.items()}
+            bound = self._bound[name] = shapes, arrays, kernel_arrays(arrays, self.backend)
+        return bound[1:]
+
+    def cells(self, name: str, dtype: np.dtype, shapes: Shapes) -> tuple[Arrays, Any]:
+        """Arrays of the group of sorted cells by name, and the group as kernels take it (see ``arrays``)."""
+        arrays, bound = self.arrays(name, shapes)
+        kept = self._cells.get(name)
+        if kept is None or kept[0] is not bound:
+            group = kernel_file(self.backend, "groups").group("cells", dtype.name, CELLS, bound)
+            kept = self._cells[name] = bound, group
+        return arrays, kept[1]
+
+    def _empty(self, name: str, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+        size = math.prod(shape) * np.dtype(dtype).itemsize
+        memory = self._memory.get(name)
+        if memory is None or len(memory) < size:
+            memory = self._memory[name] = np.empty(size if memory is None else size + size // 4, np.uint8)
+        return memory[:size].view(dtype).reshape(shape)
+
+
 class SortedCells:
     """Points of all worlds sorted by cell, shard by shard."""
 
-    def __init__(self, radius: float, points: np.ndarray, backend: str) -> None:
-        self.backend = backend
+    def __init__(self, radius: float, points: np.ndarray, workspace: Workspace) -> None:
+        """Find the kernels.
+
+        Args:
+            radius: largest distance [m].
+            points: (n, dim), whose dtype and dimension the search has.
+            workspace: where its arrays lie, of the backend of the kernels.
+        """
+        self.backend, self.workspace = workspace.backend, workspace
         self.reach = float(points.dtype.type(radius))
         self.dtype, self.dim = points.dtype, points.shape[1]
-        self.kernels = make_kernels(backend, "neighbors.search", self.dtype.name, self.dim)
+        self.kernels = make_kernels(self.backend, "neighbors.search", self.dtype.name, self.dim)
 
     def call(self, name: str, values: dict[str, Any]) -> None:
         """One launch."""
@@ -53,8 +106,9 @@ class SortedCells:
 
     def boxes(self, worlds: int, *sets: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
         """``lower`` and ``upper`` of each world's points of all sets (points, starts)."""
-        box = {"lower": np.full((worlds, self.dim), np.inf), "upper": np.full((worlds, self.dim), -np.inf)}
-        shared = kernel_arrays(box, self.backend)
+        shape = (worlds, self.dim), np.float64
+        box, shared = self.workspace.arrays("box", {"lower": shape, "upper": shape})
+        box["lower"][:], box["upper"][:] = np.inf, -np.inf
         for points, starts in sets:
             arrays = {"start": starts.astype(np.int32), "point": points}
             self.call(
@@ -67,20 +121,23 @@ class SortedCells:
             raise ValueError(f"points of world {w} span more than float64 holds on axis {k}; they must span less [m]")
         return shared
 
-    def sorter(self, points: np.ndarray, starts: np.ndarray, box: dict[str, Any]) -> tuple[Any, Any]:
-        """The group of the sorted points, and a call that fills it for a shard."""
+    def sorter(
+        self, points: np.ndarray, starts: np.ndarray, box: dict[str, Any], *, name: str = "points"
+    ) -> tuple[Any, Any]:
+        """The group of the sorted points, and a call that fills it for a shard; its memory goes by the name."""
         n, worlds = len(points), len(starts) - 1
-        cells = {
-            "start": starts.astype(np.int32),
-            "place": np.empty((self.dim, n + PADDING), self.dtype),
-            "number": np.empty(n + PADDING, np.int32),
-            "column": np.empty(n + PADDING, np.int32),
-            "line_key": np.empty(n, np.int64),
-            "line_start": np.empty(n + worlds, np.int32),
-            "line_count": np.empty(worlds, np.int32),
-            "line_stride": np.empty(worlds, np.int64),
+        shapes: Shapes = {
+            "start": ((worlds + 1,), np.int32),
+            "place": ((self.dim, n + PADDING), self.dtype),
+            "number": ((n + PADDING,), np.int32),
+            "column": ((n + PADDING,), np.int32),
+            "line_key": ((n,), np.int64),
+            "line_start": ((n + worlds,), np.int32),
+            "line_count": ((worlds,), np.int32),
+            "line_stride": ((worlds,), np.int64),
         }
-        shared = kernel_file(self.backend, "structs").group("Cells", self.dtype.name, CELLS, cells)
+        cells, shared = self.workspace.cells(name, self.dtype, shapes)
+        cells["start"][:] = starts
         point = kernel_arrays({"point": points}, self.backend)
 
         def sort(first: int, count: int) -> None:
@@ -88,38 +145,58 @@ class SortedCells:
             # 8-byte words a point: two keys, two values, a line and four counts of 4 bytes, and a copy of the point
             # with its number and column; a few rows more for worlds of few points
             words = 2 + (2 + 1 + 4) / 2 + math.ceil((self.dtype.itemsize * self.dim + 8) / 8)
-            scratch = {"scratch": np.empty((most + 256, math.ceil(words)), np.int64)}
+            shape = (most + 256, math.ceil(words)), np.int64
+            _, scratch = self.workspace.arrays(f"sort {name} {first}", {"scratch": shape})
             values = {"world_offset": first, "worlds": count, "reach": self.reach, "cells": shared, **box, **point}
-            self.call("sort_points", {**values, **kernel_arrays(scratch, self.backend)})
+            self.call("sort_points", {**values, **scratch})
 
         return shared, sort
 
-    def fill(self, name: str, output: str, count: int, shape: tuple[int, ...], values: dict[str, Any]) -> Any:
-        """What a sweep finds, and how much: the array ``output``, made larger until all and PADDING have room."""
-        found = np.zeros(values["worlds"], np.int64)
-        room = min(ROOM * count + LEAST_ROOM, MAX_INDEX)
+    def fill(
+        self, name: str, output: str, count: int, shape: tuple[int, ...], values: dict[str, Any], *, keep: bool
+    ) -> tuple[np.ndarray, int]:
+        """What a sweep finds, and how much: the array ``output``, made larger until all and PADDING have room.
+
+        It is the caller's own if he keeps it, else it lies in the workspace.
+        """
+        place = f"{output} {values['world_offset']}"
+        found, shared = self.workspace.arrays(f"found {place}", {"found": ((values["worlds"],), np.int64)})
+        room = max(min(ROOM * count + LEAST_ROOM, MAX_INDEX), self.workspace.room.get(place, 0))
         while True:
-            array = np.empty((room, *shape), np.int32)
-            self.call(name, {**values, **kernel_arrays({"found": found, output: array}, self.backend)})
-            total = allowed(int(found.sum()))
+            whole = (room, *shape)
+            if keep:
+                array = np.empty(whole, np.int32)
+                filled = kernel_arrays({output: array}, self.backend)
+            else:
+                arrays, filled = self.workspace.arrays(place, {output: (whole, np.int32)})
+                array = arrays[output]
+            found["found"][:] = 0
+            self.call(name, {**values, **shared, **filled})
+            total = allowed(int(found["found"].sum()))
             if total + PADDING <= room:
                 return array, total
-            room = total + PADDING
+            room = self.workspace.room[place] = min(total + total // 8, MAX_FOUND) + PADDING
 
 
 def hash_pairs(
-    points: np.ndarray, radius: float, limit: Any, starts: np.ndarray, threads: int, backend: str
+    points: np.ndarray,
+    radius: float,
+    limit: Any,
+    starts: np.ndarray,
+    threads: int,
+    workspace: Workspace,
 ) -> np.ndarray:
     """The method "hash" of ``neighbor_pairs``; ``limit`` is the largest squared distance."""
     shards = shards_of(np.diff(starts), threads)
-    hashed = SortedCells(radius, points, backend)
+    hashed = SortedCells(radius, points, workspace)
     cells, sort = hashed.sorter(points, starts, hashed.boxes(len(starts) - 1, (points, starts)))
 
     def shard(s: int) -> np.ndarray:
         first, count = shards[s]
         sort(first, count)
         values = {"world_offset": first, "worlds": count, "limit": limit, "cells": cells}
-        pairs, total = hashed.fill("sweep_pairs", "pair", int(starts[first + count] - starts[first]), (2,), values)
+        number = int(starts[first + count] - starts[first])
+        pairs, total = hashed.fill("sweep_pairs", "pair", number, (2,), values, keep=True)
         pairs.resize((total, 2), refcheck=False)  # returns the rest to the system
         return pairs
 
@@ -135,19 +212,20 @@ def hash_lists(
     limit: Any,
     starts: tuple[np.ndarray, np.ndarray],
     threads: int,
-    backend: str,
+    workspace: Workspace,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The method "hash" of ``neighbor_lists``: start and index of the lists; ``starts`` of queries and points."""
     first_query, first_point = starts
     shards = shards_of(np.diff(first_query) + np.diff(first_point), threads)
-    hashed = SortedCells(radius, points, backend)
+    hashed = SortedCells(radius, points, workspace)
     same = queries is points and np.array_equal(first_query, first_point)
     sets = ((points, first_point),) if same else ((points, first_point), (queries, first_query))
     box = hashed.boxes(len(first_query) - 1, *sets)
     cells, sort_points = hashed.sorter(points, first_point, box)
-    query_cells, sort_queries = (cells, None) if same else hashed.sorter(queries, first_query, box)
-    span = np.zeros((len(queries), 2), np.int64)
-    spans = kernel_arrays({"list_span": span}, backend)
+    query_cells, sort_queries = (cells, None) if same else hashed.sorter(queries, first_query, box, name="queries")
+    arrays, spans = workspace.arrays("spans", {"list_span": ((len(queries), 2), np.int64)})
+    span = arrays["list_span"]
+    span[:] = 0
     values = {"limit": limit, "cells": cells, "queries": query_cells, **spans}
 
     def sweep(s: int) -> np.ndarray:
@@ -157,18 +235,18 @@ def hash_lists(
             sort_queries(first, count)
         number = int(first_query[first + count] - first_query[first])
         shard = {**values, "world_offset": first, "worlds": count}
-        return hashed.fill("sweep_lists", "entry", number, (), shard)[0]  # lanes read the padding too
+        return hashed.fill("sweep_lists", "entry", number, (), shard, keep=False)[0]  # lanes read the padding too
 
     entries = map_threads(sweep, range(len(shards)), threads)
     start = np.zeros(len(queries) + 1, np.int64)
     np.cumsum(span[:, 1], out=start[1:])
     index = np.empty(allowed(int(start[-1])), np.int32)
-    order = {**spans, **kernel_arrays({"list_start": start, "index": index}, backend)}
+    order = {**spans, **kernel_arrays({"list_start": start, "index": index}, workspace.backend)}
 
     def arrange(s: int) -> None:
         first, count = shards[s]
         begin, end = int(first_query[first]), int(first_query[first + count])
-        entry = kernel_arrays({"entry": entries[s]}, backend)
+        entry = kernel_arrays({"entry": entries[s]}, workspace.backend)
         hashed.call("order_lists", {**order, "query_offset": begin, "queries": end - begin, **entry})
 
     map_threads(arrange, range(len(shards)), threads)

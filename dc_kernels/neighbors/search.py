@@ -7,14 +7,15 @@ distance is the radius.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dc_kernels.model.arrays import kernel_arrays
-from dc_kernels.neighbors.cells import allowed, hash_lists, hash_pairs
+from dc_kernels.neighbors.cells import Workspace, allowed, hash_lists, hash_pairs
 from dc_kernels.runtime.backends import bind, check_backend, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_count, check_points, check_start
@@ -38,7 +39,10 @@ class Neighbors:
 
 
 class NeighborSearch:
-    """A search within one radius: what its calls share, checked once."""
+    """A search within one radius: its settings are checked once, and its memory serves call after call.
+
+    Several threads may call it at once; each call then has memory of its own. What it returns is the caller's.
+    """
 
     def __init__(self, radius: float, *, method: str = "hash", threads: int = 1, backend: str = "warp") -> None:
         """Check the settings, but for the radius, whose square must fit the dtype of the points.
@@ -56,6 +60,17 @@ class NeighborSearch:
         self.radius, self.backend = radius, backend
         self._search = _search(method, backend)
         self.threads = check_count("threads", threads)
+        self._idle: list[Workspace] = []  # that no call uses
+
+    @contextlib.contextmanager
+    def _workspace(self) -> Iterator[Workspace]:
+        """Lend a workspace that no other call uses."""
+        try:
+            workspace = self._idle.pop()
+        except IndexError:
+            workspace = Workspace(self.backend)
+        yield workspace
+        self._idle.append(workspace)
 
     def pairs(self, points: Any, *, start: Any = None) -> np.ndarray:
         """Return every pair of points of the same world that are at most the radius apart, once.
@@ -67,7 +82,8 @@ class NeighborSearch:
         starts = check_start("start", start, len(points))
         limit, search = _square("radius", self.radius, points.dtype), self._search
         if search is None:
-            return hash_pairs(points, self.radius, limit, starts, self.threads, self.backend)
+            with self._workspace() as workspace:
+                return hash_pairs(points, self.radius, limit, starts, self.threads, workspace)
 
         def world(w: int) -> np.ndarray:
             first, last = starts[w : w + 2]
@@ -101,9 +117,9 @@ class NeighborSearch:
             )
         limit, search = _square("radius", self.radius, points.dtype), self._search
         if search is None:
-            found = hash_lists(
-                queries, points, self.radius, limit, (first_query, first_point), self.threads, self.backend
-            )
+            firsts = first_query, first_point
+            with self._workspace() as workspace:
+                found = hash_lists(queries, points, self.radius, limit, firsts, self.threads, workspace)
             return Neighbors(*found)
 
         def world(w: int) -> tuple[np.ndarray, np.ndarray]:

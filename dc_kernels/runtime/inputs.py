@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.model.arrays import FLOATS, check_values
+from dc_kernels.model.arrays import check_values
+from dc_kernels.model.dtypes import FLOATS
 from dc_kernels.runtime.interop import host_view
 
 MAX_INDEX = 2**31 - 1  # of a point: kernels count in int32

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.model.arrays import FLOATS
+from dc_kernels.model.dtypes import FLOATS
 
 
 def address(array: Any, name: str, dtype: np.dtype) -> tuple[int, tuple[int, ...]]:

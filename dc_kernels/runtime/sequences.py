@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.model.arrays import aligned_zeros, to_numpy
+from dc_kernels.model.arrays import to_numpy
+from dc_kernels.model.dtypes import aligned_zeros
 from dc_kernels.runtime.backends import Launch, bind, make_kernels
 from dc_kernels.runtime.capture import recording
 

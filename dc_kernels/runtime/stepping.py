@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from dc_kernels.model.arrays import aligned_zeros
+from dc_kernels.model.dtypes import aligned_zeros
 from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import recording
 from dc_kernels.runtime.sequences import CACHE_LINE, Rounds, Watch

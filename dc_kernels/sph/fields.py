@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-from dc_kernels.model.fields import Field
+from dc_kernels.model.fields import field_table
 
-SUM = {
-    field.name: field
-    for field in (
-        Field("kernel", "launch", "int32", "1", "code of the smoothing kernel (``smoothing.KERNELS``)"),
-        Field("quantity", "launch", "int32", "1", "Quantity"),
-        Field(
-            "swapped", "launch", "int32", "1", "1: the queries are the particles of the sum, the neighbours its queries"
-        ),
-        Field("h", "launch", "real", "m", "support radius"),
-        Field("scale", "launch", "real", "1", "what each sum is multiplied with; its unit follows from the quantity"),
-    )
-}
+SUM = field_table(
+    ("kernel", "launch", "int32", "1", "code of the smoothing kernel (``smoothing.KERNELS``)"),
+    ("quantity", "launch", "int32", "1", "Quantity"),
+    ("swapped", "launch", "int32", "1", "1: the queries are the particles of the sum, the neighbours its queries"),
+    ("h", "launch", "real", "m", "support radius"),
+    ("scale", "launch", "real", "1", "what each sum is multiplied with; its unit follows from the quantity"),
+)
 
-LISTS = {
-    field.name: field
-    for field in (
-        Field("start", "query+1", "int64", "1", "first entry of each query's list and the end of the last"),
-        Field("index", "entry", "int32", "1", "the neighbours"),
-    )
-}
+LISTS = field_table(
+    ("start", "query+1", "int64", "1", "first entry of each query's list and the end of the last"),
+    ("index", "entry", "int32", "1", "the neighbours"),
+)

@@ -203,11 +203,11 @@ def _run(
     if not len(queries):
         return
     table = make_kernels(backend, "sph.sums", queries.dtype.name)
-    group, dtype = kernel_file(backend, "structs").group, queries.dtype.name
+    group, dtype = kernel_file(backend, "groups").group, queries.dtype.name
     named = {
         **kernel_arrays(arrays, backend),
-        "sum": group("Sum", dtype, SUM, scalars),
-        "lists": group("Lists", dtype, LISTS, {"start": lists.start, "index": lists.index}),
+        "sum": group("sum", dtype, SUM, scalars),
+        "lists": group("lists", dtype, LISTS, {"start": lists.start, "index": lists.index}),
     }
     chunks = -(-len(queries) // CHUNK)
     bounds = np.linspace(0, chunks, min(threads, chunks) + 1).astype(int)

@@ -38,7 +38,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.model.arrays import numpy_spec
+from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.fields import CONTACTS, MODEL, STATE, Field
 
 SCHEMA = "deep-contact.dataset"

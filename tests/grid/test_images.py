@@ -131,13 +131,13 @@ def test_the_oracle_finds_the_same_features(bins):
     sim = pile(worlds=3, dtype="float64")
     sim.state.numpy("flags")[1] = int(dc.Flag.NONFINITE)
     cells = area_points(sim.model, 0.25)
-    groups = {name: (name.capitalize(), getattr(sim, name)) for name in ("model", "state", "contacts")}
+    groups = {name: getattr(sim, name) for name in ("model", "state", "contacts")}
     found = {}
     for backend in ("warp", "numpy"):
-        table, structs = make_kernels(backend, "grid.images", "float64"), kernel_file(backend, "structs")
+        table, maker = make_kernels(backend, "grid.images", "float64"), kernel_file(backend, "groups")
         values = {
-            name: structs.group(kind, "float64", group.table, {field: group.numpy(field) for field in group.table})
-            for name, (kind, group) in groups.items()
+            name: maker.group(name, "float64", group.table, {field: group.numpy(field) for field in group.table})
+            for name, group in groups.items()
         }
         for kernel, channels, count, spread in (
             ("body_features", BODY_CHANNELS, len(cells.body), 0),
@@ -157,8 +157,8 @@ def test_the_oracle_finds_the_same_features(bins):
                 "world_offset": 0,
                 "bins": bins,
                 "channel": kernel_array(codes, backend),
-                "area": structs.group("Area", "float64", AREA, {"spread": spread, **area}),
-                "points": structs.group("Points", "float64", POINTS, {k: v for k, v in out.items() if k != "value"}),
+                "area": maker.group("area", "float64", AREA, {"spread": spread, **area}),
+                "points": maker.group("points", "float64", POINTS, {k: v for k, v in out.items() if k != "value"}),
                 "value": kernel_array(out["value"], backend),
             }
             bind(table[kernel], 3, arguments, "cpu")()

@@ -1,6 +1,8 @@
 """Neighbour search: every method finds what all pairs do, and the sorted cells are those of the oracle."""
 
 import itertools
+import tracemalloc
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.neighbors import cells as cell_search
-from dc_kernels.neighbors.cells import SortedCells, shards_of
+from dc_kernels.neighbors.cells import SortedCells, Workspace, shards_of
 from dc_kernels.neighbors.fields import CELLS
 from dc_kernels.neighbors.search import METHODS, NeighborSearch, neighbor_lists, neighbor_pairs
 
@@ -198,7 +200,7 @@ def test_cells_and_sweeps_are_the_oracles(dim, kind):
     start = np.array([0, 0, 70, 200])
     found = {}
     for backend in ("warp", "numpy"):
-        cells = SortedCells(radius, points, backend)
+        cells = SortedCells(radius, points, Workspace(backend))
         group, sort = cells.sorter(points, start, cells.boxes(3, (points, start)))
         sort(0, 3)
         found[backend] = {name: to_numpy(getattr(group, name)) for name in CELLS if name != "start"}
@@ -238,6 +240,35 @@ def test_a_search_is_called_again_with_other_points(method):
         wanted = neighbor_lists(points[::2].copy(), points, 0.2)
         np.testing.assert_array_equal(found.start, wanted.start)
         np.testing.assert_array_equal(found.index, wanted.index)
+
+
+def test_a_search_keeps_its_memory_and_gives_its_results_away():
+    """A second call allocates what it returns and little more, and leaves alone what the first one returned."""
+    rng = np.random.default_rng(7)
+    queries, points = rng.uniform(0.0, 60.0, (2, 5000, 2)).astype(np.float32)
+    start = np.array([0, 1200, 5000])
+    wanted = neighbor_lists(queries, points, 1.0, query_start=start, point_start=start)
+    pairs = neighbor_pairs(points, 1.0, start=start)
+    search = NeighborSearch(1.0, threads=2)
+    tracemalloc.start()
+    try:
+        peaks = []
+        for given in (queries, queries[::-1].copy()):
+            tracemalloc.reset_peak()
+            before = tracemalloc.get_traced_memory()[0]
+            found = search.lists(given, points, query_start=start, point_start=start)
+            peaks.append(tracemalloc.get_traced_memory()[1] - before)
+            if given is queries:
+                first = found
+    finally:
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] - 12 * 2 * len(points)  # place and number of all points, to name but these
+    assert peaks[1] < found.start.nbytes + found.index.nbytes + 2**18
+    np.testing.assert_array_equal(first.start, wanted.start)
+    np.testing.assert_array_equal(first.index, wanted.index)
+    with ThreadPoolExecutor(4) as pool:
+        for got in pool.map(lambda _: search.pairs(points, start=start), range(16)):
+            np.testing.assert_array_equal(got, pairs)
 
 
 def test_bad_input_is_named():

@@ -4,7 +4,7 @@ from functools import cache
 from types import SimpleNamespace
 
 from dc_kernels._warp.common import scalar_types
-from dc_kernels._warp.groups import array_struct, scalar_struct
+from dc_kernels._warp.groups import element_type, struct_type
 from dc_kernels.delassus.groups import MEMORY, PROBLEM, PROGRESS, SEARCH, SETTINGS
 
 
@@ -12,10 +12,10 @@ from dc_kernels.delassus.groups import MEMORY, PROBLEM, PROGRESS, SEARCH, SETTIN
 def search_types(dtype: str) -> SimpleNamespace:
     """``real``, ``vec2``, ``vec4``, and the structs ``Problem``, ``Search``, ``Memory``, ``Settings``, ``Progress``."""
     structs = {
-        "Problem": array_struct("DelassusProblem", dtype, PROBLEM),
-        "Search": array_struct("DelassusSearch", dtype, SEARCH),
-        "Memory": array_struct("DelassusMemory", dtype, MEMORY),
-        "Settings": scalar_struct("DelassusSettings", dtype, SETTINGS),
-        "Progress": scalar_struct("DelassusProgress", dtype, PROGRESS),
+        "Problem": struct_type("delassus_problem", dtype, PROBLEM),
+        "Search": struct_type("delassus_search", dtype, SEARCH),
+        "Memory": struct_type("delassus_memory", dtype, MEMORY),
+        "Settings": struct_type("delassus_settings", dtype, SETTINGS),
+        "Progress": element_type("delassus_progress", dtype, PROGRESS),
     }
     return SimpleNamespace(**vars(scalar_types(dtype)), **structs)

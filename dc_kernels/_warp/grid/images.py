@@ -7,7 +7,7 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module, rotate, tangent
 from dc_kernels._warp.grid.stencil import grid_types
-from dc_kernels._warp.structs import struct_type
+from dc_kernels._warp.groups import struct_type
 from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS
 from dc_kernels.grid.fields import AREA, WALLS
 from dc_kernels.model.fields import CONTACTS, MODEL, STATE
@@ -34,7 +34,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     """``body_features``, ``contact_features``, ``add_walls``; one thread a world."""
     t = grid_types(dtype)
     real, vec2, Points, values = t.real, t.vec2, t.Points, t.values
-    tables = {"Model": MODEL, "State": STATE, "Contacts": CONTACTS, "Area": AREA, "Walls": WALLS}
+    tables = {"model": MODEL, "state": STATE, "contacts": CONTACTS, "area": AREA, "walls": WALLS}
     Model, State, Contacts, Area, Walls = (struct_type(name, dtype, table) for name, table in tables.items())
     codes = wp.array(dtype=wp.int32)
     module = kernel_module("features", dtype)

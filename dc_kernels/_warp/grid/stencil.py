@@ -12,9 +12,9 @@ from types import SimpleNamespace
 import warp as wp
 
 from dc_kernels._warp.common import scalar_types
+from dc_kernels._warp.groups import struct_type
 from dc_kernels._warp.native import native_code
 from dc_kernels._warp.sph.smoothing import radial_macros
-from dc_kernels._warp.structs import struct_type
 from dc_kernels.grid.fields import POINTS, STENCIL, TILES
 from dc_kernels.grid.layout import BAND, CHUNK, TILE_COLUMNS, TILE_ROWS
 from dc_kernels.sph.smoothing import KERNELS, constant
@@ -39,9 +39,9 @@ def grid_types(dtype: str) -> SimpleNamespace:
     scalars = scalar_types(dtype)
     return SimpleNamespace(
         **vars(scalars),
-        Stencil=struct_type("Stencil", dtype, STENCIL),
-        Points=struct_type("Points", dtype, POINTS),
-        Tiles=struct_type("Tiles", dtype, TILES),
+        Stencil=struct_type("stencil", dtype, STENCIL),
+        Points=struct_type("points", dtype, POINTS),
+        Tiles=struct_type("tiles", dtype, TILES),
         values=wp.array(dtype=scalars.real, ndim=2),
         image=wp.array(dtype=scalars.real, ndim=4),
     )

@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.common import cross, kernel_module, tangent
-from dc_kernels._warp.groups import array_struct, contiguity, contiguous_groups, group_types, scalar_struct
+from dc_kernels._warp.groups import contiguity, contiguous_groups, group_types, struct_type
 from dc_kernels._warp.solve.accelerate.aitken import series_limit
 from dc_kernels._warp.solve.laws import relative_speed
 from dc_kernels.learn.channels import Channel, Feature, Output, Scale
@@ -60,7 +60,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     t = group_types(dtype)
     real, vec2, vec4 = t.real, t.vec2, t.vec4
     vec3 = wp.types.vector(3, real)
-    Reading, Settings = array_struct("Reading", dtype, READING), scalar_struct("ReadingSettings", dtype, SETTINGS)
+    Reading, Settings = struct_type("reading", dtype, READING), struct_type("reading_settings", dtype, SETTINGS)
     module = kernel_module("in_flight", dtype, variant)
     contiguous = contiguous_groups(dtype)
     columns = COLUMNS[variant]

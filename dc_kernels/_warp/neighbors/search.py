@@ -21,8 +21,8 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.common import kernel_module, scalar_types
+from dc_kernels._warp.groups import struct_type
 from dc_kernels._warp.native import native_code
-from dc_kernels._warp.structs import struct_type
 from dc_kernels.neighbors.fields import CELLS
 
 LANES = 16  # points tested at once, and the padding behind sorted points and pairs
@@ -46,7 +46,7 @@ def kernels(dtype: str, dim: int) -> dict[str, Any]:
     A launch takes ``worlds`` worlds from ``world_offset`` on, one after the other.
     """
     real = scalar_types(dtype).real
-    Cells = struct_type("Cells", dtype, CELLS)
+    Cells = struct_type("cells", dtype, CELLS)
     integers, longs = wp.array(dtype=wp.int32), wp.array(dtype=wp.int64)
     values, pairs, doubles = (wp.array(dtype=kind, ndim=2) for kind in (real, wp.int32, wp.float64))
     tables = wp.array(dtype=wp.int64, ndim=2)

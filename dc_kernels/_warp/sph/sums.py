@@ -6,9 +6,9 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.common import kernel_module, scalar_types
+from dc_kernels._warp.groups import struct_type
 from dc_kernels._warp.native import native_code
 from dc_kernels._warp.sph.smoothing import block_macros
-from dc_kernels._warp.structs import struct_type
 from dc_kernels.sph.fields import LISTS, SUM
 from dc_kernels.sph.quantities import CHUNK, Quantity
 
@@ -25,7 +25,7 @@ def _code(dtype: str, name: str) -> str:
 @cache
 def kernels(dtype: str) -> dict[str, Any]:
     """``sum_neighbors`` and ``pull_neighbors``; a thread takes CHUNK queries."""
-    Sum, Lists = struct_type("Sum", dtype, SUM), struct_type("Lists", dtype, LISTS)
+    Sum, Lists = struct_type("sum", dtype, SUM), struct_type("lists", dtype, LISTS)
     values = wp.array(dtype=scalar_types(dtype).real, ndim=2)
     module = kernel_module("sph", dtype)
 
