@@ -65,8 +65,8 @@ def explain(sim: Simulation) -> str:
         lines.append(f"solver: PGS in colour order, {LANES} rows side by side in SIMD lanes")
     else:
         lines.append("solver: PGS in colour order, scalar rows")
-    run = [name for phase in PHASES for name in of_phase(phase, config.position_correction == "ngs")]
-    lines.append(f"stages of a step: {', '.join(run)}")
+    stages = [name for phase in PHASES for name in of_phase(phase, config.position_correction == "ngs")]
+    lines.append(f"stages of a step: {', '.join(stages)}")
     light = f" and {config.relative_tolerance:g} of what a typical weight gives in a step" * (config.stop == "change")
     lines.append(
         f"acceleration: {config.acceleration}; stop at {config.stop} < {config.tolerance:g}{light} or "

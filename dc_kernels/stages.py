@@ -50,11 +50,11 @@ STEP = (
         ("contacts", "rows", "state"), "contact points, normals, gaps", "hulls, where all that moves is centred discs",
     ),
     Stage(
-        "collide", "match_contacts", "collide.contacts", (), ("model", "state", "motion", "cache"),
+        "collide", "match_contacts", "collide.match", (), ("model", "state", "motion", "cache"),
         ("contacts", "joints"), "start impulses, colours and ages of contacts known from the step before",
     ),
     Stage(
-        "collide", "color_constraints", "collide.contacts", (), ("model", "state"), ("contacts", "joints", "rows"),
+        "collide", "color_constraints", "collide.color", (), ("model", "state"), ("contacts", "joints", "rows"),
         "colours: no two constraints of one share a dynamic body", "a world without new contacts or joints",
     ),
     Stage(

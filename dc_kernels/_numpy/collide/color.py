@@ -1,4 +1,4 @@
-"""What contacts carry from step to step: impulses matched by key, and colours of the constraint graph."""
+"""Colours of the graph of contacts and joints: no two constraints of a colour share a dynamic body."""
 
 from __future__ import annotations
 
@@ -12,44 +12,8 @@ from dc_kernels.solve.rows import SERIAL_COLOR
 
 
 def kernels(dtype: str) -> Kernels:
-    """``match_contacts`` and ``color_constraints``; the arrays bring their scalar type."""
-    return {"match_contacts": match_contacts, "color_constraints": color_constraints}
-
-
-def match_contacts(
-    tid: int,
-    launch: Any,
-    config: Any,
-    model: Any,
-    state: Any,
-    joints: Any,
-    motion: Any,
-    contacts: Any,
-    cache: Any,
-) -> None:
-    """A known key keeps impulse (scaled to the new time step), colour and age."""
-    w = tid + launch.world_offset
-    if state.flags[w]:
-        return
-    start = contacts.contact_start[w]
-    scale = (
-        motion.step_dt[w] / contacts.contact_dt[w]
-        if config.start and contacts.contact_dt[w] > 0
-        else motion.step_dt.dtype.type(0)
-    )
-    place = {int(cache.key[c]): c for c in range(start, start + cache.count[w])}
-    for c in range(start, start + contacts.contact_count[w]):
-        old = place.get(int(contacts.key[c]))
-        if old is None:
-            contacts.impulse[c], contacts.color[c], contacts.age[c] = 0.0, -1, 0
-        else:
-            contacts.impulse[c], contacts.color[c], contacts.age[c] = (
-                cache.impulse[old] * scale,
-                cache.color[old],
-                cache.age[old] + 1,
-            )
-    for j in range(model.joint_start[w], model.joint_start[w + 1]):
-        joints.joint_impulse[j] = cache.joint_impulse[j] * scale
+    """``color_constraints``; the arrays bring their scalar type."""
+    return {"color_constraints": color_constraints}
 
 
 def color_constraints(
