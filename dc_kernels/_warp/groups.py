@@ -44,6 +44,7 @@ def element_type(name: str, dtype: str, table: Mapping[str, Field]) -> Any:
     return _struct(name, dtype, table, True).struct
 
 
+@cache
 def field_type(field: Field, dtype: str) -> Any:
     """The Warp type of one element of a field."""
     if field.dtype == "iteration":

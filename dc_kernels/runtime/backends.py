@@ -6,6 +6,7 @@ Kernels name their arguments after the arrays they take, so a launch is bound by
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib
 import inspect
 from collections.abc import Callable, Mapping
@@ -55,6 +56,7 @@ def on_numpy(backend: str) -> bool:
     return BACKENDS[check_backend(backend)].on_numpy
 
 
+@functools.cache
 def kernel_file(backend: str, path: str) -> Any:
     """The module of kernels of a backend that stands at the host module's relative path, as "grid.splat".
 
