@@ -134,8 +134,7 @@ def refine(sim: Simulation, tolerance: float, *, max_sweeps: int = 100_000) -> d
     refuse_recording("refine", "the host reads what the kernels leave")
     if sim.phase != "solve" or sim.running.any():
         raise ValueError("refine() stands between a solve() that has ended and advance()")
-    if sim.device != "cpu":
-        raise ValueError(f"refine() runs on the CPU; the simulation is on {sim.device!r}")
+    _check_device("refine()", sim)
     if not 0.0 < tolerance < float("inf"):
         raise ValueError(f"tolerance is {tolerance!r}; it must be finite and > 0")
     found: dict[int, DelassusSolution] = {}
@@ -161,7 +160,12 @@ def read_impulses(sim: Simulation, given: DelassusProblem) -> np.ndarray:
 
 
 def write_impulses(sim: Simulation, world: int, given: DelassusProblem, solution: DelassusSolution) -> None:
-    """Write impulses to the simulation with all that follows from them; undo it where its residual does not fall."""
+    """Write impulses to the simulation with all that follows from them; undo it where its residual does not fall.
+
+    Raises:
+        ValueError: on a GPU.
+    """
+    _check_device("write_impulses()", sim)
     assert given.slot is not None
     first = int(sim.contacts.numpy("contact_start")[world])
     slots = slice(first, first + int(sim.contacts.numpy("contact_count")[world]))
@@ -188,3 +192,9 @@ def write_impulses(sim: Simulation, world: int, given: DelassusProblem, solution
     else:
         for array, value in zip(arrays, before, strict=True):
             array[...] = value
+
+
+def _check_device(what: str, sim: Simulation) -> None:
+    """Raise ValueError, naming the call, on a GPU, where the arrays that the host sees are copies."""
+    if sim.device != "cpu":
+        raise ValueError(f"{what} runs on the CPU; the simulation is on {sim.device!r}")

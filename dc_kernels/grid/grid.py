@@ -9,6 +9,7 @@ import numpy as np
 
 from dc_kernels.model.shapes import points as check_points
 from dc_kernels.runtime.inputs import check_start
+from dc_kernels.runtime.interop import host_view
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,5 +258,5 @@ def _sides(lower: Any, upper: Any) -> np.ndarray:
 
 def _worlds_of(points: Any, start: Any) -> tuple[np.ndarray, np.ndarray]:
     """Checked points in float64, and the offsets of their worlds."""
-    points = check_points(points, "points", 0)
+    points = check_points(host_view("points", points), "points", 0)
     return points, check_start("start", start, len(points))
