@@ -12,7 +12,7 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels.runtime.building import load
+from dc_kernels.runtime.building import block_size, load
 from dc_kernels.runtime.capture import recording, refuse_recording
 from dc_kernels.runtime.threads import run_shards, shard_worlds
 
@@ -48,7 +48,8 @@ def element_types(kernel: Any) -> dict[str, Any]:
 def record(kernel: Any, dim: int | tuple[int, ...], arguments: Sequence[Any], device: str) -> Any:
     """A launch as Warp records it (``wp.Launch``), its kernel compiled and loaded."""
     load(kernel, device)
-    return wp.launch(kernel, dim=dim, inputs=list(arguments), device=device, record_cmd=True)
+    block = block_size(device)
+    return wp.launch(kernel, dim=dim, inputs=list(arguments), device=device, block_dim=block, record_cmd=True)
 
 
 class Bound:
