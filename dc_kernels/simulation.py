@@ -25,6 +25,7 @@ from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recordin
 from dc_kernels.runtime.inputs import check_choice, check_count, check_room
 from dc_kernels.runtime.sequences import Rounds, Watch, in_turn
 from dc_kernels.runtime.stepping import Shards
+from dc_kernels.runtime.threads import GPU_CALLS
 from dc_kernels.solve.contacts import Rows, SolveStats
 from dc_kernels.solve.integrate import Motion
 from dc_kernels.solve.rows import only_centred_discs, variant_of
@@ -48,7 +49,7 @@ class Simulation:
     within ``wp.ScopedCapture`` becomes part of that graph, or raises RuntimeError before anything is recorded. The
     graph cannot grow: a world that runs out of room stays where it is, its flag set, until the next call outside the
     graph mends that. ``layout_version`` has changed then, and the graph, which knows the arrays of before, is to be
-    made anew.
+    made anew. On a GPU the calls of all simulations wait for each other, and none becomes part of a graph.
     """
 
     motion: Motion
@@ -80,7 +81,7 @@ class Simulation:
             joints: None for none.
             config: settings of the solver; the attribute ``config`` may be replaced between steps and solves.
             threads: at most so many Python threads share the worlds (launches release the GIL), fewer where a step is
-                so short that handing it over would cost more.
+                so short that handing it over would cost more; on a GPU one.
             schedule: "world" (a thread runs a world's solve) or "color" (a launch a colour, for large worlds on a GPU).
             on_overflow: what happens when a step needs more pairs or contacts than reserved: reallocate and go on, or
                 raise OverflowError with the state of the last step intact.
@@ -106,7 +107,7 @@ class Simulation:
         check_agreement(model, state, joints)
         self.schedule = schedule
         self.on_overflow = on_overflow
-        self._shards = Shards(model.world_count, model.body_count, threads)
+        self._shards = Shards(model.world_count, model.body_count, threads if self.device == "cpu" else 1)
         self.threads = self._shards.threads
         shards = len(self._shards.ranges)
         self.specialize = specialize
@@ -130,7 +131,7 @@ class Simulation:
         owned = {"model": model, "state": state, "joints": joints, **self.storage.groups()}
         self._binding = Binding(self.kernels, owned, self._shards.ranges)
         self._phase: Phase = "advance"
-        self._lock = threading.RLock()
+        self._lock = threading.RLock() if self.device == "cpu" else GPU_CALLS
         self._rounds: dict[str, list[Rounds]] = {}
         self._solves: dict[tuple[SolverConfig | None, int | None, bool], list[Rounds]] = {}
         self._bind_all()
@@ -148,7 +149,7 @@ class Simulation:
         # a view is kept: making one takes longer than a small world's kernels
         self._flags = self.state.numpy("flags")
         used = (self.pairs.count, self.contacts.contact_count, self.rows.block_needed)
-        self._watch = Watch(self.state.flags, int(CAPACITY_FLAGS), used if self.device == "cpu" else ())
+        self._watch = Watch(self.state.flags, int(CAPACITY_FLAGS), used)
 
     @property
     def values(self) -> Mapping[str, Any]:
@@ -169,7 +170,9 @@ class Simulation:
         def bind(first: int, count: int) -> list[Launch]:
             return [launch for phase in phases for launch in self._phase_launches(phase, first, count, changed)]
 
-        return self._shards.rounds(bind, self._watch, together)
+        # only collide runs out of room; to look costs a GPU copies for which the host waits
+        watch = self._watch if "collide" in phases else self._watch._replace(stop_at=0, used=())
+        return self._shards.rounds(bind, watch, together)
 
     def _phase_launches(
         self, phase: Phase, first: int, count: int, changed: Mapping[str, Any] | None = None
@@ -258,7 +261,7 @@ class Simulation:
         if start is not None or callback is not None:
             refuse_recording("a step with start or callback", "these run in Python")
         with self._lock:
-            self._check_recording()
+            refuse_hosted(self.backend, self.schedule, self.device)
             self.storage.integrator.set_time_step(dt)
             if start is None and callback is None:
                 self._run_steps(steps)
@@ -285,7 +288,7 @@ class Simulation:
             ValueError, OverflowError: see ``step``.
         """
         with self._lock:
-            self._check_recording()
+            refuse_hosted(self.backend, self.schedule, self.device)
             self.storage.integrator.set_time_step(dt)
             self._collide()
 
@@ -334,7 +337,7 @@ class Simulation:
 
     def _solve(self, config: SolverConfig | None, pause: int | None, resume: bool) -> None:
         check_pause(pause, resume, self.schedule)
-        self._check_recording()
+        refuse_hosted(self.backend, self.schedule, self.device)
         if config is None and pause is None and not resume:
             self._take("solve")
         else:
@@ -354,14 +357,9 @@ class Simulation:
         with self._lock:
             if self._phase != "solve":
                 raise ValueError("advance() needs solve() first: there are no solved velocities")
-            self._check_recording()
+            refuse_hosted(self.backend, self.schedule, self.device)
             self._take("advance")
             self._phase = "advance"
-
-    def _check_recording(self) -> None:
-        """Refuse what cannot become part of the graph that this thread records."""
-        if recording():
-            refuse_hosted(self.backend, self.schedule)
 
     def _take(self, phase: Phase) -> bool:
         """Run a phase in all worlds; whether one ran out of room."""

@@ -55,8 +55,13 @@ def _recorder() -> tuple[Any, Any]:
     return wp.get_device("cpu"), own_thread
 
 
-def refuse_hosted(backend: str, schedule: str) -> None:
-    """Raise RuntimeError for a step that the host takes part in, which no graph can hold."""
+def refuse_hosted(backend: str, schedule: str, device: str) -> None:
+    """Raise RuntimeError for a step that the host takes part in, which no graph on the CPU or the device can hold."""
+    if device != "cpu":
+        import warp as wp
+
+        if wp.get_device(device).is_capturing:
+            raise RuntimeError("a step on a GPU cannot be recorded in a graph: the host looks for worlds without room")
     if backend != "warp":
         refuse_recording(f"a step of the {backend} backend", "it runs at once")
     if schedule != "world":

@@ -126,7 +126,7 @@ class Rounds:
                 launch()
             for k, used in enumerate(self.watch.used):
                 self.peak[k] = max(int(self.peak[k]), int(to_numpy(used)[self._worlds].max(initial=0)))
-            if (to_numpy(self.watch.flags)[self._worlds] & self.watch.stop_at).any():
+            if self.watch.stop_at and (to_numpy(self.watch.flags)[self._worlds] & self.watch.stop_at).any():
                 self.halt[0] = 1
         return rounds
 

@@ -22,6 +22,10 @@ _pool: ThreadPoolExecutor | None = None
 _room = 0  # threads that the pool may have
 _making = threading.Lock()
 
+GPU_CALLS = threading.RLock()
+"""What calls that work on a GPU hold: Warp copies from there on another stream, which it makes current for all threads,
+so that of two at once one may leave it so."""
+
 
 def thread_pool(threads: int) -> ThreadPoolExecutor:
     """The pool that all calls share, with room for so many threads at once."""
