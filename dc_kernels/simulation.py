@@ -35,6 +35,8 @@ from dc_kernels.storage import Storage
 
 Start = Callable[["Simulation"], None]
 
+SOLVES = 64  # settings of single solves whose launches are kept
+
 
 class Simulation:
     """Rigid bodies with contacts in any number of worlds, stepped together.
@@ -196,6 +198,8 @@ class Simulation:
 
     @config.setter
     def config(self, config: SolverConfig) -> None:
+        if not isinstance(config, SolverConfig):
+            raise TypeError(f"config is a {type(config).__name__}; it must be a SolverConfig")
         if config == (before := self._config):
             return
         refuse_recording("a change of config", "make it before")
@@ -256,8 +260,7 @@ class Simulation:
         Raises:
             ValueError, OverflowError: see ``step``.
         """
-        if steps < 0:
-            raise ValueError(f"steps is {steps}; it must not be negative")
+        steps = check_count("steps", steps, least=0)
         if start is not None or callback is not None:
             refuse_recording("a step with start or callback", "these run in Python")
         with self._lock:
@@ -343,6 +346,8 @@ class Simulation:
         else:
             key = (config, pause, resume)
             if key not in self._solves:
+                if len(self._solves) >= SOLVES:
+                    self._solves.clear()
                 if config is not None:
                     check_iteration(config, self._config)
                     if self.storage.provide(config):
@@ -436,7 +441,8 @@ class Simulation:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a snapshot to continue from, bit for bit (see ``snapshot.save``)."""
-        snapshot.save(self, path)
+        with self._lock:
+            snapshot.save(self, path)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], **options: Any) -> Simulation:

@@ -48,6 +48,6 @@ class Broadphase:
     def relayout(self) -> None:
         """Allocate the room anew; pairs are found in the next step."""
         pairs = self.pairs
-        pairs.reallocate(("shape_a", "shape_b", "temp_a", "temp_b"), pair=self.room.total)
+        pairs.renew(pair=self.room.total)
         pairs.assign("valid", np.zeros(pairs.sizes["world"], np.int32))
         pairs.assign("start", self.room.starts())

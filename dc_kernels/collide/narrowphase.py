@@ -11,6 +11,7 @@ from dc_kernels.model.arrays import ArrayGroup, Contacts, Joints, Model
 from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import CACHE
 from dc_kernels.model.room import Room, move_segments
+from dc_kernels.solve.rows import COLORS
 
 
 class Cache(ArrayGroup):
@@ -48,11 +49,10 @@ class Narrowphase:
         """Allocate the room anew and move the contacts to their new places."""
         old, new = self.contacts.numpy("contact_start").copy(), self.room.starts()
         for group, count in ((self.contacts, "contact_count"), (self.cache, "count")):
-            names = tuple(name for name, field in group.table.items() if field.per == "contact")
-            before = {name: group.array(name) for name in names}
-            group.reallocate(names, contact=self.room.total)
-            for name in names:
-                move_segments(before[name], group.array(name), old, new, group.numpy(count))
+            before = group.renew(contact=self.room.total)
+            for name, field in group.table.items():
+                if field.per == "contact":
+                    move_segments(before[name], group.array(name), old, new, group.numpy(count))
         self.contacts.assign("contact_start", new)
 
     def check_restored(self, count: np.ndarray, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -72,6 +72,10 @@ class Narrowphase:
         for name, values in arrays.items():
             if len(values) != total:
                 raise ValueError(f"{name} has {len(values)} contacts; the worlds together have {total}")
+        color = np.asarray(arrays["color"])
+        wrong = np.flatnonzero((color < -1) | (color >= COLORS))
+        if len(wrong):
+            raise ValueError(f"color[{wrong[0]}] is {color[wrong[0]]}; it must lie in [-1, {COLORS - 1}]")
         return count
 
     def restore(self, count: np.ndarray, arrays: Mapping[str, np.ndarray], contact_dt: Any, joints: Joints) -> None:

@@ -119,6 +119,28 @@ class ArrayGroup:
         for name in names:
             setattr(self, name, allocate(self.table[name], self.sizes, self.dtype, self.device, self.backend))
 
+    def renew(self, **sizes: int) -> dict[str, Any]:
+        """Allocate every array anew; those whose axes keep their sizes keep their values.
+
+        Launches in a graph that was recorded before go on with the arrays that they had, all of one layout.
+
+        Args:
+            sizes: new elements on the axes by their names.
+
+        Returns:
+            The arrays before, by name.
+        """
+        changed = {axis for axis, size in sizes.items() if size != self.sizes[axis]}
+        before = {name: getattr(self, name) for name in self.table}
+        self.reallocate(self.table, **sizes)
+        for name, field in self.table.items():
+            if changed.isdisjoint(field.axes):
+                if isinstance(before[name], np.ndarray) or self.device == "cpu":
+                    self.numpy(name)[...] = to_numpy(before[name])
+                else:
+                    getattr(self, name).assign(before[name])
+        return before
+
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any: ...

@@ -123,14 +123,14 @@ def check_bins(bins: Any, point_bin: Any, count: int) -> np.ndarray:
     return array if bins > 1 else np.zeros(1, np.int32)
 
 
-def check_count(name: str, count: Any) -> int:
-    """A number of threads or bins.
+def check_count(name: str, count: Any, least: int = 1) -> int:
+    """A number of threads, bins or steps.
 
     Raises:
-        ValueError: naming it, for one that is not an integer of at least 1.
+        ValueError: naming it, for one that is not an integer of at least ``least``.
     """
-    if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 1:
-        raise ValueError(f"{name} is {count!r}; it must be an integer of at least 1")
+    if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < least:
+        raise ValueError(f"{name} is {count!r}; it must be an integer of at least {least}")
     return int(count)
 
 
@@ -142,13 +142,17 @@ def check_time_step(dt: float | np.ndarray, worlds: int, dtype: np.dtype) -> Non
         worlds: how many there are.
         dtype: of the simulation.
     """
+    if isinstance(dt, str | bytes):
+        raise ValueError(f"dt is {dt!r}; it must be a number [s]")
     value = np.asarray(dt, np.float64)
     if value.ndim and value.shape != (worlds,):
         raise ValueError(f"dt has shape {value.shape}; it must be a number or have shape {(worlds,)}")
     if not ((value > 0.0) & (value < float("inf"))).all():
         raise ValueError(f"dt is {dt!r}; it must be finite and > 0 [s]")
-    if not value.astype(dtype).all():
-        raise ValueError(f"dt is {dt!r}; it underflows {dtype.name}")
+    with np.errstate(over="ignore"):
+        narrow = value.astype(dtype)
+    if not (narrow.all() and np.isfinite(narrow).all()):
+        raise ValueError(f"dt is {dt!r}; it does not fit {dtype.name}")
 
 
 def check_choice(name: str, value: Any, allowed: Iterable[str]) -> None:

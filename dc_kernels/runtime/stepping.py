@@ -108,7 +108,10 @@ class Shards:
                 self._stop = True
                 raise
 
-        run_together(work, self.threads)
+        def stop() -> None:
+            self._stop = True
+
+        run_together(work, self.threads, stop)
 
     def _take_chunk(self, shards: Sequence[Rounds], most: int) -> bool:
         """Run a chunk of the free shard that is farthest behind; whether there was one."""

@@ -47,8 +47,13 @@ def _forget_pool() -> None:
 os.register_at_fork(after_in_child=_forget_pool)
 
 
-def run_together(work: Callable[[], Any], threads: int) -> None:
+def run_together(work: Callable[[], Any], threads: int, stop: Callable[[], Any] | None = None) -> None:
     """Call ``work`` on so many threads at once, one of them the present one, and wait for all.
+
+    Args:
+        work: what each does.
+        threads: how many.
+        stop: called when the present thread is interrupted while it waits; it makes the others end soon.
 
     Raises:
         BaseException: the first that a call raises, after all have ended.
@@ -61,7 +66,13 @@ def run_together(work: Callable[[], Any], threads: int) -> None:
         # what has not begun finds nothing left to do; a cancelled task is not waited for, as it only counts as done
         # when a thread takes it up, and all may be waiting here
         begun = [other for other in others if not other.cancel()]
-        wait(begun)
+        try:
+            wait(begun)
+        except BaseException:
+            if stop is not None:
+                stop()
+            wait(begun)  # none is left at work when the caller goes on
+            raise
     for other in begun:
         other.result()
 

@@ -118,7 +118,5 @@ class ContactSolver:
     def relayout(self, contacts: np.ndarray, config: SolverConfig) -> None:
         """Allocate the rows anew for so many contacts of each world; the next step makes them."""
         self.room.slots = np.maximum(self.room.slots, self._blocks_for(contacts))
-        names = ("slot", "column", "body", "impulse", "change", "before", "direction", "past")
-        sizes = self._row_sizes(self.rows.sizes, config)
-        self.rows.reallocate(names, contact=int(contacts.sum()), **sizes)
+        self.rows.renew(contact=int(contacts.sum()), **self._row_sizes(self.rows.sizes, config))
         self.rows.assign("block_start", self.room.starts())
