@@ -69,8 +69,8 @@ def explain(sim: Simulation) -> str:
     lines.append(f"stages of a step: {', '.join(stages)}")
     light = f" and {config.relative_tolerance:g} of what a typical weight gives in a step" * (config.stop == "change")
     lines.append(
-        f"acceleration: {config.acceleration}; stop at {config.stop} < {config.tolerance:g}{light} or "
-        f"{config.max_sweeps} sweeps; a world without rows is not swept"
+        f"acceleration: {config.acceleration}; stop at {config.stop} < {config.tolerance:g}{light}, after at least "
+        f"{config.min_sweeps} sweeps, or at {config.max_sweeps} sweeps; a world without rows is not swept"
     )
     if config.position_correction == "ngs":
         deep = sim.rows.numpy("deepest") < -config.slop * model.numpy("length_scale")

@@ -219,11 +219,11 @@ class Simulation:
 
     @property
     def layout_version(self) -> int:
-        """A number that changes whenever arrays were allocated anew: views taken before are stale.
+        """A number that changes whenever arrays are allocated anew; no step then writes to views of the old ones.
 
-        That is when a step needed more room, and for a configuration or contacts of an earlier run that need more.
-        Views are whatever ``contacts.impulse`` and the like gave before, as arrays, numpy or tensors: they then show
-        memory that no step writes any more.
+        Arrays are allocated anew when a step, a new configuration or the contacts of an earlier run need more room. A
+        view is an array, NumPy array or tensor taken from a field such as ``contacts.impulse``; where the number has
+        changed, take it again.
         """
         return self.storage.version
 
@@ -300,7 +300,7 @@ class Simulation:
 
         Args:
             config: settings of this one solve, which may differ from the simulation's in those of the iteration
-                (``solver.ITERATION``); None: the simulation's.
+                (``solve.schedules.ITERATION``); None: the simulation's.
             pause: stop after about so many sweeps in each world, 0 before the first, with ``resume`` to go on; with
                 acceleration "aitken", which a solve that pauses takes for "adaptive", at the end of a period. Impulses,
                 ``motion.solved`` and ``stats`` are then those of a solve in flight; ``running`` tells which worlds have

@@ -1,1 +1,1 @@
-"""Warp kernels. A file reads func -> kernel; launchers live in the modules one level up."""
+"""Warp kernels. A file reads func -> kernel; the host module at its path below ``dc_kernels`` launches it."""

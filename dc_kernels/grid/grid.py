@@ -1,4 +1,4 @@
-"""The grid that bodies and contacts are splatted onto, and its choice for a scene (seed, section 3.2.3)."""
+"""The grid that bodies and contacts are splatted onto, and its choice for a scene (Wu 2018, section 3.2.3)."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def choose_grid(
     max_nodes: int = 65_536,
     max_spacing: float | None = None,
 ) -> GridChoice:
-    """Spacing and support radius for a scene, fine enough that no two points share a cell (seed, section 3.2.3).
+    """Spacing and support radius for a scene, fine enough that no two points share a cell (Wu 2018, section 3.2.3).
 
     A node's cell is the square of side ``spacing`` around it. It cannot hold two points farther apart than its
     diagonal, spacing sqrt(2). A stronger condition is wanted: spacing / sqrt(2) < h <= d / 2, where d is the least

@@ -5,13 +5,13 @@ With the weights S_ip of point p at node i, a splat is ``image_i = sum_p S_ip va
 
 - "particle": S_ip = W(|x_p - x_i|) / sum_j W(|x_p - x_j|) over the nodes in the grid: each point's weights sum to 1, at
   the border too, so a splat conserves the sum of its values and a gather reproduces constants (the theses' way);
-- "sum": S_ip = W in 1/m^2, the SPH sum (seed, eq. 3.7), for values m/rho A;
+- "sum": S_ip = W in 1/m^2, the SPH sum (Wu 2018, equation 3.7), for values m/rho A;
 - "shepard" (splat only): the SPH sum divided by that of ones: a weighted average, which reproduces constants.
 
-Stencils "bilinear" (seed, eqs 3.15-3.17) and "bspline" (cubic B-spline, which smooths but reproduces linear fields)
-have weights that sum to 1 by themselves, whatever ``normalize`` says; a point outside the grid is moved to its border.
-With the radial ones a point outside reaches the nodes within h, if any. A point that reaches none is given to its
-nearest node under "particle" (unless ``nearest`` is False) and contributes nothing under "sum".
+Stencils "bilinear" (Wu 2018, equations 3.15-3.17) and "bspline" (cubic B-spline, which smooths but reproduces linear
+fields) have weights that sum to 1 by themselves, whatever ``normalize`` says; a point outside the grid is moved to its
+border. With the radial ones a point outside reaches the nodes within h, if any. A point that reaches none is given to
+its nearest node under "particle" (unless ``nearest`` is False) and contributes nothing under "sum".
 """
 
 from __future__ import annotations

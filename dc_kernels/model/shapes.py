@@ -19,7 +19,7 @@ TOLERANCE = 1e-6
 
 
 class MassProperties(NamedTuple):
-    """Of shapes of unit density, each of shape (...), the centroid (..., 2)."""
+    """Area, centroid and inertia of shapes (...) of unit density: arrays of shape (...), the centroid's (..., 2)."""
 
     area: np.ndarray  # [m^2]
     centroid: np.ndarray  # [m]

@@ -48,7 +48,13 @@ def check_array(
     low: float | None = None,
     closed: bool = True,
 ) -> np.ndarray:
-    """The same, without NaN or inf, and nothing below ``low``, which itself is allowed if ``closed``."""
+    """Return an array that passes ``check_layout`` and holds neither NaN nor inf, nor anything below ``low``.
+
+    ``low`` itself is allowed if ``closed``.
+
+    Raises:
+        ValueError: naming the array and, for a bad value, its index.
+    """
     array = check_layout(name, array, shape, dtype)
     # a finite sum has finite terms, one that is not may have overflowed; looking at each takes ten times as long
     with np.errstate(over="ignore", invalid="ignore"):

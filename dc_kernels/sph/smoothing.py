@@ -1,4 +1,4 @@
-"""Smoothing kernels of SPH by name: W, its gradient and Laplacian, and what their adjoints need (seed, 3.2.2).
+"""Smoothing kernels of SPH by name: W, its gradient and Laplacian, and their adjoints' needs (Wu 2018, section 3.2.2).
 
 With q = r / h and the constant c_d of the dimension d a kernel is W(r) = c_d h^-d w(q), zero beyond the support radius
 h. With D = (1/q) d/dq and the offset e = (x - x_p) / h every derivative follows from w, f = D w, g = D f and k = D g:
@@ -19,8 +19,8 @@ missing: of the integral of W 3.4e-4 in 2D and 1.1e-3 in 3D (GAUSSIAN_LOSS), and
 its peak.
 
 Sources: poly6 and spiky: Mueller, Charypar and Gross 2003; spiky: Desbrun and Gascuel 1996; cubic spline: Monaghan and
-Lattanzio 1985, scaled to the support h; Wendland C2: Wendland 1995. The seed's printed constants of poly6 and spiky
-are those of 3D, its Laplacian of poly6 (3.11) is twice too large, and that of spiky (3.14) lacks 2 W'/r.
+Lattanzio 1985, scaled to the support h; Wendland C2: Wendland 1995. The constants of poly6 and spiky printed in
+Wu (2018) are those of 3D; its Laplacian of poly6 (3.11) is twice too large, and that of spiky (3.14) lacks 2 W'/r.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""SPH sums at any points: a field carried by particles, its gradient and its Laplacian (seed, equations 3.6-3.8).
+"""SPH sums at any points: a field carried by particles, its gradient and its Laplacian (Wu 2018, equations 3.6-3.8).
 
     A(x)      = sum_p  m_p / rho_p  A_p  W(|x - x_p|, h)
     grad A(x) = sum_p  m_p / rho_p  A_p  grad W
     lap A(x)  = sum_p  m_p / rho_p  A_p  lap W
 
 These are the plain sums: a constant field is reproduced only as well as sum_p m_p / rho_p W approximates 1, which
-fails at the border of the particles. Differentiable torch operators on the same kernels: ``sph_operators``.
+fails at the border of the particles. ``torch_ops.sph`` holds differentiable torch operators on these kernels.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ axis           rows
 =============  ====================================================================================================
 world          one for each world; its rows in ``body``, ``shape`` and ``step`` are ``world/body_start[w]`` up to
                ``world/body_start[w + 1]``, and so on
-drawn          one for each world: what was drawn for it from its own seed
+drawn          one for each world, with ranges only: what was drawn for it from its own seed
 body, shape    what does not change; indices of bodies count from the world's first one
 vertex         of shape k: ``shape/vertex_start[k]`` up to ``shape/vertex_start[k + 1]``
 step           one for each state; its rows in ``motion`` and ``contact`` are ``step/motion_start[s]`` up to

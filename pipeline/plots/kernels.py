@@ -1,4 +1,4 @@
-"""Figures of the seed, drawn again: its comparison of smoothing kernels (figures 3.3 and 3.4)."""
+"""Figures of Wu (2018), drawn again: the comparison of smoothing kernels (figures 3.3 and 3.4)."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from pipeline.plots.world import WorldDrawing, WorldShapes, draw_world
 
 def _over_worlds(axes: Any, time: np.ndarray, values: np.ndarray, color: str, label: str | None = None) -> None:
     """Draw the median over the worlds of values (steps, worlds), with the band that holds 80 % of them."""
-    if values.shape[1] > 2:
+    if values.shape[1] > 1:
         axes.fill_between(time, *np.percentile(values, (10, 90), axis=1), color=color, alpha=0.15, linewidth=0)
     axes.plot(time, np.median(values, axis=1), color=color, label=label, linewidth=1.4)
 
@@ -25,7 +25,7 @@ def summary_figure(sim: Any, series: Mapping[str, np.ndarray], dt: float, title:
 
     Args:
         sim: the simulation at its end.
-        series: the per-step arrays of ``simulate.STEP_FIELDS``, (steps, worlds).
+        series: the per-step arrays of ``pipeline.run.trajectory.STEP_FIELDS``, (steps, worlds).
         dt: time step [s].
         title: of the figure.
     """
@@ -50,7 +50,7 @@ def summary_figure(sim: Any, series: Mapping[str, np.ndarray], dt: float, title:
         _over_worlds(overlap, time, 1e3 * series["penetration_mean"], CYCLE[5], "mean of the contacts that press")
         panels = {"sweeps of the solver": sweeps, "contacts": contacts, "energy [J]": energy, "overlap [mm]": overlap}
         for name, panel in panels.items():
-            panel.set_title(name + (f" (median and 10-90 % of {worlds} worlds)" if worlds > 2 else ""))
+            panel.set_title(name + (f" (median and 10-90 % of {worlds} worlds)" if worlds > 1 else ""))
             panel.set_xlim(0.0, time[-1])
             if panel is not sweeps:
                 panel.legend(fontsize=8, loc="best")

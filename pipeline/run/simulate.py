@@ -34,8 +34,9 @@ class Output:
     steps: int = 250
     """Steps of each world [1]."""
     start: str = "builtin"
-    """Start of the contact solver: none, builtin, random, bad, copy, or copyN, rounded to N decimals; the pretrained
-    network: cnn, cnn-start (not in mid-solve); the file of a trained one, .safetensors."""
+    """Start of the contact solver: none, builtin, random, bad, copy, or copyN, rounded to N decimals; grid or
+    grid-bilinear, copy sent to a grid and back; the pretrained network: cnn, cnn-start (not in mid-solve); the file of
+    a trained one, .safetensors."""
     out: Path = Path("out/simulate")
     """Folder of the files, made if missing; files of an earlier run are replaced."""
     record_every: int = 1

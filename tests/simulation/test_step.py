@@ -343,6 +343,7 @@ def test_memory_and_explain_tell_what_runs():
     assert "discs" in discs
     assert discs != general
     assert "joint" in discs  # there are none: said, not hidden
+    assert f"at least {sim.config.min_sweeps} sweeps" in discs
 
 
 # ---------------------------------------------------------------- coordinates, kinds of bodies

@@ -193,9 +193,9 @@ def test_threads_and_batches_do_not_change_a_bit(variant):
 def dense(sim):
     """Jacobian (2c, 3b), inverse masses (3b,), predicted velocities, bias and friction of world 0, from the arrays.
 
-    Rows: normal, then tangent, of each contact: J = [-n, -r_A x n, n, r_B x n] (seed, 2.21 and 2.22), written out
-    here from contact geometry alone, without the solver's rows. The bias of a gap above the slop is gap / dt; there
-    is no restitution.
+    Rows: normal, then tangent, of each contact: J = [-n, -r_A x n, n, r_B x n] (Wu 2018, equations 2.21 and
+    2.22), written out here from contact geometry alone, without the solver's rows. The bias of a gap above the slop is
+    gap / dt; there is no restitution.
     """
     slots, _ = used(sim)
     get = {n: sim.contacts.numpy(n)[slots].astype(float) for n in ("normal", "arm_a", "arm_b", "gap", "friction")}
@@ -427,7 +427,7 @@ def test_residual_falls_to_round_off_and_is_relative_to_a_frictional_stop():
 
 
 def test_no_sweeps_leave_impulses_and_apply_them():
-    """V = V* + M^-1 J^T lambda (seed, 2.26)."""
+    """V = V* + M^-1 J^T lambda (Wu 2018, equation 2.26)."""
     sim = pile("general", "float64", seeds=(4,))
     sim.run(150, DT)
     sim.collide(DT)

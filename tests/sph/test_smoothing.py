@@ -1,4 +1,4 @@
-"""Smoothing kernels: moments, derivatives, and that the seed's printed formulas are wrong as stated."""
+"""Smoothing kernels: moments, derivatives, and that the formulas printed in Wu (2018) are wrong as stated."""
 
 import json
 import math

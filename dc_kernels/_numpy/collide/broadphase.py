@@ -10,7 +10,7 @@ from dc_kernels._numpy.common import Array, Kernels, rotate, rotation
 from dc_kernels.model.enums import BodyType, Flag, ShapeType
 
 PREDICT_STEPS = 8.0  # steps of motion a moving shape's box is stretched by
-FAST_STEPS = 24.0  # the same for those that outrun the speculative distance
+FAST_STEPS = 24.0  # steps a box is stretched by where a step takes its shape beyond the speculative distance
 REACH_GROWTH = 1.5  # a box made for a speculative distance this much larger outlives bodies speeding up
 
 

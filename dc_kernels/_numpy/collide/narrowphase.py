@@ -29,7 +29,7 @@ class Hull:
     beyond: Array | None = None
 
     def placed(self, r: Array, x: Array) -> Hull:
-        """The same hull in another frame: turned by r, then moved by x."""
+        """The hull in another frame: turned by r, then moved by x."""
         return Hull(rotate(r, self.vertices) + x, rotate(r, self.normals), self.radius)
 
 
@@ -41,7 +41,7 @@ class Manifold:
     points: list[tuple[Array, Any, int]]
 
     def placed(self, r: Array, x: Array, flip: bool = False) -> Manifold:
-        """The same in another frame; with ``flip`` the normal turns around."""
+        """The manifold in another frame: turned by r, then moved by x; ``flip`` turns its normal around."""
         normal = rotate(r, self.normal)
         return Manifold(-normal if flip else normal, [(rotate(r, p) + x, gap, f) for p, gap, f in self.points])
 

@@ -86,7 +86,7 @@ def complete_rows(
 def push_impulses(
     tid: int, world_offset: int, contact_start: Array, row: Array, row_body: Array, impulse: Array, velocity: Array
 ) -> None:
-    """Add M^-1 J^T impulse to the velocities (seed, equation 2.26)."""
+    """Add M^-1 J^T impulse to the velocities (Wu 2018, equation 2.26)."""
     for c, r in _rows(tid + world_offset, contact_start, row, row_body):
         r.push(velocity, impulse[c])
 

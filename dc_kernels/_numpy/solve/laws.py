@@ -10,7 +10,7 @@ from dc_kernels._numpy.common import Array, cross
 
 
 def direction(d: Array, ra: Array, rb: Array) -> Array:
-    """J of a direction at two arms, (6,): J V is the speed of B against A along it (seed, 2.21 and 2.22)."""
+    """J of a direction at two arms, (6,): J V is B's speed against A along it (Wu 2018, equations 2.21 and 2.22)."""
     return np.array([*-d, -cross(ra, d), *d, cross(rb, d)])
 
 

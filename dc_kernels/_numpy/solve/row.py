@@ -1,4 +1,4 @@
-"""One row as small dense vectors (seed, 2.2.2): what a sweep, an impulse or a position push does to its two bodies.
+"""One row as small dense vectors (Wu 2018, section 2.2.2): what a sweep, impulse or position push does to its bodies.
 
 Velocities are V = (v_A, w_A, v_B, w_B), (6,).
 """
@@ -126,7 +126,7 @@ class PackedRow(NamedTuple):
 
 
 def effective_mass(j: Array, a: int, b: int, model: Any, motion: Any) -> Any:
-    """1 / (J M^-1 J^T), 0 if nothing can move (seed, equation 2.25)."""
+    """1 / (J M^-1 J^T), 0 if nothing can move (Wu 2018, equation 2.25)."""
     ma, mb = motion.predicted[a, 3], motion.predicted[b, 3]
     k = (j * j) @ np.array([ma, ma, model.inv_inertia[a], mb, mb, model.inv_inertia[b]])
     return 1.0 / k if k > 0 else k

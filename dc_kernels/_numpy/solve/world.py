@@ -104,7 +104,7 @@ class World:
         return max(sweep_row(row, self.rows, self.motion.solved, self.omega) for row in self.own_rows)
 
     def apply(self, delta: Array) -> None:
-        """Velocities follow a change of all impulses: V += M^-1 J^T delta (seed, equation 2.26)."""
+        """Velocities follow a change of all impulses: V += M^-1 J^T delta (Wu 2018, equation 2.26)."""
         for row in self.own_rows:
             row.change(self.motion.solved, by_lane(delta)[row.at])
 

@@ -19,7 +19,7 @@ def kernels(dtype: str) -> Kernels:
 def sum_neighbors(
     tid: int, chunk_offset: int, sum: Any, lists: Any, query: Array, point: Array, value: Array, out: Array
 ) -> None:
-    """Add up the neighbours' values times W, grad W, lap W, or . grad W (seed, equations 3.7 and 3.8)."""
+    """Add up the neighbours' values times W, grad W, lap W, or . grad W (Wu 2018, equations 3.7 and 3.8)."""
     dim, h, scale, quantity = point.shape[1], sum.h, sum.scale, sum.quantity
     for q in _queries(tid + chunk_offset, query):
         near = lists.index[lists.start[q] : lists.start[q + 1]]

@@ -104,7 +104,7 @@ def functions(dtype: str) -> SimpleNamespace:
 
     @wp.func(module=module)
     def scalar_product(n: int, a: wp.array(dtype=vec2), a_at: int, b: wp.array(dtype=vec2), b_at: int):
-        """Of n vectors each, from a place on."""
+        """Sum of the scalar products of n vectors of ``a``, from ``a_at`` on, with n of ``b``, from ``b_at`` on."""
         total = zero
         for c in range(n):
             x = a[a_at + c]

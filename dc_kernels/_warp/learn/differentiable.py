@@ -127,7 +127,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         # in, out:
         velocity: wp.array(dtype=vec3),
     ):
-        """Add M^-1 J^T impulse to the velocities (seed, equation 2.26)."""
+        """Add M^-1 J^T impulse to the velocities (Wu 2018, equation 2.26)."""
         push_world(wp.tid() + world_offset, contact_start, row, row_body, impulse, velocity)
 
     @wp.kernel(module=module, enable_backward=False)

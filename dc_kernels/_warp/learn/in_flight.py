@@ -190,7 +190,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
 
     @wp.func(module=module)
     def passed_on(x: vec2, scale: real, weight: real, n: vec2):
-        """The squashed vector p of components x times n: what a contact passes on, from whichever side."""
+        """Outer product of p and n, row by row: what a contact passes on to the grid.
+
+        p is the vector whose components along the normal and the tangent are x, scaled, its length squashed and
+        weighted. Seen from its other body, a contact turns n and p around, which leaves the product as it is.
+        """
         u = (x[0] * n + x[1] * tangent(n)) * scale
         length = wp.length(u) + tiny
         u = u * (weight * squash(length) / length)

@@ -1,4 +1,4 @@
-"""Semi-implicit Euler (seed, chapter 2.1): velocities before the contacts, positions after them."""
+"""Semi-implicit Euler (Wu 2018, chapter 2.1): velocities before the contacts, positions after them."""
 
 from functools import cache
 from typing import Any

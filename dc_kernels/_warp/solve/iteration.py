@@ -60,7 +60,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @wp.func(module=module)
     def prepare_sweep(span: t.Span, config: t.Config, motion: t.Motion):
-        """A place to sum up Jacobi's changes."""
+        """Copy the velocities to ``motion.summed``, where Jacobi's rows add their changes up during a sweep."""
         if config.method == JACOBI:
             for b in range(span.first_body, span.last_body):
                 motion.summed[b] = motion.solved[b]

@@ -13,7 +13,7 @@ def linear_speed(d: Any, va: Any, vb: Any):
 
 @wp.func
 def relative_speed(d: Any, va: Any, vb: Any, ra: Any, rb: Any):
-    """Speed of B against A at their contact along a direction, J V (seed, equations 2.21 and 2.22) [m/s].
+    """Speed of B against A at their contact along a direction, J V (Wu 2018, equations 2.21 and 2.22) [m/s].
 
     Args:
         d: unit direction; its first two components count.
@@ -27,7 +27,7 @@ def relative_speed(d: Any, va: Any, vb: Any, ra: Any, rb: Any):
 
 @wp.func
 def inverse_or_zero(x: Any):
-    """1 / x, or 0 where x is not positive: what cannot move has no effective mass (seed, equation 2.25)."""
+    """1 / x, or 0 where x is not positive: what cannot move has no effective mass (Wu 2018, equation 2.25)."""
     if x > type(x)(0.0):
         return type(x)(1.0) / x
     return type(x)(0.0)

@@ -1,4 +1,4 @@
-"""The scalar arithmetic of one row (seed, section 2.2.2): the oracle of the SIMD lanes, and what a GPU runs."""
+"""The scalar arithmetic of one row (Wu 2018, section 2.2.2): the oracle of the SIMD lanes, and what a GPU runs."""
 
 from functools import cache
 from types import SimpleNamespace
@@ -197,7 +197,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @wp.func(module=module)
     def apply_row(block: int, lane: int, rows: t.Rows, bodies: wp.array(dtype=vec4), delta: wp.array(dtype=real)):
-        """Velocities after given impulses: V += M^-1 J^T delta (seed, equation 2.26)."""
+        """Velocities after given impulses: V += M^-1 J^T delta (Wu 2018, equation 2.26)."""
         r = block * width + lane
         i = block * 2 * N_LANES + lane
         a = rows.body[i]

@@ -39,7 +39,12 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @wp.func(module=module)
     def span_of(w: int, past_at: int, config: t.Config, model: t.Model, motion: t.Motion, rows: t.Rows):
-        """Where a world's rows lie, and the change at which it stops; without weight only the tolerance counts."""
+        """Where a world's rows lie, and the bound at which its solve stops.
+
+        The bound is ``tolerance``, or the impulse ``relative_tolerance`` times weight times time step where that is
+        smaller; the latter is left out where the typical weight is zero, and where the residual decides the stop.
+        ``past_at`` counts the scalars of ``rows.past`` before the world's own.
+        """
         span = Span()
         span.world = w
         span.first = rows.color_block[w * ENDS]
@@ -70,7 +75,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             change = sweep_lanes(
                 rows.column, rows.body, motion.solved, rows.impulse, rows.change, first, span.serial, omega
             )
-            first = span.serial
+            first = span.serial  # the lanes have done the colours before it
         # one loop over the rows: Warp would unroll one over lanes, which takes the compiler half a minute
         for k in range(first * N_LANES, span.last * N_LANES):
             change = wp.max(change, sweep_row(k / N_LANES, k % N_LANES, rows, motion.solved, omega))
@@ -78,11 +83,11 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @wp.func(module=module)
     def apply(span: Span, motion: t.Motion, rows: t.Rows, delta: wp.array(dtype=real)):
-        """Velocities follow a change of all row impulses of a world: V += M^-1 J^T delta (seed, equation 2.26)."""
+        """Velocities follow a change of all row impulses of a world: V += M^-1 J^T delta (Wu 2018, equation 2.26)."""
         first = span.first
         if has_lanes() == 1:
             apply_lanes(rows.column, rows.body, motion.solved, delta, first, span.serial)
-            first = span.serial
+            first = span.serial  # the lanes have done the colours before it
         for k in range(first * N_LANES, span.last * N_LANES):
             apply_row(k / N_LANES, k % N_LANES, rows, motion.solved, delta)
 
@@ -113,7 +118,11 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @wp.func(module=module)
     def natural_map(span: Span, bodies: wp.array(dtype=vec4), rows: t.Rows):
-        """Relative natural map: its 2-norm over that of the impulses a frictional stop of each row alone would take."""
+        """Relative natural map of a world's rows [1]: how far its impulses are from a solution.
+
+        It is the 2-norm of the natural maps of all rows over ``rows.scale``, the 2-norm of the impulses that would
+        stop each row, with its friction, if it were alone; where that is zero, the former itself [N s].
+        """
         total = real(0.0)
         for k in range(span.first * N_LANES, span.last * N_LANES):
             total += natural_map_row(k / N_LANES, k % N_LANES, rows, bodies)

@@ -52,7 +52,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         # Out:
         out: values,
     ):
-        """Add up the neighbours' values times W, grad W, lap W, or . grad W (seed, equations 3.7 and 3.8)."""
+        """Add up the neighbours' values times W, grad W, lap W, or . grad W (Wu 2018, equations 3.7 and 3.8)."""
         first = (wp.tid() + chunk_offset) * N_CHUNK
         last = wp.min(first + N_CHUNK, query.shape[0])
         sum_range(first, last, sum, lists, query, point, value, out)

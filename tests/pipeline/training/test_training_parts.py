@@ -23,7 +23,7 @@ from pipeline.training.rate import find_rate  # noqa: E402
 
 
 def test_sgd_takes_the_steps_of_nesterov():
-    """Momentum m v + g, then x - rate (g + m v) (Sutskever et al. 2013), with the seed's momentum, and a decay."""
+    """Momentum m v + g, then x - rate (g + m v) (Sutskever et al. 2013), with Wu's (2018) momentum and decay."""
     x = torch.tensor([1.0, -2.0], dtype=torch.float64, requires_grad=True)
     optimizer = make_optimizer([x], "sgd", 0.01)
     schedule = make_schedule(optimizer, "decay", 100, decay=1e-2)

@@ -1,4 +1,4 @@
-"""The row of a contact (seed, equations 2.21 and 2.22), its effective masses (2.24, 2.25) and its bias."""
+"""The row of a contact (Wu 2018, equations 2.21 and 2.22), its effective masses (2.24, 2.25) and its bias."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The row of a distance joint along the line between its anchors (seed, equation 2.20)."""
+"""The row of a distance joint along the line between its anchors (Wu 2018, equation 2.20)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 // Projected Gauss-Seidel on the blocks b0 .. b1 of a colour's rows; the largest impulse change [N s].
-// Parameters: columns, row_body, bodies, impulse, change, b0, b1, omega.
+// Parameters: columns, row_body, bodies, impulse, change, b0, b1, omega. Stands behind prelude.h, bodies.h and row.h.
+// vn, vt: speeds of B against A along the normal and the tangent [m/s]; ln0, lt0: impulses along them before the sweep,
+// ln, lt: after it, dn, dt: their changes [N s].
 #if defined(__CUDA_ARCH__)
 return 0;  // a GPU solves row by row
 #else

@@ -1,7 +1,7 @@
 """Accelerations of the sweeps: a file each, with ``reset`` before the first sweep and ``after_sweep`` behind each.
 
-A new one is a new file, a number in ``model.config.ACCELERATIONS``, and a line in each function below; the oracle has a
-file with the same name.
+A new one is a new file, a number in ``model.config.ACCELERATIONS``, a choice more in ``SolverConfig`` and in the
+options of the command line, and a line in each function below; the oracle has a file with the same name.
 """
 
 from functools import cache
@@ -24,9 +24,10 @@ def accelerate_functions(dtype: str, variant: str) -> SimpleNamespace:
     """``reset`` and ``after_sweep`` of the acceleration that the settings name, and ``relaxation`` of the sweeps."""
     t = group_types(dtype)
     module = kernel_module("solver", dtype, variant)
-    reset_aitken, after_aitken, _ = vars(aitken.functions(dtype, variant)).values()
-    reset_nncg, after_nncg = vars(nncg.functions(dtype, variant)).values()
-    reset_adaptive, after_adaptive = vars(adaptive.functions(dtype, variant)).values()
+    of_aitken, of_nncg, of_adaptive = (file.functions(dtype, variant) for file in (aitken, nncg, adaptive))
+    reset_aitken, after_aitken = of_aitken.reset, of_aitken.after_sweep
+    reset_nncg, after_nncg = of_nncg.reset, of_nncg.after_sweep
+    reset_adaptive, after_adaptive = of_adaptive.reset, of_adaptive.after_sweep
 
     @wp.func(module=module)
     def reset(w: int, config: t.Config, iteration: wp.array(dtype=t.Iteration)):

@@ -48,10 +48,10 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
     module = kernel_module("solver", dtype, variant)
     squares = range_functions(dtype).squares
     refresh = world_functions(dtype, variant).refresh
-    end_aitken = aitken.functions(dtype, variant).end_period
-    reset_aitken = aitken.functions(dtype, variant).reset
-    reset_momentum, with_momentum = vars(momentum.functions(dtype, variant)).values()
-    forget_anderson, reset_anderson, end_anderson = vars(anderson.functions(dtype, variant)).values()
+    of_aitken, of_momentum, of_anderson = (file.functions(dtype, variant) for file in (aitken, momentum, anderson))
+    reset_aitken, end_aitken = of_aitken.reset, of_aitken.end_period
+    reset_momentum, with_momentum = of_momentum.reset, of_momentum.after_sweep
+    forget_anderson, reset_anderson, end_anderson = of_anderson.forget, of_anderson.reset, of_anderson.end_period
     untried = real(1e9)
     half = real(0.5)
     zero = real(0.0)

@@ -19,7 +19,7 @@ from dc_kernels._warp.solve.world import world_functions
 
 @wp.func
 def series_limit(ratio: Any, cap: Any):
-    """What a geometric series of that ratio adds to its last term, over that: r / (1 - r), at most ``cap``."""
+    """Sum of the geometric series r + r^2 + ... = r / (1 - r), which multiplies the last step; at most ``cap``."""
     one = type(ratio)(1.0)
     if ratio < cap * (one - ratio):
         return ratio / (one - ratio)
@@ -28,7 +28,7 @@ def series_limit(ratio: Any, cap: Any):
 
 @cache
 def functions(dtype: str, variant: str) -> SimpleNamespace:
-    """``reset`` and ``after_sweep``; ``step`` and ``end_period`` are what the adaptive acceleration takes of it."""
+    """``reset``, ``after_sweep`` and ``end_period``; the adaptive acceleration calls the first and the last."""
     t = group_types(dtype)
     real = t.real
     module = kernel_module("solver", dtype, variant)
@@ -58,8 +58,13 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         rows: t.Rows,
         iteration: wp.array(dtype=t.Iteration),
     ):
-        """The end of a period: extrapolate, unless ``move`` is 0, and choose the length of the next."""
+        """The end of a period: extrapolate and choose the length of the next.
+
+        ``patience`` is the number of periods without a smaller step after which plain sweeps follow. ``move`` is 1, or
+        0 to leave out the extrapolation, where the impulses were replaced in the pause before it.
+        """
         w = span.world
+        # squared steps: before_end is that of the period's last sweep but one, at_end that of the period before's last
         before = iteration[w].before_end
         now = squares(rows.change, span.low, span.high)
         if now < before and move == 1:
@@ -79,7 +84,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
             iteration[w].least_step = now
             stalled = 0
         if stalled >= patience:
-            inside = -iteration[w].plain_sweeps
+            inside = -iteration[w].plain_sweeps  # below 0 it counts plain sweeps, up to the next period
             iteration[w].plain_sweeps = 2 * iteration[w].plain_sweeps
             stalled = 0
         iteration[w].stalled = stalled

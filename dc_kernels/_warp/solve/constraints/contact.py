@@ -1,6 +1,6 @@
-"""The row of a contact: J = [-n, -r_A x n, n, r_B x n] along its normal (seed, 2.21), and so along its tangent (2.22).
+"""The row of a contact: J = [-n, -r_A x n, n, r_B x n] along its normal and, with t for n, its tangent.
 
-The effective mass is 1 / (J M^-1 J^T) (seed, equations 2.24 and 2.25).
+These are equations 2.21 and 2.22 of Wu (2018), and the effective mass, 1 / (J M^-1 J^T), is 2.24 and 2.25.
 """
 
 from functools import cache

@@ -1,4 +1,4 @@
-"""The row of a distance joint: J = [-n, -r_A x n, n, r_B x n] along the line between its anchors (seed, 2.20)."""
+"""The row of a distance joint: J = [-n, -r_A x n, n, r_B x n] from anchor to anchor (Wu 2018, equation 2.20)."""
 
 from functools import cache
 from typing import Any
