@@ -22,20 +22,18 @@ from dc_kernels.model.fields import GROUPS
 from dc_kernels.reports import capacity, memory
 from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recording
-from dc_kernels.runtime.inputs import check_choice, check_count, check_room
+from dc_kernels.runtime.inputs import check_choice, check_count, check_room, check_type
 from dc_kernels.runtime.sequences import Rounds, Watch, in_turn
 from dc_kernels.runtime.stepping import Shards
 from dc_kernels.runtime.threads import GPU_CALLS
 from dc_kernels.solve.contacts import Rows, SolveStats
 from dc_kernels.solve.integrate import Motion
 from dc_kernels.solve.rows import only_centred_discs, variant_of
-from dc_kernels.solve.schedules import SCHEDULES, check_iteration, check_pause, settings_of_solve
+from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration, check_pause, settings_of_solve
 from dc_kernels.stages import PHASES, Phase, kernel_table, of_phase
 from dc_kernels.storage import Storage
 
 Start = Callable[["Simulation"], None]
-
-SOLVES = 64  # settings of single solves whose launches are kept
 
 
 class Simulation:
@@ -111,7 +109,6 @@ class Simulation:
         self.on_overflow = on_overflow
         self._shards = Shards(model.world_count, model.body_count, threads if self.device == "cpu" else 1)
         self.threads = self._shards.threads
-        shards = len(self._shards.ranges)
         self.specialize = specialize
         self.only_discs = only_centred_discs(model)
         self.variant = variant_of(model, self.only_discs and specialize)
@@ -119,7 +116,7 @@ class Simulation:
         self._config = config or SolverConfig()
         # on a CPU a shard solves world after world
         self._in_turn = schedule == "world" and self.device == "cpu"
-        at_once = shards if self._in_turn else model.world_count
+        at_once = len(self._shards.ranges) if self._in_turn else model.world_count
         self.storage = Storage(
             model,
             joints,
@@ -127,7 +124,7 @@ class Simulation:
             variant=self.variant,
             pairs=pairs_per_shape,
             contacts=contacts_per_body,
-            shards=shards,
+            shards=len(self._shards.ranges),
             at_once=at_once,
         )
         owned = {"model": model, "state": state, "joints": joints, **self.storage.groups()}
@@ -198,8 +195,7 @@ class Simulation:
 
     @config.setter
     def config(self, config: SolverConfig) -> None:
-        if not isinstance(config, SolverConfig):
-            raise TypeError(f"config is a {type(config).__name__}; it must be a SolverConfig")
+        check_type("config", config, SolverConfig)
         if config == (before := self._config):
             return
         refuse_recording("a change of config", "make it before")

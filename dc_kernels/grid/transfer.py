@@ -65,7 +65,7 @@ class Transfer:
         if out is None:
             out = allocate_image(shape[0], shape[1], self.grid, bound.points.dtype)
         else:
-            out = check_layout("out", out, shape, bound.points.dtype)
+            out = check_layout("out", out, shape, bound.points.dtype, writes=True)
             clear(kernel_array(out, self.backend))
         bound.bind_splat(values, out)()  # what is checked already is not looked at again
         return out
@@ -91,7 +91,7 @@ class Transfer:
         if out is None:
             out = np.zeros((len(bound.points), channels), bound.points.dtype)
         else:
-            out = check_layout("out", out, (len(bound.points), channels), bound.points.dtype)
+            out = check_layout("out", out, (len(bound.points), channels), bound.points.dtype, writes=True)
         bound.bind_gather(image, out, reverse)()
         return out
 

@@ -14,7 +14,9 @@ from dc_kernels.runtime.interop import host_view
 MAX_INDEX = 2**31 - 1  # of a point: kernels count in int32
 
 
-def check_layout(name: str, array: Any, shape: tuple[int | None, ...], dtype: Any = None) -> np.ndarray:
+def check_layout(
+    name: str, array: Any, shape: tuple[int | None, ...], dtype: Any = None, *, writes: bool = False
+) -> np.ndarray:
     """A contiguous array in the CPU's memory as numpy, whatever it holds.
 
     Args:
@@ -22,6 +24,7 @@ def check_layout(name: str, array: Any, shape: tuple[int | None, ...], dtype: An
         array: to check: numpy, ``wp.array`` or torch tensor, which are seen as numpy without a copy.
         shape: as it must be, None where any length will do.
         dtype: as it must be; None for float32 or float64.
+        writes: whether it will be written to.
 
     Raises:
         ValueError: naming the argument, and what it is and must be.
@@ -36,6 +39,8 @@ def check_layout(name: str, array: Any, shape: tuple[int | None, ...], dtype: An
         raise ValueError(f"{name} has shape {array.shape}; it must be ({wanted})")
     if not array.flags.c_contiguous:
         raise ValueError(f"{name} has strides {array.strides} for shape {array.shape}; it must be contiguous")
+    if writes and not array.flags.writeable:
+        raise ValueError(f"{name} is read-only; it must be writable")
     return array
 
 
@@ -173,3 +178,9 @@ def check_room(**room: float) -> None:
     for name, value in room.items():
         if not 0.0 <= value < float("inf"):
             raise ValueError(f"{name} is {value!r}; it must be finite and not negative")
+
+
+def check_type(name: str, value: Any, wanted: type) -> None:
+    """Raise TypeError for a value of another type."""
+    if not isinstance(value, wanted):
+        raise TypeError(f"{name} is a {type(value).__name__}; it must be a {wanted.__name__}")

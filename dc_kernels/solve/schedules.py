@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
 
 
+SOLVES = 64  # settings of single solves whose launches are kept
 # settings of the iteration alone: rows, contacts and the room reserved do not depend on them
 ITERATION = (
     "acceleration",
