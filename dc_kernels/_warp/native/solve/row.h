@@ -1,5 +1,5 @@
-// What a row's columns do to the velocities of its bodies. Macros: DISCS, JOINTS, COLUMNS, and AT_name for each column's
-// place in a block.
+// What a row's columns do to the velocities of its bodies. Macros: DISCS, JOINTS, COLUMNS, and AT_name for each
+// column's place in a block.
 #if !defined(__CUDA_ARCH__)
 struct Row {
     Vector nx, ny;
