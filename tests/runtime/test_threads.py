@@ -176,7 +176,7 @@ def test_a_second_thread_changes_no_bit_and_is_taken_where_it_pays(monkeypatch, 
     monkeypatch.setattr(stepping, "WORTH_THREADS", 0 if share else 10**9)
     shared = []  # threads asked for; whether the second finds anything left is a race
     together = stepping.run_together
-    monkeypatch.setattr(stepping, "run_together", lambda work, n: (shared.append(n), together(work, n))[1])
+    monkeypatch.setattr(stepping, "run_together", lambda work, n, stop: (shared.append(n), together(work, n, stop))[1])
     for steps in (1, 40, 3):
         sim.run(steps, 0.01)
         alone.run(steps, 0.01)
