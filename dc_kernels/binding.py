@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from dc_kernels.model.arrays import ArrayGroup, uniform
+from dc_kernels.model.arrays import ArrayGroup, Model, uniform
 from dc_kernels.model.config import CONFIG, SolverConfig
 from dc_kernels.model.fields import LAUNCH
 from dc_kernels.runtime.backends import Launch, bind, kernel_file
@@ -20,18 +20,16 @@ class Binding:
         values: groups and settings as kernels take them; made anew by ``renew``.
     """
 
-    def __init__(
-        self, kernels: Mapping[str, Any], groups: Mapping[str, ArrayGroup], ranges: Sequence[tuple[int, int]]
-    ) -> None:
+    def __init__(self, kernels: Mapping[str, Any], model: Model, ranges: Sequence[tuple[int, int]]) -> None:
         """Prepare.
 
         Args:
             kernels: of the backend, by name.
-            groups: every group by the name that kernels have for it, "model" among them.
+            model: of the simulation.
             ranges: first world and number of worlds of each shard.
         """
         self.kernels, self.ranges = kernels, list(ranges)
-        self.model = groups["model"]
+        self.model = model
         self._groups = kernel_file(self.model.backend, "groups")
         self.values: dict[str, Any] = {}
         self._settings: dict[str, Any] = {}
@@ -42,7 +40,7 @@ class Binding:
 
         Args:
             config: settings of the solver.
-            groups: every group by name.
+            groups: every group by the name that kernels have for it.
             past_width: numbers that a world's accelerated solve may look back on.
             in_turn: whether the worlds of a shard are solved one after the other, and so share them.
         """
@@ -66,7 +64,7 @@ class Binding:
         width, in_turn = self._past
         launch = {
             "world_offset": first,
-            "padding_body": self.model.sizes["body"] + PADDING * shard,
+            "padding_body": self.model.body_count + PADDING * shard,
             "past_offset": width * (shard if in_turn else first),
             "past_step": 0 if in_turn else width,
             "resume": 0,

@@ -65,7 +65,7 @@ def explain(sim: Simulation) -> str:
         lines.append(f"solver: PGS in colour order, {LANES} rows side by side in SIMD lanes")
     else:
         lines.append("solver: PGS in colour order, scalar rows")
-    stages = [name for phase in PHASES for name in of_phase(phase, config.position_correction == "ngs")]
+    stages = [name for phase in PHASES for name in of_phase(phase, config.corrects_positions)]
     lines.append(f"stages of a step: {', '.join(stages)}")
     light = f" and {config.relative_tolerance:g} of what a typical weight gives in a step" * (config.stop == "change")
     lines.append(

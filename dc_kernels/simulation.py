@@ -127,8 +127,7 @@ class Simulation:
             shards=len(self._shards.ranges),
             at_once=at_once,
         )
-        owned = {"model": model, "state": state, "joints": joints, **self.storage.groups()}
-        self._binding = Binding(self.kernels, owned, self._shards.ranges)
+        self._binding = Binding(self.kernels, model, self._shards.ranges)
         self._phase: Phase = "advance"
         self._lock = threading.RLock() if self.device == "cpu" else GPU_CALLS
         self._rounds: dict[str, list[Rounds]] = {}
@@ -142,7 +141,6 @@ class Simulation:
             setattr(self, name, group)
         groups = {name: getattr(self, name) for name in GROUPS}
         self._binding.renew(config, groups, self.storage.solver.past_width, self._in_turn)
-        self._corrected = config.position_correction == "ngs" and config.position_iterations > 0
         self._rounds.clear()
         self._solves.clear()
         # a view is kept: making one takes longer than a small world's kernels
@@ -178,7 +176,7 @@ class Simulation:
     ) -> list[Launch]:
         if phase == "solve":
             return SCHEDULES[self.schedule](self, first, count, changed or {})
-        return [self.bind(name, first, count) for name in of_phase(phase, self._corrected)]
+        return [self.bind(name, first, count) for name in of_phase(phase, self._config.corrects_positions)]
 
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
         """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""

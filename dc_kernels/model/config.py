@@ -133,6 +133,11 @@ class SolverConfig:
         """The settings by name, as stored in snapshots and summaries."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
+    @property
+    def corrects_positions(self) -> bool:
+        """Whether a step has the position phase."""
+        return self.position_correction == "ngs" and self.position_iterations > 0
+
     def kernel_values(self) -> dict[str, Any]:
         """The settings as kernels take them: a choice is its number, and inf is a large one."""
         values = {name: getattr(self, name) for name in CONFIG if hasattr(self, name)}

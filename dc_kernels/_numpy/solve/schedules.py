@@ -10,7 +10,7 @@ from dc_kernels._numpy.solve.accelerate import aitken, nncg
 from dc_kernels._numpy.solve.iteration import conclude_sweep, prepare_sweep, report, start
 from dc_kernels._numpy.solve.position import position_kernels
 from dc_kernels._numpy.solve.row import by_lane, jacobi_row, read_row, sweep_row
-from dc_kernels._numpy.solve.world import JACOBI, SOR, World
+from dc_kernels._numpy.solve.world import JACOBI, World, relaxation
 from dc_kernels.model.config import ACCELERATIONS
 from dc_kernels.solve.iteration import NEVER
 from dc_kernels.solve.rows import COLORS, LANES, SERIAL_COLOR
@@ -111,7 +111,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         mine = there if color == SERIAL_COLOR and tid[1] == 0 else there[tid[1] : tid[1] + 1]
         if color == SERIAL_COLOR and tid[1] > 0:
             return
-        omega = config.omega if config.acceleration == SOR else 1.0
+        omega = relaxation(config)
         for i in mine:
             block, lane = int(first) + i // LANES, i % LANES
             row = read_row(variant, block, lane, rows, motion.solved)

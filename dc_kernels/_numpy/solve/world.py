@@ -20,6 +20,11 @@ BY_RESIDUAL = STOPS["residual"]
 TINY = 1e-30
 
 
+def relaxation(config: Any) -> float:
+    """Relaxation factor of a sweep: omega, or 1 for all accelerations but "sor"."""
+    return config.omega if config.acceleration == SOR else 1.0
+
+
 @dataclass
 class World:
     """One world's part of the arrays, as the functions of its solve see it."""
@@ -94,7 +99,7 @@ class World:
     @property
     def omega(self) -> float:
         """Relaxation factor of a sweep."""
-        return self.config.omega if self.config.acceleration == SOR else 1.0
+        return relaxation(self.config)
 
     def sweep(self) -> Any:
         """One sweep over all rows in colour order; the largest impulse change [N s]."""

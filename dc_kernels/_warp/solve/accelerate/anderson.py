@@ -38,19 +38,17 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
     damping = real(1e-5)  # of the normal equations, relative to their trace: what float32 resolves
 
     @wp.func(module=module)
-    def forget(w: int, iteration: wp.array(dtype=t.Iteration)):
-        """Nothing tried: the first rest will be the shortest."""
-        iteration[w].rest = 0
-        iteration[w].next_rest = REST
-        iteration[w].remembered = 0
-        iteration[w].updated = 0
-
-    @wp.func(module=module)
     def reset(w: int, iteration: wp.array(dtype=t.Iteration)):
         """Begin a stretch: no iterate is remembered, none is resting."""
         iteration[w].rest = 0
         iteration[w].remembered = 0
         iteration[w].updated = 0
+
+    @wp.func(module=module)
+    def forget(w: int, iteration: wp.array(dtype=t.Iteration)):
+        """Nothing tried: the first rest will be the shortest."""
+        reset(w, iteration)
+        iteration[w].next_rest = REST
 
     @wp.func(module=module)
     def coefficients(s: vec8, kept: int):
