@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.model.enums import BodyType
-from pipeline.data.layout import STAGES
+from pipeline.data.layout import MOTION, STAGES
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,7 @@ class Batch:
     restitution: Any  # (M,)
     age: Any  # (M,) int32, 0 where the contact is new
     color: Any  # (M,) int32
+    bias: Any  # (M,), added to the normal velocity in the law that impulses satisfy (``layout.LAW``)
     start: Any  # (M, 2)
     impulse: Any  # (M, 2)
     label: Any  # (M, 2)
@@ -63,9 +64,8 @@ class Batch:
 
 
 # fields of a batch by the axis along which states are put together
-MOTION = ("position", "angle", "velocity", "angular_velocity")
 BODY = ("mass", "inertia", "body_type")
-CONTACT = ("point", "normal", "gap", "friction", "restitution", "age", "color", *STAGES)
+CONTACT = ("point", "normal", "gap", "friction", "restitution", "age", "color", "bias", *STAGES)
 SHAPE = ("shape_type", "shape_radius")
 _DTYPES = {"color": np.int32}
 

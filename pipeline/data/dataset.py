@@ -19,8 +19,8 @@ import numpy as np
 
 from dc_kernels.model.enums import BodyType
 from dc_kernels.runtime.optional import require
-from pipeline.data.batch import BODY, CONTACT, MOTION, SHAPE, Batch, World
-from pipeline.data.layout import INDEX, offsets
+from pipeline.data.batch import BODY, CONTACT, SHAPE, Batch, World
+from pipeline.data.layout import INDEX, MOTION, offsets
 from pipeline.data.shards import config_of, opened
 from pipeline.seeds import HELD_OUT_SEED
 
@@ -98,7 +98,7 @@ class States(Dataset):
         self.worlds = _split(len(self.seeds), split, validation, split_seed)
         chosen = np.isin(np.arange(len(self.seeds)), self.worlds)[self._world_of(np.arange(len(step)))]
         self.rows = np.flatnonzero(chosen & (step % stride == 0) & (flags == 0) & (self.contact_count >= min_contacts))
-        world_bytes = (rows["motion"] * 24 + rows["contact"] * 72) / max(len(self.seeds), 1)
+        world_bytes = (rows["motion"] * 24 + rows["contact"] * 76) / max(len(self.seeds), 1)
         self.pool = max(2, int(cache_bytes / max(world_bytes, 1.0)))
         self._forget()
 

@@ -14,17 +14,21 @@ body, shape    what does not change; indices of bodies count from the world's fi
 vertex         of shape k: ``shape/vertex_start[k]`` up to ``shape/vertex_start[k + 1]``
 step           one for each state; its rows in ``motion`` and ``contact`` are ``step/motion_start[s]`` up to
                ``step/motion_start[s + 1]``, and ``step/contact_start[s]`` up to ``step/contact_start[s + 1]``
-motion         one for each body at each step: where it is before the step
+motion         one for each body at each step: where it is before the step, and how far overlap is undone in it
 contact        one for each contact at each step, sorted by key
+end            one for each body, as in ``body``: where it is after the world's last step
 grid           one for each state, with ``grids``: what ``dc.Images`` shows of it
 =============  ====================================================================================================
 
 ``contact/impulse`` is (3, contacts, 2): the start of the solve (the impulse of the step before, 0 where ``age`` is 0),
 what it ended with at the run's tolerance, and the label, solved on from there to the label's tolerance. The three
-stand in one dataset because a start repeats the solution of the step before: compression then stores it once.
+stand in one dataset because a start repeats the solution of the step before: compression then stores it once. The law
+that they satisfy is the attribute ``law`` of this dataset (``LAW``); ``MOTION_LAW``, at ``motion/position``, says how a
+state follows from the one before.
 
-Every dataset has ``unit`` and ``meaning``, gzip, shuffle and a Fletcher checksum. Attributes of a file: ``schema``
-(``deep-contact.dataset``), ``version`` (1), ``kind`` (shard or index), ``config`` and ``versions`` (JSON), ``seed`` of
+Every dataset has ``unit`` and ``meaning``, gzip, shuffle and a Fletcher checksum; one of codes has ``codes``, JSON of
+their values by name; one of images has ``channels`` and ``units``. Attributes of a file: ``schema``
+(``deep-contact.dataset``), ``version`` (2), ``kind`` (shard or index), ``config`` and ``versions`` (JSON), ``seed`` of
 the first world, ``worlds``, ``steps``, ``flags`` (all ``step/flags`` or-ed), ``label_reached`` (share of the states).
 In the index ``*_start`` count through all shards and the other datasets are virtual: they show those of the shards,
 whose names are in ``shard/name``.
@@ -32,20 +36,51 @@ whose names are in ``shard/name``.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from enum import IntEnum, IntFlag
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dc_kernels.model.dtypes import numpy_spec
+from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import CONTACTS, MODEL, STATE, Field
 
 SCHEMA = "deep-contact.dataset"
-VERSION = 1
+VERSION = 2
 INDEX = "index.h5"
 STAGES = ("start", "impulse", "label")
 """What ``contact/impulse`` holds along its first axis."""
+MOTION = ("position", "angle", "velocity", "angular_velocity")
+"""Fields of a state that say where its bodies are and how they move."""
+LAW = """
+An impulse p = r_n n + r_t t acts on body B at the contact's point, and -p on body A; n is the normal, from A to B, and
+t = (n_y, -n_x). u = (u_n, u_t) is the velocity of B against A at the point, along n and t, with all impulses of the
+state applied to velocity + dt gravity (of dynamic bodies; others keep theirs) and angular_velocity before the step:
+  0 <= r_n,  0 <= u_n + bias,  r_n (u_n + bias) = 0      (Signorini)
+  |r_t| <= friction r_n,  and r_t = -friction r_n u_t / |u_t| where u_t is not 0      (Coulomb)
+The label solves this to label_tolerance where step/label_reached is 1, the impulse to the solver's tolerance.
+""".strip()
+"""The law of contact/impulse, in words and formulas."""
+BIAS_LAW = """
+gap / dt where gap > world/slop, as the gap may close within the step; else 0. Where the contact's restitution e is not
+0, with w the normal speed before the step, of the velocities in motion:
+  max(bias, e w) if w > 0;  min(bias, e w) if w < -world/restitution_threshold;
+  1e6 gap / dt, so that it does not act, if gap > world/slop and the speeds with gravity applied leave the gap open.
+With position_correction "baumgarte", where gap < -slop, not 0 but
+  max(position_factor (gap + slop), -max_correction length_scale) / dt.
+""".strip()
+"""Where contact/bias comes from."""
+MOTION_LAW = """
+With velocity and angular_velocity those of the next state (of end, after the last step), which are those that the
+impulses (contact/impulse[1]) leave:
+  position of the next state = position + dt velocity + position_correction
+  angle of the next state = angle + dt angular_velocity + angle_correction
+A state whose step/flags is not 0 did not advance.
+""".strip()
+"""How a state follows from the one before."""
 _FLOAT32 = np.dtype(np.float32)
 
 
@@ -62,11 +97,25 @@ class DatasetSpec(NamedTuple):
     """Shape of a row."""
     lead: tuple[int, ...] = ()
     """Axes before that of the rows."""
+    notes: Mapping[str, Any] = {}
+    """Attributes of the dataset beside unit and meaning."""
+
+
+CODES: dict[str, type[IntEnum] | type[IntFlag]] = {"body_type": BodyType, "shape_type": ShapeType, "flags": Flag}
+"""Enumerations of the fields that hold their values, by name of the field."""
+
+
+def codes(name: str) -> dict[str, str]:
+    """Make the attribute ``codes`` of a field that holds values of an enumeration: JSON of values by name."""
+    return {"codes": json.dumps({member: int(value) for member, value in CODES[name].__members__.items()})}
 
 
 def _field_spec(field: Field, dtype: Any = None) -> DatasetSpec:
     """Make the spec of a field of float32 arrays, of another dtype if given."""
     found, shape = numpy_spec(field, _FLOAT32)
+    if field.name in CODES:
+        meaning = f"{' '.join(str(CODES[field.name].__doc__).split()).rstrip('.')}; see codes"
+        return DatasetSpec(np.dtype(dtype or found), field.unit, meaning, shape, notes=codes(field.name))
     return DatasetSpec(np.dtype(dtype or found), field.unit, field.meaning, shape)
 
 
@@ -75,11 +124,9 @@ def _field_specs(table: Mapping[str, Field], *names: str) -> dict[str, DatasetSp
     return {name: _field_spec(table[name]) for name in names}
 
 
-def spec_of(
-    dtype: Any, unit: str, meaning: str, shape: tuple[int, ...] = (), lead: tuple[int, ...] = ()
-) -> DatasetSpec:
-    """Make a spec of a dtype by name."""
-    return DatasetSpec(np.dtype(dtype), unit, meaning, shape, lead)
+def spec_of(dtype: Any, unit: str, meaning: str, shape: tuple[int, ...] = (), **more: Any) -> DatasetSpec:
+    """Make a spec of a dtype by name; ``more`` are ``lead`` and ``notes``."""
+    return DatasetSpec(np.dtype(dtype), unit, meaning, shape, **more)
 
 
 LAYOUT: dict[str, dict[str, DatasetSpec]] = {
@@ -87,6 +134,8 @@ LAYOUT: dict[str, dict[str, DatasetSpec]] = {
         "seed": spec_of("int64", "1", "the world is the scene's world of this seed"),
         "dt": spec_of("float32", "s", "time step"),
         **_field_specs(MODEL, "gravity", "origin", "length_scale"),
+        "slop": spec_of("float32", "m", "overlap that is left alone, and gap that counts as closed"),
+        "restitution_threshold": spec_of("float32", "m/s", "approach speed below which a contact does not bounce"),
         "body_start": spec_of("int64", "1", "first row of each world in body"),
         "shape_start": spec_of("int64", "1", "first row of each world in shape"),
         "step_start": spec_of("int64", "1", "first row of each world in step"),
@@ -109,9 +158,17 @@ LAYOUT: dict[str, dict[str, DatasetSpec]] = {
         "label_change": spec_of("float32", "N s", "largest impulse change of the last of them"),
         "label_residual": spec_of("float32", "1", "relative natural map of the label"),
         "label_reached": spec_of("uint8", "1", "1 where the label's tolerance was reached"),
-        "flags": spec_of("int32", "1", "dc_kernels.Flag bits after the step: not 0, then the state is not valid"),
+        "flags": spec_of(
+            "int32", "1", "bits of codes after the step: not 0, then the state is not valid", notes=codes("flags")
+        ),
     },
-    "motion": _field_specs(STATE, "position", "angle", "velocity", "angular_velocity"),
+    "motion": {
+        **_field_specs(STATE, *MOTION),
+        "position": _field_spec(STATE["position"])._replace(notes={"law": MOTION_LAW}),
+        "position_correction": spec_of("float32", "m", "what the position phase moves the body by in the step", (2,)),
+        "angle_correction": spec_of("float32", "rad", "what the position phase turns the body by in the step"),
+    },
+    "end": _field_specs(STATE, *MOTION),
     "contact": {
         **_field_specs(CONTACTS, "key"),
         "body_a": spec_of("int32", "1", "body A, from the world's first"),
@@ -119,12 +176,16 @@ LAYOUT: dict[str, dict[str, DatasetSpec]] = {
         "point": spec_of("float32", "m", "place of the contact, relative to the world's origin", (2,)),
         **_field_specs(CONTACTS, "normal", "gap", "friction", "restitution", "age"),
         "color": _field_spec(CONTACTS["color"], "uint8"),
+        "bias": spec_of(
+            "float32", "m/s", "added to the normal velocity in the law of impulse", notes={"law": BIAS_LAW}
+        ),
         "impulse": spec_of(
             "float32",
             "N s",
             "start, solution at the run's tolerance, label; of each normal and tangential impulse",
             (2,),
-            (len(STAGES),),
+            lead=(len(STAGES),),
+            notes={"stages": STAGES, "law": LAW},
         ),
     },
 }

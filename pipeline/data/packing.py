@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dc_kernels.runtime.optional import require
-from pipeline.data.layout import STAGES, DatasetSpec
+from pipeline.data.layout import DatasetSpec
 
 ROWS = 8192
 """Rows of a chunk: within the 32 KB that gzip looks back, a step's contacts find those of the steps before [1]."""
@@ -100,9 +100,7 @@ def _create(file: Any, name: str, item: Packed, spec: DatasetSpec) -> None:
         filters = {"chunks": item.chunk, "compression": "gzip", "compression_opts": LEVEL}
         filters.update(shuffle=True, fletcher32=True)
     data = file.create_dataset(name, item.shape, item.dtype, **filters)
-    data.attrs.update(unit=spec.unit, meaning=spec.meaning)
-    if spec.lead == (len(STAGES),):
-        data.attrs["stages"] = STAGES
+    data.attrs.update(unit=spec.unit, meaning=spec.meaning, **spec.notes)
     for place, block in item.chunks:
         data.id.write_direct_chunk(place, block)
 

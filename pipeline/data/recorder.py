@@ -11,9 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 import dc_kernels as dc
-from pipeline.data.layout import LAYOUT, STAGES, DatasetSpec, offsets
+from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES
+from dc_kernels.solve.rows import read_column
+from pipeline.data.layout import LAYOUT, MOTION, STAGES, DatasetSpec, offsets
 from pipeline.data.recipe import Recipe
 from pipeline.data.shards import shard_image
+from pipeline.scenes.base import parameter_docs
 
 
 class Stopped(Exception):
@@ -61,10 +64,10 @@ def make_shard(
 
 
 def _drawn_spec(recipe: Recipe, name: str) -> DatasetSpec:
+    """Describe what is drawn for each world, in the unit that the scene's parameter has."""
     dtype = np.dtype(np.int64 if recipe.is_whole(name) else np.float64)
-    return DatasetSpec(
-        dtype, "SI", f"{'time step' if name == 'dt' else f'scene.{name}'} of the world, drawn from its seed"
-    )
+    what, unit = ("time step", "s") if name == "dt" else parameter_docs(type(recipe.scene))[name]
+    return DatasetSpec(dtype, unit, f"{'' if name == 'dt' else f'scene.{name}: '}{what}; drawn from the world's seed")
 
 
 def _build(recipe: Recipe, seeds: Sequence[int]) -> tuple[dc.ModelBuilder, list[dict[str, float | int]], np.ndarray]:
@@ -103,19 +106,27 @@ class Recorder:
         self.extra: dict[str, DatasetSpec] = {}
         if recipe.options.grids:
             self.images = dc.Images(sim, dc.ImageSpec(recipe.options.grid))
-            channels = "mass, velocity_x, velocity_y, omega, normal_x, normal_y; walls as 100 kg"
-            shape = recipe.options.grid.shape
             self.extra = {
-                "grid/input": DatasetSpec(np.dtype(np.float32), "SI", channels, (len(self.images.channels), *shape)),
-                "grid/label": DatasetSpec(np.dtype(np.float32), "N s", "normal and tangential impulse", (2, *shape)),
+                "grid/input": self._image_spec(
+                    "bodies and contacts before the solve; walls as 100 kg", self.images.channels
+                ),
+                "grid/label": self._image_spec("the label", IMPULSES),
             }
+
+    def _image_spec(self, meaning: str, channels: Sequence[str]) -> DatasetSpec:
+        """Describe images of some channels, each with a unit of its own."""
+        units = [{**BODY_CHANNELS, **CONTACT_CHANNELS}[name].unit for name in channels]
+        shape = (len(channels), *self.recipe.options.grid.shape)
+        notes = {"channels": list(channels), "units": units}
+        unit = ", ".join(dict.fromkeys(units))
+        return DatasetSpec(np.dtype(np.float32), unit, f"{meaning}: {', '.join(channels)}", shape, notes=notes)
 
     def step(self, dt: np.ndarray) -> None:
         """Make a step of dt [s] in each world, (worlds,)."""
         sim = self.sim
         sim.collide(dt)
         contacts = sim.contacts
-        for name in LAYOUT["motion"]:
+        for name in MOTION:
             self._keep(f"motion/{name}", sim.state.numpy(name).copy())
         live = sim.state.numpy("flags") == 0  # others keep the contacts of the step in which they stopped
         count = np.where(live, contacts.numpy("contact_count"), 0).astype(np.int64)
@@ -128,6 +139,9 @@ class Recorder:
         body, first = contacts.numpy("body_a").take(slots), sim.model.numpy("body_start").take(world)
         self._keep("contact/body_a", body - first)
         self._keep("contact/body_b", contacts.numpy("body_b").take(slots) - first)
+        rows = sim.rows
+        bias = read_column(rows.numpy("column"), sim.variant, "bias", rows.numpy("slot").take(slots))
+        self._keep("contact/bias", bias)
         self._keep("contact/point", sim.state.numpy("position").take(body, 0) + contacts.numpy("arm_a").take(slots, 0))
         impulse, solved = contacts.numpy("impulse"), sim.motion.numpy("solved")
         stages = np.empty((len(STAGES), len(slots), 2), np.float32)
@@ -140,9 +154,20 @@ class Recorder:
         stages[2] = self._label(impulse, solved, slots)
         self._keep("contact/impulse", stages)
         sim.advance()
+        self._keep_correction(dt)
         flags = sim.state.numpy("flags").copy()
         self._keep("step/flags", flags)
         self.flags |= int(np.bitwise_or.reduce(flags))
+
+    def _keep_correction(self, dt: np.ndarray) -> None:
+        """Keep what the position phase of the step added to the way that the solved velocities go."""
+        motion, bodies = self.sim.motion, np.diff(self.sim.model.numpy("body_start"))
+        count = int(bodies.sum())
+        way = motion.numpy("solved")[:count, :3] * np.repeat(dt, bodies)[:, None]
+        correction = motion.numpy("displacement")[:count, :3] - way
+        correction[np.repeat(self.sim.state.numpy("flags") != 0, bodies)] = 0.0
+        self._keep("motion/position_correction", correction[:, :2])
+        self._keep("motion/angle_correction", correction[:, 2])
 
     def _label(self, impulse: np.ndarray, solved: np.ndarray, slots: np.ndarray) -> np.ndarray:
         """Solve on to the label, which is returned, (contacts, 2) [N s], and put back what the step goes on from."""
@@ -177,6 +202,8 @@ class Recorder:
         edges = np.concatenate([np.zeros((steps, 1), np.int64), np.cumsum(count, axis=1)], axis=1).tolist()
         fixed = {
             **{f"world/{name}": model.numpy(name) for name in ("gravity", "origin", "length_scale")},
+            "world/slop": self.recipe.solver.slop * model.numpy("length_scale"),
+            "world/restitution_threshold": np.full(worlds, self.recipe.solver.restitution_threshold),
             "world/body_start": body_start,
             "world/shape_start": shape_start,
             "world/step_start": np.arange(worlds + 1) * steps,
@@ -185,6 +212,7 @@ class Recorder:
             "shape/shape_body": model.numpy("shape_body") - np.repeat(body_start[:-1], np.diff(shape_start)),
             "shape/vertex_start": model.numpy("vertex_start"),
             "vertex/vertices": model.numpy("vertices"),
+            **{f"end/{name}": self.sim.state.numpy(name) for name in LAYOUT["end"]},
             "step/step": np.tile(np.arange(steps), worlds),
             "step/motion_start": offsets(np.repeat(bodies, steps)),
             "step/contact_start": offsets(count.T.ravel()),

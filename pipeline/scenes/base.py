@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
+import itertools
 import math
+import re
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -18,6 +23,29 @@ def check_above(scene: Any, low: float, names: Sequence[str], strict: bool = Tru
         value = getattr(scene, name)
         if not (math.isfinite(value) and (value > low or (value == low and not strict))):
             raise ValueError(f"{scene.name}.{name} is {value!r}; it must be finite and {'>' if strict else '>='} {low}")
+
+
+def parameter_docs(scene: type[Scene]) -> dict[str, tuple[str, str]]:
+    """Return what each parameter of a scene is and its unit, from the strings that stand below the fields.
+
+    A parameter whose class has no source, or whose string ends without a unit in brackets, has the unit "not stated".
+    """
+    docs = {field.name: ("parameter of the scene", "not stated") for field in fields(scene)}
+    for cls in reversed(scene.__mro__):
+        if not issubclass(cls, Scene):
+            continue
+        try:
+            tree = ast.parse(textwrap.dedent(inspect.getsource(cls)))
+        except (OSError, TypeError, SyntaxError):
+            continue
+        for item, text in itertools.pairwise(cast(ast.ClassDef, tree.body[0]).body):
+            if not (isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)):
+                continue
+            if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant) and item.target.id in docs:
+                found = re.fullmatch(r"(.*?)\.?(?: \[([^\[\]]+)\]\.?)?", " ".join(str(text.value.value).split()))
+                meaning, unit = found.groups() if found else ("parameter of the scene", None)
+                docs[item.target.id] = meaning, unit or "not stated"
+    return docs
 
 
 @dataclass(frozen=True, kw_only=True)

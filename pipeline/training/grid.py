@@ -113,12 +113,6 @@ class GridTraining:
         """Describe the data set, and choose grid, images and batches."""
         options, group, setup = self.options, self.group, self.setup
         self.data = dataset.describe(options.data)
-        solver = self.data["config"]["solver"]
-        if options.loss in ("energy", "sweeps") and solver["position_correction"] == "baumgarte":
-            raise ValueError(
-                f"loss is {options.loss!r}, which does not know the velocity bias that overlaps had in {options.data}: "
-                "its solver.position_correction is 'baumgarte'"
-            )
         grid = make_grid(self.data["box"], setup.nodes if options.nodes is None else options.nodes)
         self.images = ImageSpec(
             grid,
@@ -158,8 +152,6 @@ class GridTraining:
             grid_scale=grid_scale,
             contact_scale=contact_scale,
             sweeps=options.sweeps,
-            slop=self.data["slop"],
-            restitution_threshold=self.data["config"]["solver"]["restitution_threshold"],
         )
         self.validation = Validation(batches=self.held, splatter=self.splatter, decode=self.decode, loss=self.loss)
 

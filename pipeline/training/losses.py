@@ -19,17 +19,12 @@ from typing import Any, get_args
 from dc_kernels.grid.image_spec import ImageSpec
 from dc_kernels.grid.stencil import BILINEAR
 from dc_kernels.learn.differentiable import ContactProblem, sweeps_torch
-from dc_kernels.model.config import SolverConfig
 from dc_kernels.runtime.optional import require
 from dc_kernels.solve.rows import COLORS
 from dc_kernels.torch_ops.transfer import gather_torch
 from pipeline.training.options import LossName
 
 torch = require("torch", "pipeline")
-
-DEFAULT = SolverConfig()
-OPEN = 1e6
-"""Ratio of the gap that a row lets close within the step to its own gap, for a row that is not to act [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,10 +102,6 @@ class Loss:
     """Sweeps of the loss "sweeps" [1]."""
     leak: float = 0.1
     """Share of the gradient that "sweeps" passes where the friction cone stops a row."""
-    slop: float = DEFAULT.slop
-    """Overlap that the solver leaves alone; see ``contact_problem`` [m]."""
-    restitution_threshold: float = DEFAULT.restitution_threshold
-    """Approach speed below which a contact does not bounce [m/s]."""
 
     def __post_init__(self) -> None:
         if self.name not in get_args(LossName):
@@ -132,25 +123,18 @@ class Loss:
         """Return total and weight of impulses at the contacts, (M, 2) [N s]; a loss on grids has none."""
         if self.name == "contact_mse":
             return squared(impulse, batch.label, self.contact_scale)
-        problem, order = contact_problem(batch, self.slop, self.restitution_threshold)
+        problem, order = contact_problem(batch)
         impulse, label = impulse[order], batch.label[order]
         if self.name == "energy":
             return energy(impulse, label, problem, self.decode.threads)
         return after_sweeps(impulse, label, problem, self.sweeps, self.leak, self.decode.threads)
 
 
-def contact_problem(
-    batch: Any, slop: float = DEFAULT.slop, restitution_threshold: float = DEFAULT.restitution_threshold
-) -> tuple[ContactProblem, Any]:
+def contact_problem(batch: Any) -> tuple[ContactProblem, Any]:
     """Make the problem of each state as the solver packs it, its contacts in the solver's order, by colour.
-
-    Velocity biases of overlaps (``SolverConfig.position_correction`` "baumgarte") are not part of it.
 
     Args:
         batch: of the data set.
-        slop: overlap that the solver leaves alone, gap that counts as closed [m]: that of its configuration times the
-            worlds' length scale.
-        restitution_threshold: approach speed below which a contact does not bounce [m/s].
 
     Returns:
         The problem, and the order of its contacts: ``impulse[order]`` are those of the batch's ``impulse``.
@@ -160,39 +144,16 @@ def contact_problem(
     of_contact = states.repeat_interleave(batch.contact_start.diff())
     order = torch.argsort(of_contact * COLORS + batch.color, stable=True)
     dynamic = batch.mass > 0
-    dt = batch.dt[of_body, None]
-    moved = batch.velocity + torch.where(dynamic[:, None], dt * batch.gravity[of_body], 0.0)
-    values = {name: getattr(batch, name)[order] for name in ("body_a", "body_b", "normal", "friction")}
-    point, gap, e = (getattr(batch, name)[order] for name in ("point", "gap", "restitution"))
+    moved = batch.velocity + torch.where(dynamic[:, None], batch.dt[of_body, None] * batch.gravity[of_body], 0.0)
+    values = {name: getattr(batch, name)[order] for name in ("body_a", "body_b", "normal", "friction", "bias")}
+    point = batch.point[order]
     values.update({f"arm_{side}": point - batch.position[values[f"body_{side}"]] for side in "ab"})
-    velocity = torch.cat([moved, batch.angular_velocity[:, None]], dim=1)
-    dt = batch.dt[of_contact[order]]
-    normal_speed = _normal_speed(velocity, values)
-    before = _normal_speed(torch.cat([batch.velocity, batch.angular_velocity[:, None]], dim=1), values)
-    bias = torch.where(gap > slop, gap / dt, 0.0)
-    bounced = torch.where(
-        before > 0,
-        torch.maximum(bias, e * before),
-        torch.where(before < -restitution_threshold, torch.minimum(bias, e * before), bias),
-    )
-    stays_open = (gap > slop) & (gap + normal_speed * dt >= 0)
-    bias = torch.where(e > 0, torch.where(stays_open, OPEN * gap / dt, bounced), bias)
     problem = ContactProblem(
         contact_start=batch.contact_start,
         body_start=batch.body_start,
-        bias=bias,
         inv_mass=torch.where(dynamic, 1.0 / batch.mass, 0.0),
         inv_inertia=torch.where(batch.inertia > 0, 1.0 / batch.inertia, 0.0),
-        velocity=velocity,
+        velocity=torch.cat([moved, batch.angular_velocity[:, None]], dim=1),
         **values,
     )
     return problem, order
-
-
-def _normal_speed(velocity: Any, contacts: dict[str, Any]) -> Any:
-    """Return the speed of B against A along the normal of each contact, (M,) [m/s], of velocities (N, 3)."""
-    sides = []
-    for side in "ab":
-        body, arm = velocity[contacts[f"body_{side}"]], contacts[f"arm_{side}"]
-        sides.append(body[:, :2] + body[:, 2:] * torch.stack([-arm[:, 1], arm[:, 0]], dim=1))
-    return ((sides[1] - sides[0]) * contacts["normal"]).sum(dim=1)

@@ -116,7 +116,7 @@ def test_layout_is_as_documented(whole):
     config = SMALL.config()
     for name in (*SHARDS, layout.INDEX):
         with h5py.File(whole / name) as file:
-            assert (file.attrs["schema"], file.attrs["version"]) == ("deep-contact.dataset", 1)
+            assert (file.attrs["schema"], file.attrs["version"]) == ("deep-contact.dataset", layout.VERSION)
             assert json.loads(file.attrs["config"]) == config
             assert json.loads(file.attrs["versions"])["warp-lang"]
             assert file.attrs["flags"] == 0 and 0.9 < file.attrs["label_reached"] <= 1.0
@@ -455,7 +455,7 @@ def test_damaged_and_foreign_files_are_named_and_left(kind, copy):
             file["data"] = 1
     elif kind == "version":
         with h5py.File(path, "r+") as file:
-            file.attrs["version"] = 2
+            file.attrs["version"] = layout.VERSION + 1
     elif kind == "swapped":
         path.write_bytes((copy / SHARDS[0]).read_bytes())
     else:

@@ -18,7 +18,6 @@ torch = pytest.importorskip("torch")
 torch.set_num_threads(1)
 import safetensors.torch  # noqa: E402
 
-import dc_kernels as dc  # noqa: E402
 from pipeline.cli import main  # noqa: E402
 from pipeline.data.generate import generate  # noqa: E402
 from pipeline.data.recipe import GenerateOptions, Recipe  # noqa: E402
@@ -180,14 +179,6 @@ def test_held_out_worlds_are_never_trained_on(tmp_path):
     with pytest.raises(ValueError, match=f"has worlds of seeds from {HELD_OUT_SEED} on"):
         train_grid_network("pressure", options(tmp_path / "data", tmp_path / "out"), progress=False)
     assert not (tmp_path / "out").exists()
-
-
-def test_a_loss_that_would_miss_the_bias_of_overlaps_is_refused(tmp_path):
-    solver = dc.SolverConfig(position_correction="baumgarte")
-    recipe = Recipe(scene=SCENE, options=GenerateOptions(worlds=2, steps=40), solver=solver)
-    generate(recipe, tmp_path / "data", threads=1, progress=False)
-    with pytest.raises(ValueError, match="loss is 'sweeps', which does not know the velocity bias that overlaps had"):
-        train_grid_network("pressure", options(tmp_path / "data", tmp_path / "out", loss="sweeps"), progress=False)
 
 
 @pytest.mark.parametrize(

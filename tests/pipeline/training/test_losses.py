@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +15,10 @@ import dc_kernels as dc  # noqa: E402
 from dc_kernels.grid.grid import Grid  # noqa: E402
 from dc_kernels.learn.differentiable import ContactProblem  # noqa: E402
 from dc_kernels.measure import contact_slots  # noqa: E402
+from dc_kernels.solve.rows import read_column  # noqa: E402
 from pipeline.data import dataset  # noqa: E402
+from pipeline.data.generate import generate  # noqa: E402
+from pipeline.data.recipe import GenerateOptions, Recipe  # noqa: E402
 from pipeline.scenes import Mixed, Thesis  # noqa: E402
 from pipeline.training import losses  # noqa: E402
 from tests.pipeline.small import SCENE, settled  # noqa: E402
@@ -27,6 +30,7 @@ def as_batch(sim: dc.Simulation) -> SimpleNamespace:
     contacts, model, state = sim.contacts, sim.model, sim.state
     shown = {name: contacts.numpy(name)[slots] for name in ("normal", "gap", "friction", "restitution", "color")}
     shown |= {name: contacts.numpy(name)[slots].astype(np.int64) for name in ("body_a", "body_b")}
+    shown["bias"] = read_column(sim.rows.numpy("column"), sim.variant, "bias", sim.rows.numpy("slot")[slots])
     shown["point"] = state.numpy("position")[shown["body_a"]] + contacts.numpy("arm_a")[slots]
     shown |= {name: state.numpy(name).copy() for name in ("position", "velocity", "angular_velocity")}
     shown |= {name: model.numpy(name) for name in ("mass", "inertia", "gravity")}
@@ -40,11 +44,8 @@ def as_batch(sim: dc.Simulation) -> SimpleNamespace:
 def test_a_batch_is_the_problem_that_the_solver_solves(scene):
     """Rows, their order and their biases, with and without bounces."""
     sim = settled(scene, steps=90)
-    slop = sim.config.slop * float(sim.model.numpy("length_scale")[0])
-    if isinstance(scene, Mixed):  # each world has a typical length of its own
-        sim = settled(scene, worlds=1, steps=90)
     wanted = ContactProblem.from_simulation(sim)
-    found, order = losses.contact_problem(as_batch(sim), slop)
+    found, order = losses.contact_problem(as_batch(sim))
     assert torch.equal(torch.from_numpy(contact_slots(sim.contacts)[0])[order], wanted.slot)
     assert len(order) > 20
     assert len(wanted.bias.unique()) > 5
@@ -99,6 +100,21 @@ def test_at_the_labels_a_loss_on_contacts_vanishes(batch, name):
     zero, _ = make_loss(name).of_impulses(torch.zeros_like(batch.label), batch)
     assert float(total) <= (1e-4 * float(zero) if name == "sweeps" else 0.0)
     assert weight > 0
+
+
+def test_a_loss_knows_the_bias_that_overlaps_have(tmp_path):
+    """Labels of a solver with velocity biases are where its sweeps stay."""
+    solver = dc.SolverConfig(min_sweeps=1, position_correction="baumgarte")
+    recipe = Recipe(scene=Mixed(bodies=6), options=GenerateOptions(worlds=2, steps=70, dt=0.02), solver=solver)
+    generate(recipe, tmp_path / "data", threads=1, progress=False)
+    states = dataset.States(tmp_path / "data", min_contacts=6)
+    batch = states.batch(range(0, len(states), 5))
+    assert float(batch.bias.min()) < 0.0
+    loss = make_loss("sweeps")
+    total, weight = loss.of_impulses(batch.label, batch)
+    assert float(total) < 1e-6 * float(weight)
+    without = loss.of_impulses(batch.label, replace(batch, bias=batch.bias.clamp(min=0.0)))[0]
+    assert float(without) > 100.0 * float(total)
 
 
 def test_more_sweeps_leave_less(batch):
