@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dc_kernels.model.room import used_slots
+
 
 class Momentum(NamedTuple):
     """Of each world's dynamic bodies."""
@@ -72,10 +74,8 @@ def overlap(sim: Any, recollide: float | None = None) -> Overlap:
 
 def contact_slots(contacts: Any) -> tuple[np.ndarray, np.ndarray]:
     """The slots in use, world after world, and the world of each: two arrays (n,) of integers."""
-    start, count = contacts.numpy("contact_start")[:-1].astype(np.int64), contacts.numpy("contact_count")
-    world = np.repeat(np.arange(len(count)), count)
-    before = np.cumsum(count) - count
-    return np.arange(len(world)) + (start - before)[world], world
+    count = contacts.numpy("contact_count")
+    return used_slots(contacts.numpy("contact_start"), count), np.repeat(np.arange(len(count)), count)
 
 
 def _float64(group: Any, name: str) -> np.ndarray:

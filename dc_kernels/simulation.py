@@ -14,11 +14,11 @@ from dc_kernels.binding import Binding
 from dc_kernels.collide.broadphase import Pairs
 from dc_kernels.collide.narrowphase import Cache
 from dc_kernels.explain import explain
-from dc_kernels.model.agreement import check_agreement
 from dc_kernels.model.arrays import Contacts, Joints, Model, State
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.enums import CAPACITY_FLAGS
 from dc_kernels.model.fields import GROUPS
+from dc_kernels.model.validate import check_scene
 from dc_kernels.reports import capacity, memory
 from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recording
@@ -26,10 +26,10 @@ from dc_kernels.runtime.inputs import check_choice, check_count, check_room, che
 from dc_kernels.runtime.sequences import Rounds, Watch, in_turn
 from dc_kernels.runtime.stepping import Shards
 from dc_kernels.runtime.threads import GPU_CALLS
+from dc_kernels.solve.contacts import Rows, SolveStats
 from dc_kernels.solve.integrate import Motion
 from dc_kernels.solve.rows import only_centred_discs, variant_of
 from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration, check_pause, settings_of_solve
-from dc_kernels.solve.storage import Rows, SolveStats
 from dc_kernels.stages import PHASES, Phase, kernel_table, of_phase
 from dc_kernels.storage import Storage
 
@@ -90,7 +90,7 @@ class Simulation:
             contacts_per_body: contacts reserved at first.
 
         Raises:
-            ValueError: for settings out of range, or arrays of another model, dtype, device or backend.
+            ValueError: for settings out of range, or arrays that do not belong together or break a rule of their field.
         """
         threads = check_count("threads", threads)
         check_choice("schedule", schedule, SCHEDULES)
@@ -104,7 +104,7 @@ class Simulation:
         if joints is None:
             joints = Joints({"joint": 0}, self.dtype, self.device, self.backend)
         self.joints = joints
-        check_agreement(model, state, joints)
+        check_scene(model, state, joints)
         self.schedule = schedule
         self.on_overflow = on_overflow
         self._shards = Shards(model.world_count, model.body_count, threads if self.device == "cpu" else 1)
@@ -417,11 +417,11 @@ class Simulation:
             contact_dt: time step of the impulses, (W,) [s].
 
         Raises:
-            ValueError: naming a missing field or a wrong shape.
+            ValueError: naming what is missing, of a wrong shape, or out of its range, with index and limit.
         """
         refuse_recording("restore_contacts", "it writes at once")
         with self._lock:
-            self.storage.restore(count, arrays, contact_dt, self._config)
+            self.storage.restore(count, arrays, contact_dt, self._flags, self._config)
             self._phase = "advance"
             self._bind_all()
 

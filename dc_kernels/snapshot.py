@@ -22,6 +22,8 @@ from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.dtypes import float_dtype, numpy_spec
 from dc_kernels.model.fields import CONTACTS, Field
+from dc_kernels.model.rules import BrokenRule
+from dc_kernels.model.validate import check_state
 from dc_kernels.runtime.optional import require
 
 if TYPE_CHECKING:
@@ -32,22 +34,6 @@ Group = TypeVar("Group", bound=ArrayGroup)
 SCHEMA = "deep-contact snapshot"
 SCHEMA_VERSION = 1
 _AXES = ("world", "body", "shape", "vertex", "joint", "contact")
-
-# index arrays and what they point into: a wrong index would have a kernel read foreign memory
-_POINTERS = {
-    "shape_body": "body",
-    "joint_body_a": "body",
-    "joint_body_b": "body",
-    "body_a": "body",
-    "body_b": "body",
-}
-_STARTS = {
-    "body_start": "body",
-    "shape_start": "shape",
-    "joint_start": "joint",
-    "body_shape_start": "shape",
-    "vertex_start": "vertex",
-}
 
 
 def save(sim: Simulation, path: str | os.PathLike[str]) -> None:
@@ -107,7 +93,7 @@ def load(
 
     Raises:
         ValueError: naming file and dataset: not a snapshot, truncated or damaged, of another schema version, a
-            dataset missing or of another shape or dtype, an index out of range.
+            dataset missing or of another shape or dtype, a value that breaks the rule of its field.
         OSError: when there is no such file, or it must not be read.
         ImportError: without h5py, naming the extra that installs it.
     """
@@ -124,19 +110,24 @@ def load(
         tables = {"model": Model.table, "state": State.table, "joints": Joints.table, "contacts": CONTACTS}
         values = {name: _read(file, path, name, table, header) for name, table in tables.items()}
     contacts = values["contacts"]
-    count = contacts.pop("contact_count")
-    if count.min(initial=0) < 0 or count.sum() != header.sizes["contact"]:
-        raise ValueError(f"{path}: contacts/contact_count must sum to the {header.sizes['contact']} contacts stored")
     del contacts["contact_start"]  # the simulation reserves its slots itself
-    contact_dt = contacts.pop("contact_dt")
+    count, contact_dt = contacts.pop("contact_count"), contacts.pop("contact_dt")
     device, backend = device or header.device, backend or header.backend
     model = _filled(Model(header.sizes, header.real, device, backend), values["model"])
     joints = _filled(Joints(header.sizes, header.real, device, backend), values["joints"])
     state = State(header.sizes, header.real, device, backend)
     options = {"config": header.config, "threads": threads, **header.options, **options}
-    sim = make(model, state, joints, **options)
+    try:
+        sim = make(model, state, joints, **options)  # which checks model and joints
+    except BrokenRule as error:
+        raise ValueError(f"{path}: dataset {error.place.replace('.', '/', 1)} {error.text}") from error
+    where = f"{path}: dataset "
+    check_state(values["state"], values["model"], f"{where}state/", frozen=True)
     _filled(state, values["state"])  # afterwards: the constructor would refuse the force that froze a world
-    sim.restore_contacts(count, contacts, contact_dt)
+    try:
+        sim.restore_contacts(count, contacts, contact_dt)
+    except ValueError as error:
+        raise ValueError(f"{where}contacts/{error}") from error
     return sim
 
 
@@ -220,14 +211,6 @@ def _read(file: Any, path: Path, group: str, table: Mapping[str, Field], header:
             raise ValueError(f"{where} is missing") from error
         except (OSError, RuntimeError) as error:
             raise ValueError(f"{where} is damaged: {error}") from error
-        if field.name in _POINTERS and values.size:
-            limit = header.sizes[_POINTERS[field.name]]
-            if values.min() < 0 or values.max() >= limit:
-                raise ValueError(f"{where} points outside [0, {limit})")
-        if field.name in _STARTS:
-            limit = header.sizes[_STARTS[field.name]]
-            if values[0] != 0 or values[-1] != limit or (np.diff(values) < 0).any():
-                raise ValueError(f"{where} must ascend from 0 to {limit}")
         arrays[field.name] = values
     return arrays
 

@@ -10,8 +10,8 @@ from dc_kernels.collide.broadphase import Broadphase
 from dc_kernels.collide.narrowphase import Narrowphase
 from dc_kernels.model.arrays import ArrayGroup, Joints, Model
 from dc_kernels.model.config import SolverConfig
-from dc_kernels.solve.integrate import Integrator, typical_weight
-from dc_kernels.solve.storage import SolverStorage
+from dc_kernels.solve.contacts import ContactSolver
+from dc_kernels.solve.integrate import Integrator
 
 
 class Storage:
@@ -31,11 +31,11 @@ class Storage:
             room: ``variant`` of the rows, ``pairs`` a shape and ``contacts`` a body to reserve, ``shards`` of worlds,
                 and worlds ``at_once`` whose solves may be in flight together.
         """
-        self.joints = joints
+        self.model, self.joints = model, joints
         self.broadphase = Broadphase(model, float(room["pairs"]))
         self.narrowphase = Narrowphase(model, float(room["contacts"]))
-        self.integrator = Integrator(model, int(room["shards"]), config.method, typical_weight(model))
-        self.solver = SolverStorage(
+        self.integrator = Integrator(model, int(room["shards"]), config.method)
+        self.solver = ContactSolver(
             model,
             config,
             str(room["variant"]),
@@ -94,14 +94,19 @@ class Storage:
         self.solver.relayout(self.contact_room, config)
 
     def restore(
-        self, count: np.ndarray, arrays: Mapping[str, np.ndarray], contact_dt: np.ndarray, config: SolverConfig
+        self,
+        count: np.ndarray,
+        arrays: Mapping[str, np.ndarray],
+        contact_dt: np.ndarray,
+        flags: np.ndarray,
+        config: SolverConfig,
     ) -> None:
-        """See ``Simulation.restore_contacts``."""
-        count = self.narrowphase.check_restored(count, arrays)
-        if (count > self.contact_room).any():
-            self.narrowphase.room.slots = np.maximum(self.contact_room, count)
+        """See ``Simulation.restore_contacts``; numbers of contacts of a world with flags may be NaN or inf."""
+        given = self.narrowphase.check_restored(self.model, count, arrays, contact_dt, flags)
+        if (given.counts > self.contact_room).any():
+            self.narrowphase.room.slots = np.maximum(self.contact_room, given.counts)
             self._relayout(config)
-        self.narrowphase.restore(count, arrays, contact_dt, self.joints)
+        self.narrowphase.restore(given, self.joints)
 
     def used(self) -> dict[str, np.ndarray]:
         """Pairs, contacts and blocks of each world at the last step."""

@@ -3,21 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup, Contacts, Joints, Model
+from dc_kernels.model.arrays import ArrayGroup, Contacts, Joints, Model, check_values, to_numpy
+from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import Flag
-from dc_kernels.model.fields import CACHE
-from dc_kernels.model.room import Room, move_segments
-from dc_kernels.solve.rows import COLORS
+from dc_kernels.model.fields import CACHE, CONTACTS
+from dc_kernels.model.room import Room, move_segments, used_slots
+from dc_kernels.model.validate import check_contacts
 
 
 class Cache(ArrayGroup):
     """Contacts of the last finished step, by key (``model.fields.CACHE``)."""
 
     table = CACHE
+
+
+class Restored(NamedTuple):
+    """Contacts of an earlier run, checked."""
+
+    counts: np.ndarray
+    """Contacts of each world, (W,) int64."""
+    arrays: Mapping[str, np.ndarray]
+    """Fields of ``CONTACTS`` by name, world after world."""
+    contact_dt: np.ndarray
+    """Time step of the impulses, (W,) [s]."""
 
 
 class Narrowphase:
@@ -55,45 +67,57 @@ class Narrowphase:
                     move_segments(before[name], group.array(name), old, new, group.numpy(count))
         self.contacts.assign("contact_start", new)
 
-    def check_restored(self, count: np.ndarray, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Check contacts of an earlier run; returns how many each world has, (W,) int64.
+    def check_restored(
+        self, model: Model, count: Any, arrays: Mapping[str, Any], contact_dt: Any, flags: np.ndarray
+    ) -> Restored:
+        """Check contacts of an earlier run against the rules of their fields and a model.
+
+        Args:
+            model: of the contacts.
+            count: contacts of each world, (W,).
+            arrays: fields of ``CONTACTS`` by name, world after world.
+            contact_dt: time step of the impulses, (W,) [s].
+            flags: of the worlds; numbers of the contacts of a world with flags may be NaN or inf.
 
         Raises:
-            ValueError: naming a missing field or a wrong shape.
+            ValueError: naming what is missing, of a wrong shape or dtype, or out of its range.
         """
-        worlds = self.contacts.sizes["world"]
-        count = np.asarray(count, np.int64)
-        if count.shape != (worlds,) or (count < 0).any():
-            raise ValueError(f"count has shape {count.shape}; it must be one number >= 0 for each of {worlds} worlds")
-        total = int(count.sum())
+        worlds, real = self.contacts.sizes["world"], self.contacts.dtype
+        count = check_values("contact_count", count, (worlds,), np.dtype(np.int64))
+        contact_dt = check_values("contact_dt", contact_dt, (worlds,), real, finite=False)
         for name in ("key", "impulse", "color", "age"):
             if name not in arrays:
                 raise ValueError(f"{name} is missing; the contact cache needs key, impulse, color and age")
+        found, total = {}, np.size(arrays["key"])
         for name, values in arrays.items():
-            if len(values) != total:
-                raise ValueError(f"{name} has {len(values)} contacts; the worlds together have {total}")
-        color = np.asarray(arrays["color"])
-        wrong = np.flatnonzero((color < -1) | (color >= COLORS))
-        if len(wrong):
-            raise ValueError(f"color[{wrong[0]}] is {color[wrong[0]]}; it must lie in [-1, {COLORS - 1}]")
-        return count
+            field = CONTACTS.get(name)
+            if field is None or field.per != "contact":
+                raise ValueError(f"{name} is no field of a contact")
+            dtype, inner = numpy_spec(field, real)
+            found[name] = check_values(name, values, (total, *inner), dtype, finite=False)
+        check_contacts({"contact_count": count, "contact_dt": contact_dt, **found}, model.views(), flags=flags)
+        return Restored(count, found, contact_dt)
 
-    def restore(self, count: np.ndarray, arrays: Mapping[str, np.ndarray], contact_dt: Any, joints: Joints) -> None:
-        """Put contacts of an earlier run, checked and with room for them, where the next step looks for the last."""
-        first = self.contacts.numpy("contact_start")
-        source = np.concatenate([[0], np.cumsum(count)])
-        for name, values in arrays.items():
-            for group in (self.contacts, self.cache):
-                if name not in group.table:
-                    continue
-                array = group.numpy(name)
-                for w in range(len(count)):
-                    array[first[w] : first[w] + count[w]] = values[source[w] : source[w + 1]]
-                if group.device != "cpu":
-                    group.array(name).assign(array)
-        self.contacts.assign("contact_count", count)
-        self.cache.assign("count", count)
-        self.contacts.assign("contact_dt", contact_dt)
+    def restore(self, given: Restored, joints: Joints, *, shown: bool = True) -> None:
+        """Put contacts of an earlier run, checked and with room for them, where the next step looks for the last.
+
+        Args:
+            given: from ``check_restored``.
+            joints: whose impulses the next step starts from.
+            shown: put them into ``contacts`` too.
+        """
+        slots = used_slots(self.contacts.numpy("contact_start"), given.counts)
+        for group in (self.contacts, self.cache) if shown else (self.cache,):
+            for name, values in given.arrays.items():
+                if name in group.table:
+                    array = to_numpy(group.array(name))
+                    array[slots] = values
+                    if group.device != "cpu":
+                        group.array(name).assign(array)
+        if shown:
+            self.contacts.assign("contact_count", given.counts)
+        self.cache.assign("count", given.counts)
+        self.contacts.assign("contact_dt", given.contact_dt)
         self.cache.assign("joint_impulse", joints.numpy("joint_impulse"))
 
     def check_start(self) -> None:

@@ -136,7 +136,7 @@ class ArrayGroup:
         for name, field in self.table.items():
             if changed.isdisjoint(field.axes):
                 if isinstance(before[name], np.ndarray) or self.device == "cpu":
-                    self.numpy(name)[...] = to_numpy(before[name])
+                    to_numpy(self.array(name))[...] = to_numpy(before[name])
                 else:
                     getattr(self, name).assign(before[name])
         return before
@@ -150,8 +150,16 @@ class ArrayGroup:
         return getattr(self, name)
 
     def numpy(self, name: str) -> np.ndarray:
-        """The array of a field as numpy (see ``to_numpy``)."""
-        return to_numpy(getattr(self, name))
+        """The array of a field as numpy (see ``to_numpy``); read-only where its values lead kernels through memory."""
+        array = to_numpy(getattr(self, name))
+        if self.table[name].points:
+            array = array.view()
+            array.flags.writeable = False
+        return array
+
+    def views(self) -> dict[str, np.ndarray]:
+        """All arrays as numpy, by name."""
+        return {name: self.numpy(name) for name in self.table}
 
     def assign(self, name: str, values: Any) -> None:
         """Copy values into a field.
@@ -171,10 +179,9 @@ class ArrayGroup:
             target.assign(values)
 
     def check(self, label: str) -> None:
-        """Raise ValueError, naming field and index, for an array that a kernel must not see.
+        """Raise ValueError, naming the field, for an array that a kernel must not see, whatever it holds.
 
-        That is one of another type, dtype, shape, device or memory layout than ``allocate`` gives, or with NaN or inf.
-        Steps do not look again: there a value that is not finite flags and freezes its world.
+        That is one of another type, dtype, shape, device or memory layout than ``allocate`` gives.
         """
         for name, field in self.table.items():
             array = getattr(self, name)
@@ -201,12 +208,6 @@ class ArrayGroup:
                 raise ValueError(f"{label}.{name} is {found}; it must be {wanted}")
             if not whole:
                 raise ValueError(f"{label}.{name} has strides {array.strides}; it must be contiguous")
-            if scalar.kind == "f":
-                values = to_numpy(array)
-                bad = np.argwhere(~np.isfinite(values))
-                if len(bad):
-                    index = ", ".join(str(int(i)) for i in bad[0])
-                    raise ValueError(f"{label}.{name}[{index}] is {values[tuple(bad[0])]}; it must be finite")
 
     def nbytes(self) -> int:
         """Bytes of all arrays."""
@@ -223,11 +224,12 @@ class ArrayGroup:
         return total
 
 
-def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype, *, finite: bool = True) -> np.ndarray:
     """Values as a contiguous array of the given shape and dtype.
 
     Raises:
-        ValueError: naming field and first bad index: another shape, NaN or inf, or an integer that does not fit.
+        ValueError: naming field and first bad index: another shape, an integer that does not fit, and, where numbers
+            must be ``finite``, NaN or inf.
     """
     array = np.asarray(values)
     if array.shape != shape:
@@ -235,7 +237,7 @@ def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype
     if array.dtype.kind not in "buif":
         raise ValueError(f"{name} has dtype {array.dtype}; it must be numeric")
     if dtype.kind == "f":
-        bad = np.argwhere(~np.isfinite(array))
+        bad = np.argwhere(~np.isfinite(array)) if finite else np.zeros((0, array.ndim), np.int64)
     else:
         with np.errstate(invalid="ignore"):
             bad = np.argwhere(array.astype(dtype) != array)
@@ -243,7 +245,8 @@ def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype
         index = tuple(int(i) for i in bad[0])
         limit = "finite" if dtype.kind == "f" else f"a {dtype.name}"
         raise ValueError(f"{name}[{', '.join(map(str, index))}] is {array[index]}; it must be {limit}")
-    return np.ascontiguousarray(array, dtype=dtype)
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(array, dtype=dtype)
 
 
 class Model(ArrayGroup):

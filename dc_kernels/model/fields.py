@@ -13,16 +13,38 @@ body or the one with the lower index; the tangent is the normal turned by -90 de
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
+
+from dc_kernels.model.enums import BodyType, Flag, ShapeType
+from dc_kernels.model.rules import (
+    COUNT,
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SHARE,
+    Ascending,
+    Code,
+    Index,
+    Number,
+    Rule,
+    Start,
+    Unit,
+)
 
 KEY_SHAPE_BITS = 23  # contact key = shape A | shape B | feature, 23 + 23 + 16 bits, indices within the world
 KEY_FEATURE_BITS = 16
+COLORS = 64  # colours of the contact graph: bits of a mask; the last one is the serial overflow colour
+COLOR = Number(-1, COLORS - 1)  # -1: none yet
+ALL_FLAGS = int(~Flag.NONE)
+_INTEGERS = ("int32", "int64", "uint32", "uint64", "vec3i", "iteration")
 
 
 @dataclass(frozen=True)
 class Field:
     """One array: ``per`` names its axis; ``dtype`` is "real", "vec2", "vec4" (of the model's scalar) or fixed.
 
-    One number or small vector that a launch is given instead has "launch" there, and no axes.
+    One number or small vector that a launch is given instead has "launch" there, and no axes. ``rule`` is what values
+    from outside must satisfy (``model.validate``); where none is given numbers that are not integers must be finite.
     """
 
     name: str
@@ -30,6 +52,18 @@ class Field:
     dtype: str
     unit: str
     meaning: str
+    rule: Rule | None = None
+
+    def __post_init__(self) -> None:
+        if self.rule is None and self.dtype not in _INTEGERS:
+            object.__setattr__(self, "rule", FINITE)
+
+    @property
+    def points(self) -> bool:
+        """Whether a kernel goes by the values to places in memory, so that a wrong one crashes the process."""
+        if isinstance(self.rule, Start | Index) or self.rule is COLOR or self.rule == Code(ShapeType):
+            return True
+        return self.rule is COUNT and self.per == "world"
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -37,38 +71,38 @@ class Field:
         return () if self.per == "launch" else tuple(self.per.split(","))
 
 
-def field_table(*rows: tuple[str, str, str, str, str]) -> dict[str, Field]:
-    """Make a table from rows of name, axis, dtype, unit and meaning."""
+def field_table(*rows: tuple[Any, ...]) -> dict[str, Field]:
+    """Make a table from rows of name, axis, dtype, unit, meaning and, where there is one, rule."""
     return {row[0]: Field(*row) for row in rows}
 
 
 # axes: world W, world+1, body, body+1 (behind the bodies: padding bodies of empty solver lanes), shape, shape+1,
 # vertex, joint, contact (capacity), pair (capacity), block (capacity, of LANES solver rows), bucket
 MODEL = field_table(
-    ("body_start", "world+1", "int32", "1", "first body of each world"),
-    ("shape_start", "world+1", "int32", "1", "first shape of each world"),
-    ("joint_start", "world+1", "int32", "1", "first joint of each world"),
+    ("body_start", "world+1", "int32", "1", "first body of each world", Start("body")),
+    ("shape_start", "world+1", "int32", "1", "first shape of each world", Start("shape")),
+    ("joint_start", "world+1", "int32", "1", "first joint of each world", Start("joint")),
     ("gravity", "world", "vec2", "m/s^2", "acceleration of every dynamic body"),
     ("origin", "world", "vec2d", "m", "where the world's coordinates begin: positions are relative to it"),
-    ("length_scale", "world", "real", "m", "typical diameter of its dynamic shapes; margins are multiples of it"),
-    ("cell_size", "world", "real", "m", "finest cell of the broadphase's cell list"),
-    ("body_type", "body", "int32", "1", "BodyType"),
-    ("mass", "body", "real", "kg", "mass; 0 where infinite"),
-    ("inertia", "body", "real", "kg m^2", "moment of inertia about the centre of mass; 0 where infinite"),
-    ("inv_mass", "body", "real", "1/kg", "0 for static and kinematic bodies"),
-    ("inv_inertia", "body", "real", "1/(kg m^2)", "0 for static, kinematic and non-rotating bodies"),
+    ("length_scale", "world", "real", "m", "typical diameter of dynamic shapes; unit of margins", POSITIVE),
+    ("cell_size", "world", "real", "m", "finest cell of the broadphase's cell list", POSITIVE),
+    ("body_type", "body", "int32", "1", "BodyType", Code(BodyType)),
+    ("mass", "body", "real", "kg", "mass; 0 where infinite", NOT_NEGATIVE),
+    ("inertia", "body", "real", "kg m^2", "moment of inertia about the centre of mass; 0 where infinite", NOT_NEGATIVE),
+    ("inv_mass", "body", "real", "1/kg", "0 for static and kinematic bodies", NOT_NEGATIVE),
+    ("inv_inertia", "body", "real", "1/(kg m^2)", "0 for static, kinematic and non-rotating bodies", NOT_NEGATIVE),
     ("center_of_mass", "body", "vec2", "m", "in the frame the shapes were given in; vertices are relative to it"),
-    ("body_shape_start", "body+1", "int32", "1", "first shape of each body; shapes are sorted by body"),
-    ("shape_body", "shape", "int32", "1", "body of the shape"),
-    ("shape_type", "shape", "int32", "1", "ShapeType"),
-    ("shape_radius", "shape", "real", "m", "radius of a disc or capsule, rounding of a polygon"),
+    ("body_shape_start", "body+1", "int32", "1", "first shape of each body; shapes are sorted by body", Start("shape")),
+    ("shape_body", "shape", "int32", "1", "body of the shape", Index("body")),
+    ("shape_type", "shape", "int32", "1", "ShapeType", Code(ShapeType)),
+    ("shape_radius", "shape", "real", "m", "radius of a disc or capsule, rounding of a polygon", NOT_NEGATIVE),
     ("shape_center", "shape", "vec2", "m", "centroid in the body's frame"),
-    ("shape_extent", "shape", "real", "m", "distance from shape_center to the farthest point, radius included"),
-    ("shape_friction", "shape", "real", "1", "Coulomb coefficient; a pair has sqrt(f1 f2)"),
-    ("shape_restitution", "shape", "real", "1", "coefficient in [0, 1]; a pair has the larger"),
+    ("shape_extent", "shape", "real", "m", "from shape_center to the farthest point, with radius", NOT_NEGATIVE),
+    ("shape_friction", "shape", "real", "1", "Coulomb coefficient; a pair has sqrt(f1 f2)", NOT_NEGATIVE),
+    ("shape_restitution", "shape", "real", "1", "coefficient in [0, 1]; a pair has the larger", SHARE),
     ("shape_category", "shape", "uint32", "1", "bits of what the shape is"),
     ("shape_mask", "shape", "uint32", "1", "bits of what it collides with; both shapes must accept each other"),
-    ("vertex_start", "shape+1", "int32", "1", "first vertex of each shape"),
+    ("vertex_start", "shape+1", "int32", "1", "first vertex of each shape", Start("vertex")),
     ("vertices", "vertex", "vec2", "m", "in the body's frame, relative to the centre of mass"),
     ("vertex_normals", "vertex", "vec2", "1", "outward normal of the edge from this vertex to the next"),
 )
@@ -81,44 +115,44 @@ STATE = field_table(
     ("force", "body", "vec2", "N", "applied at the centre of mass in every step until changed"),
     ("torque", "body", "real", "N m", "applied in every step until changed"),
     ("time", "world", "float64", "s", "simulated time"),
-    ("flags", "world", "int32", "1", "Flag bits; a world with any bit set does not advance"),
+    ("flags", "world", "int32", "1", "Flag bits; a world with any bit set does not advance", Number(0, ALL_FLAGS)),
 )
 
 CONTACTS = field_table(
-    ("contact_start", "world+1", "int32", "1", "first reserved slot of each world"),
-    ("contact_count", "world", "int32", "1", "contacts of each world, in slots from contact_start, sorted by key"),
-    ("contact_dt", "world", "real", "s", "time step of the impulses, 0 before the first"),
-    ("key", "contact", "int64", "1", "shape A, shape B, feature: the same contact has the same key in each step"),
-    ("body_a", "contact", "int32", "1", "body A"),
-    ("body_b", "contact", "int32", "1", "body B"),
-    ("normal", "contact", "vec2", "1", "unit vector from A to B"),
+    ("contact_start", "world+1", "int32", "1", "first reserved slot of each world", Start("contact")),
+    ("contact_count", "world", "int32", "1", "contacts in slots from contact_start, sorted by key", COUNT),
+    ("contact_dt", "world", "real", "s", "time step of the impulses, 0 before the first", NOT_NEGATIVE),
+    ("key", "contact", "int64", "1", "shape A, shape B, feature: the same in each step", Ascending()),
+    ("body_a", "contact", "int32", "1", "body A", Index("body")),
+    ("body_b", "contact", "int32", "1", "body B", Index("body")),
+    ("normal", "contact", "vec2", "1", "unit vector from A to B", Unit()),
     ("arm_a", "contact", "vec2", "m", "from the centre of mass of A to the contact point, world axes"),
     ("arm_b", "contact", "vec2", "m", "from the centre of mass of B to the contact point, world axes"),
     ("gap", "contact", "real", "m", "distance of the surfaces, negative where they overlap"),
-    ("friction", "contact", "real", "1", "Coulomb coefficient of the pair"),
-    ("restitution", "contact", "real", "1", "coefficient of restitution of the pair"),
+    ("friction", "contact", "real", "1", "Coulomb coefficient of the pair", NOT_NEGATIVE),
+    ("restitution", "contact", "real", "1", "coefficient of restitution of the pair", SHARE),
     ("impulse", "contact", "vec2", "N s", "normal and tangential impulse: before the solve its start, then its result"),
-    ("color", "contact", "int32", "1", "colour in the contact graph, kept while the contact lives"),
-    ("age", "contact", "int32", "1", "steps since the contact began, 0 when new"),
+    ("color", "contact", "int32", "1", "colour in the contact graph, kept while the contact lives", COLOR),
+    ("age", "contact", "int32", "1", "steps since the contact began, 0 when new", COUNT),
 )
 
 JOINTS = field_table(
-    ("joint_body_a", "joint", "int32", "1", "body A"),
-    ("joint_body_b", "joint", "int32", "1", "body B"),
+    ("joint_body_a", "joint", "int32", "1", "body A", Index("body")),
+    ("joint_body_b", "joint", "int32", "1", "body B", Index("body")),
     ("joint_anchor_a", "joint", "vec2", "m", "in the frame of body A, relative to its centre of mass"),
     ("joint_anchor_b", "joint", "vec2", "m", "in the frame of body B, relative to its centre of mass"),
-    ("joint_length", "joint", "real", "m", "distance that the joint keeps between its anchors"),
-    ("joint_color", "joint", "int32", "1", "colour in the constraint graph"),
+    ("joint_length", "joint", "real", "m", "distance that the joint keeps between its anchors", POSITIVE),
+    ("joint_color", "joint", "int32", "1", "colour in the constraint graph", COLOR),
     ("joint_impulse", "joint", "real", "N s", "along the line from anchor A to anchor B, positive pushes apart"),
 )
 
 
 CACHE = field_table(
-    ("count", "world", "int32", "1", "contacts of the last finished step"),
-    ("key", "contact", "int64", "1", "their keys, sorted"),
+    ("count", "world", "int32", "1", "contacts of the last finished step", COUNT),
+    ("key", "contact", "int64", "1", "their keys, sorted", Ascending()),
     ("impulse", "contact", "vec2", "N s", "their solved impulses"),
-    ("color", "contact", "int32", "1", "their colours"),
-    ("age", "contact", "int32", "1", "their ages"),
+    ("color", "contact", "int32", "1", "their colours", COLOR),
+    ("age", "contact", "int32", "1", "their ages", COUNT),
     ("joint_impulse", "joint", "real", "N s", "solved impulses of the joints in the last finished step"),
 )
 

@@ -72,6 +72,12 @@ def starts(slots: np.ndarray) -> np.ndarray:
     return total.astype(np.int32)
 
 
+def used_slots(start: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """The slots in use, world after world, of worlds that begin at ``start`` (W + 1,) and use ``count`` (W,)."""
+    before = np.cumsum(count) - count
+    return np.arange(int(count.sum())) + np.repeat(start[:-1].astype(np.int64) - before, count)
+
+
 def move_segments(array: Any, target: Any, old: np.ndarray, new: np.ndarray, counts: np.ndarray) -> None:
     """Copy the used part of every world's segment to its place in a new layout."""
     source = to_numpy(array)

@@ -11,10 +11,10 @@ import numpy as np
 
 from dc_kernels.model.arrays import Model
 from dc_kernels.model.enums import BodyType, ShapeType
+from dc_kernels.model.fields import COLORS
 
 # contacts solved, nodes or neighbours weighed, side by side; 16 contacts gained under 5 % and pad small worlds far more
 LANES = 8
-COLORS = 64  # colours of the contact graph: bits of a mask; the last one is the serial overflow colour
 SERIAL_COLOR = COLORS - 1
 GENERAL = ("nx", "ny", "rAn", "rBn", "rAt", "rBt", "iA", "iB", "en", "et", "bias", "mu", "gap")
 """normal; arms crossed with normal and tangent [m]; inverse inertias; effective masses of both directions [kg]

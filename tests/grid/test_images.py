@@ -324,7 +324,7 @@ def test_without_contacts_nothing_is_touched():
     assert touched[0].any(axis=1).all()
     assert touched[1].any(axis=1).tolist() == [True, True, False]
     # contacts that have gone leave nothing behind; a flagged world shows its walls only
-    sim.contacts.numpy("contact_count")[0] = 0
+    dc.to_numpy(sim.contacts.contact_count)[0] = 0
     sim.state.numpy("flags")[1] = int(dc.Flag.NONFINITE)
     images.splat()
     assert not images.numpy()[:, 4:].any()

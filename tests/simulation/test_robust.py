@@ -112,7 +112,7 @@ def test_restored_colours_lie_in_the_mask(color):
     slots = np.concatenate([np.arange(a, a + n) for a, n in zip(first, count)])
     arrays = {name: sim.contacts.numpy(name)[slots].copy() for name in ("key", "impulse", "color", "age")}
     arrays["color"][1] = color
-    with pytest.raises(ValueError, match=rf"color\[1\] is {color}; it must lie in \[-1, {COLORS - 1}\]"):
+    with pytest.raises(ValueError, match=rf"color\[1\] is {color}; it must be in \[-1, {COLORS - 1}\]"):
         sim.restore_contacts(count, arrays, np.full(2, 0.01))
 
 
