@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 from dc_kernels.runtime.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from dc_kernels.collide.color import color
     from dc_kernels.grid.grid import Grid, GridChoice, choose_grid, shared_cells
     from dc_kernels.grid.image_spec import ImageSpec
     from dc_kernels.grid.images import Images
@@ -36,8 +37,9 @@ if TYPE_CHECKING:
     from dc_kernels.model.enums import BodyType, Flag, ShapeType
     from dc_kernels.neighbors.search import Neighbors, NeighborSearch, neighbor_lists, neighbor_pairs
     from dc_kernels.simulation import Simulation
-    from dc_kernels.solve.contacts import SolveStats
+    from dc_kernels.solve.contacts import ContactSolver
     from dc_kernels.solve.rows import LANES
+    from dc_kernels.solve.storage import SolveStats
     from dc_kernels.sph.sums import sph_density, sph_sum
 
 __version__ = "0.1.0"
@@ -45,6 +47,7 @@ __version__ = "0.1.0"
 __all__ = [
     "LANES",
     "BodyType",
+    "ContactSolver",
     "Contacts",
     "Flag",
     "Grid",
@@ -64,6 +67,7 @@ __all__ = [
     "Stencil",
     "Transfer",
     "choose_grid",
+    "color",
     "gather",
     "kinetic_energy",
     "neighbor_lists",
@@ -80,6 +84,7 @@ __all__ = [
 
 # public names by the module that defines them
 _MODULES = {
+    "collide.color": ("color",),
     "grid.grid": ("Grid", "GridChoice", "choose_grid", "shared_cells"),
     "grid.image_spec": ("ImageSpec",),
     "grid.images": ("Images",),
@@ -92,8 +97,9 @@ _MODULES = {
     "model.enums": ("BodyType", "Flag", "ShapeType"),
     "neighbors.search": ("NeighborSearch", "Neighbors", "neighbor_lists", "neighbor_pairs"),
     "simulation": ("Simulation",),
+    "solve.contacts": ("ContactSolver",),
     "solve.rows": ("LANES",),
-    "solve.contacts": ("SolveStats",),
+    "solve.storage": ("SolveStats",),
     "sph.sums": ("sph_density", "sph_sum"),
 }
 __getattr__, __dir__ = lazy_names(__name__, _MODULES)

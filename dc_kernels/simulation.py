@@ -26,10 +26,10 @@ from dc_kernels.runtime.inputs import check_choice, check_count, check_room, che
 from dc_kernels.runtime.sequences import Rounds, Watch, in_turn
 from dc_kernels.runtime.stepping import Shards
 from dc_kernels.runtime.threads import GPU_CALLS
-from dc_kernels.solve.contacts import Rows, SolveStats
 from dc_kernels.solve.integrate import Motion
 from dc_kernels.solve.rows import only_centred_discs, variant_of
 from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration, check_pause, settings_of_solve
+from dc_kernels.solve.storage import Rows, SolveStats
 from dc_kernels.stages import PHASES, Phase, kernel_table, of_phase
 from dc_kernels.storage import Storage
 

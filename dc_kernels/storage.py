@@ -10,8 +10,8 @@ from dc_kernels.collide.broadphase import Broadphase
 from dc_kernels.collide.narrowphase import Narrowphase
 from dc_kernels.model.arrays import ArrayGroup, Joints, Model
 from dc_kernels.model.config import SolverConfig
-from dc_kernels.solve.contacts import ContactSolver
-from dc_kernels.solve.integrate import Integrator
+from dc_kernels.solve.integrate import Integrator, typical_weight
+from dc_kernels.solve.storage import SolverStorage
 
 
 class Storage:
@@ -34,8 +34,8 @@ class Storage:
         self.model, self.joints = model, joints
         self.broadphase = Broadphase(model, float(room["pairs"]))
         self.narrowphase = Narrowphase(model, float(room["contacts"]))
-        self.integrator = Integrator(model, int(room["shards"]), config.method)
-        self.solver = ContactSolver(
+        self.integrator = Integrator(model, int(room["shards"]), config.method, typical_weight(model))
+        self.solver = SolverStorage(
             model,
             config,
             str(room["variant"]),

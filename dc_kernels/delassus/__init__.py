@@ -1,8 +1,8 @@
 """Contact problems in Delassus form, u = W r + q, and their solvers.
 
-A problem comes from arrays (``DelassusProblem``), or from a simulation between ``collide`` and ``advance``
-(``from_world``). ``solve`` solves it; ``refine`` takes the solve of a simulation further. A name is imported from its
-module when it is first used.
+A problem comes from arrays (``DelassusProblem``), from contacts of any engine (``from_contacts``), or from a simulation
+between ``collide`` and ``advance`` (``from_world``). ``solve`` solves it; ``refine`` takes the solve of a simulation
+further. A name is imported from its module when it is first used.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from dc_kernels.delassus.problem import DelassusProblem, assemble_blocks
     from dc_kernels.delassus.search import METHODS, DelassusSolution
     from dc_kernels.delassus.solver import Method, solve, warmup
-    from dc_kernels.delassus.world import from_world, read_impulses, refine, write_impulses
+    from dc_kernels.delassus.world import from_contacts, from_world, read_impulses, refine, write_impulses
 
 __all__ = [
     "METHODS",
@@ -23,6 +23,7 @@ __all__ = [
     "DelassusSolution",
     "Method",
     "assemble_blocks",
+    "from_contacts",
     "from_world",
     "read_impulses",
     "refine",
@@ -36,6 +37,6 @@ _MODULES = {
     "problem": ("DelassusProblem", "assemble_blocks"),
     "search": ("METHODS", "DelassusSolution"),
     "solver": ("Method", "solve", "warmup"),
-    "world": ("from_world", "read_impulses", "refine", "write_impulses"),
+    "world": ("from_contacts", "from_world", "read_impulses", "refine", "write_impulses"),
 }
 __getattr__, __dir__ = lazy_names(__name__, _MODULES)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from dc_kernels.delassus.search import DelassusSolution
 from dc_kernels.delassus.solver import solve
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.runtime.capture import refuse_recording
+from dc_kernels.solve.contacts import ContactSolver
 from dc_kernels.solve.rows import read_column
 
 if TYPE_CHECKING:
@@ -37,17 +38,52 @@ def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
         raise ValueError(f"world is {world}; it must lie in [0, {sim.model.world_count})")
     if sim.state.numpy("flags")[world]:
         raise ValueError(f"world {world} does not advance (flags {sim.state.numpy('flags')[world]}): it has no problem")
-    contacts, joints = sim.contacts, sim.joints
+    return _from_rows(sim, world)
+
+
+def from_contacts(
+    body_a: Any, body_b: Any, point: Any, normal: Any, gap: Any, *, dt: float, world: int = 0, **options: Any
+) -> DelassusProblem:
+    """Make the problem of contacts and joints of any engine, as a ``ContactSolver`` has it.
+
+    W = J M^-1 J^T, and q = J v + b of the velocities and the bias b of gaps, restitution and position correction.
+    Joints follow the contacts as bilateral rows. Open gaps of bouncing pairs, which the solver's rows leave alone in
+    this step, are left out; ``slot`` says which contacts and joints the others are. Arrays of float64 give
+    W and q their digits.
+
+    Args:
+        body_a: see ``ContactSolver``, as the next four.
+        body_b: see there.
+        point: see there.
+        normal: see there.
+        gap: see there.
+        dt: time step, > 0 [s].
+        world: whose problem it is.
+        options: the other arguments of ``ContactSolver``, ``velocity`` and ``angular_velocity`` among them.
+
+    Raises:
+        ValueError: naming argument, index and limit, or a contact or joint between bodies that nothing moves.
+    """
+    solver = ContactSolver(body_a, body_b, point, normal, gap, **options)
+    if not 0 <= world < solver.model.world_count:
+        raise ValueError(f"world is {world}; it must lie in [0, {solver.model.world_count})")
+    solver.pack(dt)
+    return _from_rows(solver, world)
+
+
+def _from_rows(solver: Simulation | ContactSolver, world: int) -> DelassusProblem:
+    """Make the problem of a world's packed rows."""
+    contacts, joints = solver.contacts, solver.joints
 
     def row_values(name: str, slot: np.ndarray) -> np.ndarray:
-        return read_column(sim.rows.numpy("column"), sim.variant, name, slot).astype(np.float64)
+        return read_column(solver.rows.numpy("column"), solver.variant, name, slot).astype(np.float64)
 
     first = int(contacts.numpy("contact_start")[world])
     slots = np.arange(first, first + int(contacts.numpy("contact_count")[world]))
-    bias = row_values("bias", sim.rows.numpy("slot")[slots])
+    bias = row_values("bias", solver.rows.numpy("slot")[slots])
     gap = contacts.numpy("gap")[slots].astype(np.float64)
     with np.errstate(divide="ignore"):
-        acts = (gap <= 0.0) | (bias * float(sim.motion.numpy("step_dt")[world]) < OPEN * gap)
+        acts = (gap <= 0.0) | (bias * float(solver.motion.numpy("step_dt")[world]) < OPEN * gap)
     slots, bias = slots[acts], bias[acts]
     normal = contacts.numpy("normal")[slots].astype(np.float64)
     tangent = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
@@ -60,9 +96,9 @@ def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
             jacobian[:, side, k, 2] = lever[:, 0] * direction[:, 1] - lever[:, 1] * direction[:, 0]
     jacobian[:, 0] *= -1.0
     mu = contacts.numpy("friction")[slots].astype(np.float64)
-    lines = np.arange(*sim.model.numpy("joint_start")[world : world + 2])
+    lines = np.arange(*solver.model.numpy("joint_start")[world : world + 2])
     if len(lines):
-        at = sim.rows.numpy("joint_slot")[lines]
+        at = solver.rows.numpy("joint_slot")[lines]
         more = np.zeros((len(lines), 2, 2, 3))
         more[:, :, 0, :2] = np.stack([row_values("nx", at), row_values("ny", at)], axis=1)[:, None]
         more[:, 0, 0, 2], more[:, 1, 0, 2] = row_values("rAn", at), row_values("rBn", at)
@@ -72,10 +108,10 @@ def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
         body = np.concatenate([body, ends])
         bias = np.concatenate([bias, row_values("bias", at)])
         mu = np.concatenate([mu, np.zeros(len(lines))])
-    predicted = sim.motion.numpy("predicted").astype(np.float64)[body]  # (n, 2, 4)
+    predicted = solver.motion.numpy("predicted").astype(np.float64)[body]  # (n, 2, 4)
     q = np.einsum("nskv,nsv->nk", jacobian, predicted[..., :3])
     q[:, 0] += bias
-    inertia = sim.model.numpy("inv_inertia").astype(np.float64)[body]
+    inertia = solver.model.numpy("inv_inertia").astype(np.float64)[body]
     inverse = np.stack([predicted[..., 3], predicted[..., 3], inertia], axis=-1)  # (n, 2, 3)
     start, column, block = _delassus(jacobian, body, inverse)
     bilateral = np.arange(len(mu)) >= len(slots)

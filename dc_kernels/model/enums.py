@@ -29,6 +29,7 @@ class Flag(IntFlag):
     CONTACT_OVERFLOW = 2  # more contact points than reserved
     ROW_OVERFLOW = 4  # more blocks of solver rows than reserved
     NONFINITE = 8  # a velocity or position became NaN or inf: the world keeps its last finite state
+    INVALID = 16  # arrays from outside that a stage was given are out of range: it did nothing
 
 
 CAPACITY_FLAGS = Flag.PAIR_OVERFLOW | Flag.CONTACT_OVERFLOW | Flag.ROW_OVERFLOW

@@ -8,6 +8,8 @@ import numpy as np
 
 from dc_kernels.model.dtypes import FLOATS
 
+DLPACK_CPU = 1  # of its types of devices
+
 
 def address(array: Any, name: str, dtype: np.dtype) -> tuple[int, tuple[int, ...]]:
     """Address and shape of an array in the CPU's memory that kernels can read as it is.
@@ -46,7 +48,7 @@ def address(array: Any, name: str, dtype: np.dtype) -> tuple[int, tuple[int, ...
 
 
 def host_view(name: str, array: Any) -> Any:
-    """A torch tensor or ``wp.array`` as numpy, the same memory; anything else as it is.
+    """A torch tensor, ``wp.array`` or array with DLPack as numpy, the same memory; anything else as it is.
 
     Raises:
         ValueError: for one on a GPU, or a tensor that requires a gradient, which would be lost.
@@ -62,6 +64,11 @@ def host_view(name: str, array: Any) -> Any:
         if str(array.device) != "cpu":
             raise ValueError(f"{name} is on {array.device}; it must be on the CPU, where these kernels run")
         return array.numpy()
+    if hasattr(array, "__dlpack__"):
+        kind, _ = array.__dlpack_device__()
+        if kind != DLPACK_CPU:
+            raise ValueError(f"{name} is on a device of DLPack's type {int(kind)}; it must be on the CPU")
+        return np.from_dlpack(array)
     return array
 
 

@@ -1,122 +1,437 @@
-"""The contact solver's arrays: rows of contacts and joints, what a solve looks back on, and what it reports."""
+"""The contact solver as a stage for anybody's bodies and contacts, on the arrays that they lie in."""
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup, Model
+from dc_kernels.binding import Binding
+from dc_kernels.model.arrays import ArrayGroup, Contacts, Joints, Model, State
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.enums import Flag
-from dc_kernels.model.fields import ROWS, STATS
-from dc_kernels.model.room import Room
-from dc_kernels.solve.iteration import PAST
-from dc_kernels.solve.rows import COLORS, COLUMNS, LANES
+from dc_kernels.model.fields import JOINTS
+from dc_kernels.runtime.backends import Launch, bind, check_backend, make_kernels
+from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recording
+from dc_kernels.runtime.inputs import check_choice, check_count, check_type
+from dc_kernels.runtime.sequences import Rounds, Watch
+from dc_kernels.runtime.stepping import Shards
+from dc_kernels.solve.exchange import (
+    BEFORE,
+    VELOCITIES,
+    WRITTEN,
+    for_each,
+    length_of,
+    make_exchange,
+    offsets,
+    refuse_values,
+    scalar_of,
+    share_all,
+    view_of,
+)
+from dc_kernels.solve.integrate import Integrator
+from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration
+from dc_kernels.solve.storage import SolverStorage, SolveStats
 
-SPARE_BLOCKS = 10  # blocks beyond full ones: a colour's last block is partly empty, and piles have 6-10 colours
-
-
-class Rows(ArrayGroup):
-    """Solver rows and colours (``model.fields.ROWS``)."""
-
-    table = ROWS
-
-
-class SolveStats(ArrayGroup):
-    """What the last solve of each world did (``model.fields.STATS``).
-
-    ``history`` holds the largest impulse change of each sweep, (W, max_sweeps), zero beyond ``sweeps``; it is (W, 0)
-    unless the settings ask for it.
-    """
-
-    table = STATS
+STOPS = int(Flag.CONTACT_OVERFLOW | Flag.ROW_OVERFLOW | Flag.NONFINITE | Flag.INVALID)
+PER_CALL = (*VELOCITIES, "impulse", *BEFORE)
+GROUPS_TAKEN = ("model", "state", "joints", "contacts", "rows", "motion", "stats", "exchange")
+Call = Literal["pack", "solve", "solve kept"]
 
 
 class ContactSolver:
-    """Rows, stats and their room; its kernels are ``pack_rows``, those of a schedule, ``unpack_impulses``.
+    """Impulses and velocities of bodies in contact, of any engine: the solver of ``Simulation`` as a stage.
+
+    The arrays of bodies and contacts are given once and read where they lie at each call: refill them in place. They
+    have the length of what a world may have at most; ``count`` says how many contacts it has. Worlds are an axis: those
+    of many lie flat, one world after the other.
+
+    A contact's normal is a unit vector from body A to body B, its tangent the normal turned by -90 degrees, t = (n_y,
+    -n_x); impulses act on B, the opposite ones on A. A body with inverse mass and inverse inertia 0 is moved by no
+    contact, but may have a velocity. All is in SI units. The method is projected Gauss-Seidel in the order of a
+    colouring (Wu 2018, section 2.2; ``SolverConfig``), in SIMD lanes on a CPU; the result has the same bits whatever
+    ``threads`` and the other worlds are.
+
+    Within ``wp.ScopedCapture`` a call becomes part of the graph; a replay reads and writes the arrays that it was
+    recorded with, and a world whose arrays are out of range is left as it is, with a bit in ``state.flags``.
 
     Attributes:
-        rows: packed rows of the step.
-        stats: what the last solve did.
-        room: blocks of LANES rows reserved for each world.
+        contacts, joints, motion, rows, stats, state, model: what kernels work on (``model.fields``); ``contacts.color``
+            holds the colours, ``stats`` what the last solve did.
     """
 
     def __init__(
-        self, model: Model, config: SolverConfig, variant: str, *, contacts: np.ndarray, bodies: int, at_once: int
+        self,
+        body_a: Any,
+        body_b: Any,
+        point: Any,
+        normal: Any,
+        gap: Any,
+        friction: Any = 0.0,
+        restitution: Any = 0.0,
+        *,
+        inv_mass: Any,
+        inv_inertia: Any,
+        position: Any = None,
+        angle: Any = None,
+        arm_a: Any = None,
+        arm_b: Any = None,
+        count: Any = None,
+        color: Any = None,
+        velocity: Any = None,
+        angular_velocity: Any = None,
+        velocity_before: Any = None,
+        angular_velocity_before: Any = None,
+        impulse: Any = None,
+        joints: Mapping[str, Any] | None = None,
+        body_start: Any = None,
+        contact_start: Any = None,
+        joint_start: Any = None,
+        length_scale: Any = 1.0,
+        weight: Any = 0.0,
+        discs: bool = False,
+        config: SolverConfig | None = None,
+        threads: int = 1,
+        schedule: Literal["world", "color"] = "world",
+        backend: str = "warp",
     ) -> None:
-        """Reserve rows for the joints and for so many contacts of each world.
+        """Look at the arrays, which stay where they are, and allocate what a solve needs.
+
+        The arrays are numpy arrays, torch tensors, ``wp.array`` or whatever has ``__dlpack__``, in the CPU's memory,
+        contiguous, of int32 or of the scalar that ``normal`` has, float32 or float64. N is the number of bodies, C the
+        contacts that there is room for, W the worlds.
 
         Args:
-            model: of the simulation.
+            body_a: body A of each contact, (C,) int32.
+            body_b: body B, (C,) int32.
+            point: contact points in the coordinates of ``position``, (C, 2) [m]; None: arms are given.
+            normal: unit vectors from A to B, (C, 2).
+            gap: distance of the surfaces, negative where they overlap, (C,) [m]: one above the slop may close within
+                the time step, and no faster.
+            friction: Coulomb coefficients, (C,), or one of all.
+            restitution: coefficients in [0, 1], (C,), or one of all; bounces are those of ``SolverConfig``.
+            inv_mass: inverse masses, (N,) [1/kg].
+            inv_inertia: inverse moments of inertia about the centres of mass, (N,) [1/(kg m^2)].
+            position: centres of mass, (N, 2) [m]; needed with ``point`` and with joints.
+            angle: of the bodies, (N,) [rad]; needed with joints.
+            arm_a: from the centre of mass of A to the contact point, world axes, (C, 2) [m]; None: made of ``point``.
+            arm_b: from the centre of mass of B, (C, 2) [m].
+            count: contacts of each world, (W,) int32, read at each call; None: all that there is room for.
+            color: colours that contacts keep from call to call, -1 for a new one, (C,) int32, to be moved along with
+                the contacts; it is then written to. One that another contact of a body has too is chosen anew. None:
+                each call colours all contacts anew, in their order.
+            velocity: of the centres of mass, with the forces of the step applied, (N, 2) [m/s]; then the solution.
+                This and the next five may also be given with each call.
+            angular_velocity: counter-clockwise, (N,) [rad/s]; then the solution.
+            velocity_before: before the forces of the step, (N, 2) [m/s], which bounces and joints go by; None: as
+                ``velocity``.
+            angular_velocity_before: before the torques of the step, (N,) [rad/s].
+            impulse: normal and tangential start impulses, (C, 2) [N s]; then the solution. None: own memory,
+                ``exchange.impulse``, zero at first.
+            joints: distance joints: ``joint_body_a``, ``joint_body_b``, ``joint_anchor_a``, ``joint_anchor_b``,
+                ``joint_length`` and perhaps ``joint_impulse`` (start, then solution) by name (``model.fields.JOINTS``).
+            body_start: first body of each world and N, (W + 1,); None: one world.
+            contact_start: first contact of each world and C, (W + 1,); None: one world.
+            joint_start: first joint of each world and their number, (W + 1,); None: one world.
+            length_scale: typical diameter, which the lengths of the settings are multiples of, (W,) or one [m].
+            weight: of a typical body, (W,) or one [N], which ``relative_tolerance`` is relative to; 0: ``tolerance``
+                alone counts.
+            discs: all bodies that contacts turn are discs about their centres, whose normals have no arm: less work.
             config: settings of the solver.
-            variant: layout of the rows, a key of ``rows.COLUMNS``.
-            contacts: reserved for each world, (W,).
-            bodies: of all worlds, padding bodies included.
-            at_once: worlds whose solves may be in flight together.
+            threads: at most so many Python threads share the worlds.
+            schedule: "world" (a thread runs a world's solve) or "color" (a launch a colour).
+            backend: "warp", or "numpy": the oracle, never fast.
+
+        Raises:
+            ValueError: naming argument, index and limit.
         """
-        self.at_once = at_once
-        self._width = len(COLUMNS[variant]) * LANES
-        self._joints = np.diff(model.numpy("joint_start")).astype(np.int64)
-        self._most_bodies = int(np.diff(model.numpy("body_start")).max(initial=0))
-        self.room = Room("blocks of rows", Flag.ROW_OVERFLOW, self._blocks_for(contacts))
-        worlds = model.world_count
-        sizes = {
-            **model.sizes,
-            "joint": model.joint_count,
-            "contact": int(contacts.sum()),
-            "body+1": bodies,
-            "world color": worlds * COLORS,
-            "world color+1": worlds * (COLORS + 1),
-            "sweep": config.max_sweeps if config.history else 0,
-            "row direction": 0,
-            "row past": 0,
+        check_choice("schedule", schedule, SCHEDULES)
+        config = config or SolverConfig()
+        check_type("config", config, SolverConfig)
+        if (point is None) == (arm_a is None) or (arm_a is None) != (arm_b is None):
+            raise ValueError("either point or both of arm_a and arm_b must be given")
+        if point is not None and position is None:
+            raise ValueError("point needs position: arms begin at the centres of mass")
+        if joints is not None and (position is None or angle is None):
+            raise ValueError("joints need position and angle: anchors turn with the bodies")
+        self.dtype, self.device = scalar_of("normal", normal), "cpu"
+        self.backend, self.schedule, self._config = check_backend(backend), schedule, config
+        self.discs = int(discs)
+        lines = dict(joints or {})
+        lengths = {
+            "body": length_of("inv_mass", inv_mass),
+            "contact": length_of("body_a", body_a),
+            "joint": length_of("joint_body_a", lines.get("joint_body_a", ())),
         }
-        sizes.update(self._row_sizes(sizes, config))
-        self.rows = Rows(sizes, model.dtype, model.device, model.backend)
-        self.stats = SolveStats(sizes, model.dtype, model.device, model.backend)
-        self.rows.assign("block_start", self.room.starts())
+        starts = offsets(lengths, {"body": body_start, "contact": contact_start, "joint": joint_start})
+        worlds = len(starts["body"]) - 1
+        self._shards = Shards(worlds, lengths["body"], check_count("threads", threads))
+        self.threads = self._shards.threads
+        self.variant = "joints" if lengths["joint"] else "discs" if discs else "general"
+        self._make_groups({**lengths, "world": worlds, "world+1": worlds + 1}, starts, length_scale, weight)
+        scene = {"inv_mass": inv_mass, "inv_inertia": inv_inertia}
+        share_all(self.model, scene)
+        share_all(self.state, {"position": position, "angle": angle})
+        share_all(self.contacts, {"body_a": body_a, "body_b": body_b, "normal": normal, "gap": gap})
+        share_all(self.contacts, {"arm_a": arm_a, "arm_b": arm_b, "friction": friction, "restitution": restitution})
+        share_all(self.joints, lines, writes=("joint_impulse",))
+        self._has_positions, self._has_angles = position is not None, angle is not None
+        given = {"count": count, "point": point, "color": color, "impulse": impulse}
+        given |= {"velocity": velocity, "angular_velocity": angular_velocity}
+        given |= {"velocity_before": velocity_before, "angular_velocity_before": angular_velocity_before}
+        self._given = {name: array for name, array in given.items() if array is not None}
+        self.exchange = make_exchange(self.contacts, lengths["body"], self._given)
+        self._lock = threading.RLock()
+        self._packed = False
+        self._bind_all()
 
-    def _blocks_for(self, contacts: np.ndarray) -> np.ndarray:
-        """Blocks reserved for so many contacts and the joints of each world."""
-        return -(-(contacts + self._joints) // LANES) + SPARE_BLOCKS
-
-    def _row_sizes(self, sizes: dict[str, int], config: SolverConfig) -> dict[str, int]:
-        """Sizes of the axes that follow the room, and of what the settings, or earlier ones, ask for."""
-        pairs = self.room.total * 2 * LANES
-        direction = sizes["row direction"] > 0 or config.acceleration == "nncg"
-        past = sizes["row past"] > 0 or config.acceleration != "none"
-        return {
-            "row column": self.room.total * self._width,
-            "row pair": pairs,
-            "row direction": pairs if direction else 0,
-            "row past": self.at_once * self.past_width if past else 0,
-        }
+    def _make_groups(
+        self, sizes: dict[str, int], starts: Mapping[str, np.ndarray], length_scale: Any, weight: Any
+    ) -> None:
+        """Allocate the groups that kernels work on; some of their fields are then shared."""
+        memory = (self.dtype, self.device, self.backend)
+        scene = {**sizes, "body+1": sizes["body"] + 1, "shape": 0, "shape+1": 1, "vertex": 0}
+        self.model, self.state = Model(scene, *memory), State(scene, *memory)
+        self.contacts, self.joints = Contacts(sizes, *memory), Joints(sizes, *memory)
+        self.model.assign("body_start", starts["body"])
+        self.model.assign("joint_start", starts["joint"])
+        self.contacts.assign("contact_start", starts["contact"])
+        self.model.assign("length_scale", for_each("length_scale", length_scale, sizes["world"], positive=True))
+        weights = for_each("weight", weight, sizes["world"]).astype(self.dtype)
+        shards = len(self._shards.ranges)
+        self._integrator = Integrator(self.model, shards, self._config.method, weights)
+        self.motion = self._integrator.motion
+        self._storage = SolverStorage(
+            self.model,
+            self._config,
+            self.variant,
+            contacts=np.diff(starts["contact"]),
+            bodies=self.motion.sizes["body+1"],
+            at_once=shards if self._in_turn else sizes["world"],
+            any_colors=True,
+        )
+        self.rows, self.stats = self._storage.rows, self._storage.stats
+        options = {"solve.exchange": (), "collide.color": (), "solve.pack": (self.variant,)}
+        options["solve.schedules"] = (self.variant,)
+        self.kernels: dict[str, Any] = {}
+        for file, chosen in options.items():
+            self.kernels |= make_kernels(self.backend, file, self.dtype.name, *chosen)
+        self._binding = Binding(self.kernels, self.model, self._shards.ranges)
 
     @property
-    def past_width(self) -> int:
-        """Numbers that a world's accelerated solve may have to look back on."""
-        rows = int(self.room.slots.max(initial=0)) * 2 * LANES
-        return PAST * rows + 4 * self._most_bodies
+    def _in_turn(self) -> bool:
+        """Whether a shard solves world after world."""
+        return self.schedule == "world"
+
+    def _bind_all(self) -> None:
+        """Take arrays and settings anew; launches are bound when they are first wanted."""
+        share_all(self.exchange, self._given, writes=WRITTEN)
+        groups: dict[str, ArrayGroup] = {name: getattr(self, name) for name in GROUPS_TAKEN}
+        self._binding.renew(self._config, groups, self._storage.past_width, self._in_turn)
+        self._rounds: dict[tuple[Call, SolverConfig | None], list[Rounds]] = {}
+        self._exchanges: list[Launch] = []  # launches that take the arrays of a call
+        self._moved = False  # whether a call was given others than those that are shared
+        self._flags = self.state.numpy("flags")
 
     @property
-    def used(self) -> np.ndarray:
-        """Blocks of each world at the last step, (W,)."""
-        return self.rows.numpy("block_needed")
+    def config(self) -> SolverConfig:
+        """Settings of the solver; replace it with ``dataclasses.replace``."""
+        return self._config
 
-    def keep_history(self, config: SolverConfig) -> None:
-        """Allocate the history of sweeps as the settings want it."""
-        self.stats.reallocate(("history",), sweep=config.max_sweeps if config.history else 0)
+    @config.setter
+    def config(self, config: SolverConfig) -> None:
+        check_type("config", config, SolverConfig)
+        refuse_recording("a change of config", "make it before")
+        with self._lock:
+            before, self._config = self._config, config
+            if (config.history, config.max_sweeps) != (before.history, before.max_sweeps):
+                self._storage.keep_history(config)
+            self._provide(config)
+            self._packed = False
+            self._bind_all()
 
-    def provide(self, config: SolverConfig) -> bool:
-        """Allocate what an iteration needs and has not got yet; whether there was any."""
-        wanted = self._row_sizes(self.rows.sizes, config)
-        missing = {"direction": "row direction", "past": "row past"}
-        missing = {name: axis for name, axis in missing.items() if wanted[axis] and not self.rows.sizes[axis]}
-        for name, axis in missing.items():
-            self.rows.reallocate((name,), **{axis: wanted[axis]})
-        return bool(missing)
+    def _provide(self, config: SolverConfig) -> bool:
+        """Allocate what settings need and have not got yet; whether there was any."""
+        summed = self._integrator.provide(config.method)
+        return self._storage.provide(config) or summed
 
-    def relayout(self, contacts: np.ndarray, config: SolverConfig) -> None:
-        """Allocate the rows anew for so many contacts of each world; the next step makes them."""
-        self.room.slots = np.maximum(self.room.slots, self._blocks_for(contacts))
-        self.rows.renew(contact=int(contacts.sum()), **self._row_sizes(self.rows.sizes, config))
-        self.rows.assign("block_start", self.room.starts())
+    def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
+        """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
+        return bind(self.kernels[name], count, self.launch_values(first, changed or {}), self.device)
+
+    def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:
+        """Arguments of the kernels for worlds from ``first`` on, with ``changed`` settings or numbers."""
+        own = {"discs": self.discs, "kept": changed.get("kept", 0)}
+        rest = {name: value for name, value in changed.items() if name != "kept"}
+        return {**self._binding.launch_values(first, rest), **own}
+
+    def pack(
+        self,
+        dt: float | np.ndarray,
+        velocity: Any = None,
+        angular_velocity: Any = None,
+        *,
+        velocity_before: Any = None,
+        angular_velocity_before: Any = None,
+        impulse: Any = None,
+    ) -> None:
+        """Take the contacts as they now stand, colour them and make their rows; ``solve(kept=True)`` goes on from them.
+
+        Arguments and errors are those of ``solve``.
+        """
+        given = (velocity, angular_velocity, impulse, velocity_before, angular_velocity_before)
+        with self._lock:
+            refuse_hosted(self.backend, self.schedule, self.device)
+            self._integrator.set_time_step(dt)
+            self._run("pack", None, given)
+
+    def solve(
+        self,
+        dt: float | np.ndarray | None = None,
+        velocity: Any = None,
+        angular_velocity: Any = None,
+        impulse: Any = None,
+        *,
+        velocity_before: Any = None,
+        angular_velocity_before: Any = None,
+        config: SolverConfig | None = None,
+        kept: bool = False,
+    ) -> SolveStats:
+        """Solve from the start impulses and the velocities, which the solution is written over.
+
+        Arrays that were given to the constructor or to an earlier call need not be given again; others may be, of the
+        same sizes, and cost some microseconds. Giving an array is free where it is the one of the call before.
+
+        Args:
+            dt: time step, of all worlds or of each, (W,), > 0 [s]; None with ``kept``.
+            velocity: see the constructor, as the others.
+            angular_velocity: see there.
+            impulse: see there.
+            velocity_before: see there.
+            angular_velocity_before: see there.
+            config: settings of this one solve, which may differ from the solver's in those of the iteration
+                (``solve.schedules.ITERATION``).
+            kept: contacts, joints, masses, time step and colours are those of the call before, whatever their arrays
+                now hold: only velocities and impulses are taken anew. A bounce and the norm that the residual is
+                relative to are then those of that call's velocities.
+
+        Returns:
+            ``stats``: sweeps, largest change of the last [N s], and relative residual of each world.
+
+        Raises:
+            ValueError: naming array, index and limit, for what is out of range, with nothing of its world written;
+                of several worlds others may have been solved. Or for a solve that ran off to infinity.
+        """
+        given = (velocity, angular_velocity, impulse, velocity_before, angular_velocity_before)
+        with self._lock:
+            refuse_hosted(self.backend, self.schedule, self.device)
+            if kept:
+                if dt is not None:
+                    raise ValueError(f"dt is {dt!r}; with kept rows it is that of the call before, and None here")
+                if not self._packed:
+                    raise ValueError("kept needs the rows of a call before: give dt, and no kept")
+            elif dt is None:
+                raise ValueError("dt is None; it must be finite and > 0 [s]")
+            else:
+                self._integrator.set_time_step(dt)
+            self._run("solve kept" if kept else "solve", config, given)
+        return self.stats
+
+    def _run(self, call: Call, config: SolverConfig | None, given: Sequence[Any]) -> None:
+        """Take the arrays of a call, run its kernels, and say what they found out of range."""
+        for name, array in zip(PER_CALL, given):
+            if array is not None and array is not self._given.get(name):
+                self._take(name, array)
+        for name in VELOCITIES:
+            if name not in self._given:
+                raise ValueError(f"{name} is missing; it must be given here or to the constructor")
+        if (BEFORE[0] in self._given) != (BEFORE[1] in self._given):
+            raise ValueError(f"{' and '.join(BEFORE)} go together")
+        if self._moved and recording():
+            self._bind_all()
+        key = (call, config)
+        if key not in self._rounds:
+            self._bind(call, config)
+        self._packed = False
+        if self._shards.run(self._rounds[key], 1):
+            self._explain(call)
+        self._packed = True
+
+    def _take(self, name: str, array: Any) -> None:
+        """Let bound launches work on another array, which errors name."""
+        if name in BEFORE:
+            self.exchange.sizes["body before"] = self.exchange.sizes["body"]
+        view = view_of(self.exchange, name, array, writes=name in WRITTEN)
+        self._given[name] = array
+        if self.backend == "warp":
+            for launch in self._exchanges:
+                launch.point(f"exchange.{name}", view.ctypes.data, view.shape)  # type: ignore[attr-defined]
+            self._moved = True
+        else:
+            share_all(self.exchange, {name: array}, writes=WRITTEN)
+
+    def _bind(self, call: Call, config: SolverConfig | None) -> None:
+        """Bind the launches of a kind of call with settings of its own."""
+        if len(self._rounds) >= SOLVES:
+            self._rounds.clear()
+            self._exchanges.clear()
+        if config is not None:
+            check_iteration(config, self._config)
+        if self._provide(config or self._config) or self._moved:
+            self._bind_all()
+        changed = {} if config is None else config.kernel_values()
+        changed["kept"] = int(call == "solve kept")
+
+        def launches(first: int, count: int) -> list[Launch]:
+            receive = self.bind("receive_velocities", first, count, changed)
+            found = [receive]
+            if call != "solve kept":
+                names = ("keep_colors",) if "color" in self._given else ()
+                names = ("receive_contacts", *names, "color_constraints", "pack_rows")
+                one, *others = (self.bind(name, first, count, changed) for name in names)
+                found = [one, receive, *others]
+            if call != "pack":
+                send = self.bind("send", first, count, changed)
+                found += [*SCHEDULES[self.schedule](self, first, count, changed), send]
+                self._exchanges.append(send)
+            self._exchanges.append(receive)
+            return found
+
+        self._rounds[call, config] = self._shards.rounds(launches, Watch(self.state.flags, STOPS, ()), together=False)
+
+    def _explain(self, call: Call) -> None:
+        """Raise ValueError that names the first value out of range of the first world that has one."""
+        w = int(np.flatnonzero(self._flags & STOPS)[0])
+        start, count = self.contacts.numpy("contact_start"), int(self.exchange.numpy("count")[w])
+        room = int(start[w + 1] - start[w])
+        if self._flags[w] & Flag.CONTACT_OVERFLOW:
+            raise ValueError(f"count[{w}] is {count}; it must lie in [0, {room}], the room of world {w}")
+        bodies = slice(*map(int, self.model.numpy("body_start")[w : w + 2]))
+        contacts = slice(int(start[w]), int(start[w]) + count)
+        lines = slice(*map(int, self.model.numpy("joint_start")[w : w + 2]))
+        views = {name: view_of(self.exchange, name, array) for name, array in self._given.items()}
+        looks: list[tuple[slice, Mapping[str, np.ndarray]]] = []
+        if call != "solve kept":
+            positions = ("position",) if self._has_positions else ()
+            looks.append((bodies, {name: self.model.numpy(name) for name in ("inv_mass", "inv_inertia")}))
+            looks.append((bodies, {name: self.state.numpy(name) for name in positions}))
+            looks.append((contacts, {name: self.contacts.numpy(name) for name in ("body_a", "body_b")}))
+            looks.append((contacts, {name: views[name] for name in ("point",) if name in views}))
+            names = ("normal", "gap", "friction", "restitution", *(() if "point" in views else ("arm_a", "arm_b")))
+            looks.append((contacts, {name: self.contacts.numpy(name) for name in names}))
+            if lines.stop > lines.start:
+                looks.append((bodies, {"angle": self.state.numpy("angle")}))
+                looks.append((lines, {name: self.joints.numpy(name) for name in JOINTS if name != "joint_color"}))
+        looks.append((bodies, {name: views[name] for name in (*VELOCITIES, *BEFORE) if name in views}))
+        looks.append((contacts, {"impulse": views.get("impulse", self.exchange.numpy("impulse"))}))
+        looks.append((lines, {"joint_impulse": self.joints.numpy("joint_impulse")}))
+        for own, arrays in looks:
+            refuse_values(arrays, own, bodies)
+        if call != "solve kept" and self.discs and self._flags[w] & Flag.INVALID:
+            raise ValueError(
+                f"discs is True, but a contact of world {w} has an arm that is not along its normal; "
+                "only discs about their centre of mass have none"
+            )
+        raise ValueError(f"the solve of world {w} ran off: its velocities are not finite, and nothing was written")

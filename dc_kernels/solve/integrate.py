@@ -24,12 +24,19 @@ class Integrator:
     Behind the bodies lies a padding body for each shard of worlds, which empty solver lanes write to.
     """
 
-    def __init__(self, model: Model, shards: int, method: str) -> None:
-        """Allocate for a model whose worlds are divided into shards, and for a method of the solver."""
+    def __init__(self, model: Model, shards: int, method: str, weight: np.ndarray) -> None:
+        """Allocate.
+
+        Args:
+            model: whose bodies move.
+            shards: parts that its worlds are divided into.
+            method: of the solver.
+            weight: of a typical body in each world, (W,) [N].
+        """
         bodies = model.body_count + PADDING * shards
         sizes = {**model.sizes, "body+1": bodies, "body sum": bodies if method == "jacobi" else 1}
         self.motion = Motion(sizes, model.dtype, model.device, model.backend)
-        self.motion.assign("weight", typical_weight(model))
+        self.motion.assign("weight", weight)
         self._step_dt = self.motion.numpy("step_dt")  # making a view takes longer than a small world's kernels
         self._checked: float | None = None  # the last time step that was found right
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from dc_kernels.model.arrays import State
 from dc_kernels.model.config import ACCELERATIONS, SolverConfig
 from dc_kernels.runtime.backends import Launch, bind
 from dc_kernels.solve.iteration import NEVER
 from dc_kernels.solve.rows import COLORS, LANES, SERIAL_COLOR
-
-if TYPE_CHECKING:
-    from dc_kernels.simulation import Simulation
-
+from dc_kernels.solve.storage import Rows, SolveStats
 
 SOLVES = 64  # settings of single solves whose launches are kept
 # settings of the iteration alone: rows, contacts and the room reserved do not depend on them
@@ -36,17 +34,37 @@ ITERATION = (
 )
 
 
+class Solver(Protocol):
+    """What has packed rows to solve: a simulation, or a solver of other engines' contacts."""
+
+    device: str
+    kernels: Mapping[str, Any]
+    state: State
+    rows: Rows
+    stats: SolveStats
+
+    @property
+    def config(self) -> SolverConfig:
+        """Settings of the solver."""
+
+    def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
+        """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
+
+    def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:
+        """Arguments of the kernels for worlds from ``first`` on, with ``changed`` settings or numbers of the launch."""
+
+
 def check_iteration(config: SolverConfig, own: SolverConfig) -> None:
-    """Raise ValueError, naming the setting, where ``config`` differs from the simulation's ``own`` in others."""
+    """Raise ValueError, naming the setting, where ``config`` differs from its solver's ``own`` in others."""
     for name, value in own.to_dict().items():
         if name not in ITERATION and getattr(config, name) != value:
             raise ValueError(
-                f"config.{name} is {getattr(config, name)!r}, the simulation's is {value!r}; one solve may differ in "
+                f"config.{name} is {getattr(config, name)!r}, the solver's is {value!r}; one solve may differ in "
                 f"{', '.join(ITERATION)} only"
             )
     if own.history and config.max_sweeps > own.max_sweeps:
         raise ValueError(
-            f"config.max_sweeps is {config.max_sweeps}; the simulation keeps the history of {own.max_sweeps} sweeps"
+            f"config.max_sweeps is {config.max_sweeps}; the solver keeps the history of {own.max_sweeps} sweeps"
         )
 
 
@@ -68,39 +86,39 @@ def settings_of_solve(config: SolverConfig, pause: int | None, resume: bool) -> 
     return {**changed, "resume": int(resume), "pause": NEVER if pause is None else pause}
 
 
-def world_schedule(sim: Simulation, first: int, count: int, values: Mapping[str, Any]) -> list[Launch]:
+def world_schedule(solver: Solver, first: int, count: int, values: Mapping[str, Any]) -> list[Launch]:
     """One launch a solve: a thread runs a world's sweeps to the end. For many worlds, and on a CPU."""
-    return [sim.bind("solve_world", first, count, values), sim.bind("unpack_impulses", first, count)]
+    return [solver.bind("solve_world", first, count, values), solver.bind("unpack_impulses", first, count)]
 
 
-def color_schedule(sim: Simulation, first: int, count: int, values: Mapping[str, Any]) -> list[Launch]:
+def color_schedule(solver: Solver, first: int, count: int, values: Mapping[str, Any]) -> list[Launch]:
     """A launch a colour, a thread a row, driven from the host. For large worlds on a GPU."""
-    begin = sim.bind("begin", first, count, values)
-    before = sim.bind("before_sweep", first, count, values)
-    after = sim.bind("after_sweep", first, count, values)
-    finish = sim.bind("finish", first, count, values)
-    unpack = sim.bind("unpack_impulses", first, count)
-    max_sweeps = values.get("max_sweeps", sim.config.max_sweeps)
-    sweep_color = sim.kernels["sweep_color"]
+    begin = solver.bind("begin", first, count, values)
+    before = solver.bind("before_sweep", first, count, values)
+    after = solver.bind("after_sweep", first, count, values)
+    finish = solver.bind("finish", first, count, values)
+    unpack = solver.bind("unpack_impulses", first, count)
+    max_sweeps = values.get("max_sweeps", solver.config.max_sweeps)
+    sweep_color = solver.kernels["sweep_color"]
 
     def run() -> None:
         begin()
-        ends = sim.rows.numpy("color_block").reshape(-1, COLORS + 1)[first : first + count]
-        live = sim.state.numpy("flags")[first : first + count] == 0
+        ends = solver.rows.numpy("color_block").reshape(-1, COLORS + 1)[first : first + count]
+        live = solver.state.numpy("flags")[first : first + count] == 0
         widest = np.where(live[:, None], np.diff(ends, axis=1), 0).max(axis=0) * LANES
         sweeps = [
             bind(
                 sweep_color,
                 (count, 1 if color == SERIAL_COLOR else int(widest[color])),
-                {**sim.launch_values(first, values), "color": color},
-                sim.device,
+                {**solver.launch_values(first, values), "color": color},
+                solver.device,
             )
             for color in np.flatnonzero(widest)
         ]
         # a world that is done ignores further launches, so the stop need not be read after each sweep on a GPU
-        stride = 1 if sim.device == "cpu" else 8
+        stride = 1 if solver.device == "cpu" else 8
         done = 0
-        while not _all_done(sim, first, count):
+        while not _all_done(solver, first, count):
             for _ in range(min(stride, max_sweeps - done)):
                 before()
                 for sweep in sweeps:
@@ -113,9 +131,9 @@ def color_schedule(sim: Simulation, first: int, count: int, values: Mapping[str,
     return [run]
 
 
-def _all_done(sim: Simulation, first: int, count: int) -> bool:
-    done = sim.stats.numpy("iteration")["finished"][first : first + count] != 0
-    return bool((done | (sim.state.numpy("flags")[first : first + count] != 0)).all())
+def _all_done(solver: Solver, first: int, count: int) -> bool:
+    done = solver.stats.numpy("iteration")["finished"][first : first + count] != 0
+    return bool((done | (solver.state.numpy("flags")[first : first + count] != 0)).all())
 
 
 SCHEDULES: dict[str, Callable[..., list[Launch]]] = {"world": world_schedule, "color": color_schedule}

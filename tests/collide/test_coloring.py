@@ -281,3 +281,99 @@ def test_contacts_leave_the_serial_colour_when_there_is_room():
     at_big = (table["body_a"] == 1) | (table["body_b"] == 1)
     assert 40 <= at_big.sum() <= 50
     assert (table["color"] != SERIAL_COLOR).all()
+
+
+# ---------------------------------------------------------------------- graphs of other engines
+
+
+def graph(rng, bodies=40, contacts=90, worlds=3):
+    """Contacts at random in several worlds, with a third of the bodies fixed; arguments of ``dc.color`` by name."""
+    first = bodies * np.arange(worlds + 1)
+    ends = np.concatenate(
+        [first[w] + np.stack([rng.permutation(bodies)[:2] for _ in range(contacts)]) for w in range(worlds)]
+    )
+    body_a, body_b = np.ascontiguousarray(ends.T, np.int32)
+    return {
+        "body_a": body_a,
+        "body_b": body_b,
+        "movable": rng.random(bodies * worlds) < 2 / 3,
+        "body_start": first,
+        "contact_start": contacts * np.arange(worlds + 1),
+    }
+
+
+def check_graph(found, colors):
+    """No two contacts of a colour share a body that moves; returns the most contacts of one."""
+    most = 0
+    for body in np.flatnonzero(found["movable"]):
+        at = colors[(found["body_a"] == body) | (found["body_b"] == body)]
+        at = at[at != SERIAL_COLOR]
+        assert len(set(at.tolist())) == len(at)
+        most = max(most, len(at))
+    return most
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_contacts_of_any_engine_are_coloured(backend):
+    found = graph(np.random.default_rng(1))
+    colors = dc.color(**found, backend=backend)
+    assert colors.dtype == np.int32 and colors.min() == 0
+    assert colors.max() < 2 * check_graph(found, colors) - 1
+    np.testing.assert_array_equal(colors, dc.color(**found))
+    alone = {k: v[:90] for k, v in found.items() if k in ("body_a", "body_b")}  # worlds know nothing of each other
+    np.testing.assert_array_equal(colors[:90], dc.color(**alone, movable=found["movable"][:40]))
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_colours_are_kept_where_they_may_be(backend):
+    found = graph(np.random.default_rng(2))
+    first = dc.color(**found)
+    np.testing.assert_array_equal(dc.color(**found, color=first.copy(), backend=backend), first)
+    kept = first.copy()
+    new = np.random.default_rng(3).random(len(kept)) < 0.3
+    kept[new] = -1
+    kept[5], kept[6] = 1000, -9  # none
+    kept[7] = kept[8] = 3
+    given = kept.copy()
+    colors = dc.color(**found, color=kept, backend=backend)
+    assert colors is kept
+    check_graph(found, colors)
+    others = ~new
+    others[[5, 6, 7, 8]] = False
+    changed = others & (colors != first)
+    for c in np.flatnonzero(changed):  # only for another that came earlier, and has its colour
+        ends = {body for body in (found["body_a"][c], found["body_b"][c]) if found["movable"][body]}
+        rivals = np.flatnonzero((given == given[c]) & (np.arange(len(given)) < c))
+        assert any({found["body_a"][r], found["body_b"][r]} & ends for r in rivals)
+
+
+def test_more_contacts_of_a_body_than_colours_are_serial():
+    hub = {"body_a": np.zeros(100, np.int32), "body_b": np.arange(1, 101, dtype=np.int32)}
+    colors = dc.color(**hub, movable=np.ones(101))
+    np.testing.assert_array_equal(colors, np.minimum(np.arange(100), SERIAL_COLOR))
+    assert (dc.color(**hub, movable=np.r_[0.0, np.ones(100)]) == 0).all()
+    np.testing.assert_array_equal(dc.color(**hub, movable=np.ones(101), color=colors.copy()), colors)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"body_a": np.array([0, 5], np.int32)}, r"body_a\[1\] is 5; it must be a body of its world, in \[0, 2\]"),
+        ({"body_b": np.array([1, 1], np.int32)}, r"body_b\[1\] is 1; .* another than"),
+        ({"body_a": np.zeros(2)}, "body_a has dtype float64; it must be int32"),
+        ({"body_b": np.zeros(3, np.int32)}, r"body_b has shape \(3,\)"),
+        ({"movable": "all"}, "movable has shape"),
+        ({"color": np.zeros(2)}, "color has dtype"),
+        ({"contact_start": [0, 1, 2]}, "contact_start has 2 worlds, body_start 1"),
+        ({"backend": "x"}, "backend is 'x'"),
+    ],
+)
+def test_bad_graphs_are_named(changes, message):
+    found = {"body_a": np.array([0, 1], np.int32), "body_b": np.array([1, 2], np.int32), "movable": np.ones(3)}
+    with pytest.raises(ValueError, match=message):
+        dc.color(**(found | changes))
+
+
+def test_colouring_refuses_to_be_recorded():
+    with wp.ScopedCapture(device="cpu"), pytest.raises(RuntimeError, match="color cannot be recorded"):
+        dc.color(np.zeros(0, np.int32), np.zeros(0, np.int32), [])

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import get_args, get_type_hints
 
+import numpy as np
 import pytest
 
 import dc_kernels as dc
@@ -65,6 +66,8 @@ def check_solver(scope: dict) -> None:
     assert float(sim.stats.numpy("change")[0]) < 1e-5
     assert sim.state.numpy("time")[0] == pytest.approx(0.11)
     assert scope["other"].config.start == "zero"
+    assert np.abs(scope["velocity"]).max() < 1e-3  # ten discs stand on each other
+    np.testing.assert_allclose(scope["impulse"][:10, 0], 0.01 * 9.81 * np.arange(10, 0, -1), rtol=1e-2)
 
 
 def check_transfer(scope: dict) -> None:

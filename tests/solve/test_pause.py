@@ -167,7 +167,7 @@ def test_what_cannot_be_is_refused():
         sim.resume()
     with pytest.raises(ValueError, match=r"pause is -1; it must lie in \[0"):
         sim.solve(pause=-1)
-    with pytest.raises(ValueError, match=r"config.method is 'jacobi', the simulation's is 'pgs'"):
+    with pytest.raises(ValueError, match=r"config.method is 'jacobi', the solver's is 'pgs'"):
         sim.solve(replace(sim.config, method="jacobi"))
     sim.solve()
     sim.advance()
@@ -180,5 +180,5 @@ def test_what_cannot_be_is_refused():
         colored.solve(pause=3)
     kept = dc.Simulation(*Thesis(bodies=5).build(1, 0).finalize(), config=dc.SolverConfig(history=True, max_sweeps=10))
     kept.collide(0.01)
-    with pytest.raises(ValueError, match=r"config.max_sweeps is 20; the simulation keeps the history of 10"):
+    with pytest.raises(ValueError, match=r"config.max_sweeps is 20; the solver keeps the history of 10"):
         kept.solve(replace(kept.config, max_sweeps=20))

@@ -33,7 +33,7 @@ def color_bit(color: int):
 
 @cache
 def kernels(dtype: str) -> dict[str, Any]:
-    """``color_constraints``; one thread a world."""
+    """``color_constraints`` and ``keep_colors``; one thread a world."""
     t = group_types(dtype)
     module = kernel_module("color", dtype)
     contiguous = contiguous_groups(dtype)
@@ -106,4 +106,48 @@ def kernels(dtype: str) -> dict[str, Any]:
                 rows.color_mask[a] = rows.color_mask[a] | color_bit(free)
                 rows.color_mask[b] = rows.color_mask[b] | color_bit(free)
 
-    return {"color_constraints": color_constraints}
+    @wp.kernel(module=module, enable_backward=False)
+    def keep_colors(
+        launch: t.Launch,
+        model: t.Model,
+        state: t.State,
+        joints: t.Joints,
+        contacts: t.Contacts,
+        rows: t.Rows,
+    ):
+        """Contacts lose a colour that is none, or that a joint or an earlier contact of one of their bodies has too."""
+        w = wp.tid() + launch.world_offset
+        contiguous(model)
+        contiguous(state)
+        contiguous(joints)
+        contiguous(contacts)
+        contiguous(rows)
+        if state.flags[w] != 0:
+            return
+        for b in range(model.body_start[w], model.body_start[w + 1]):
+            rows.color_mask[b] = wp.uint64(0)
+        for j in range(model.joint_start[w], model.joint_start[w + 1]):
+            a = joints.joint_body_a[j]
+            b = joints.joint_body_b[j]
+            own = color_bit(
+                lowest_free(taken(a, model.body_type, rows.color_mask) | taken(b, model.body_type, rows.color_mask))
+            )
+            rows.color_mask[a] = rows.color_mask[a] | own
+            rows.color_mask[b] = rows.color_mask[b] | own
+        start = contacts.contact_start[w]
+        for c in range(start, start + contacts.contact_count[w]):
+            kept = contacts.color[c]
+            if kept < 0 or kept >= SERIAL:
+                contacts.color[c] = -1
+                continue
+            a = contacts.body_a[c]
+            b = contacts.body_b[c]
+            own = color_bit(kept)
+            others = taken(a, model.body_type, rows.color_mask) | taken(b, model.body_type, rows.color_mask)
+            if (others & own) != wp.uint64(0):
+                contacts.color[c] = -1
+                continue
+            rows.color_mask[a] = rows.color_mask[a] | own
+            rows.color_mask[b] = rows.color_mask[b] | own
+
+    return {"color_constraints": color_constraints, "keep_colors": keep_colors}

@@ -1,0 +1,117 @@
+"""Colours of a contact graph of any engine: contacts of one colour share no body that moves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.model.enums import BodyType
+from dc_kernels.model.fields import CONTACTS, JOINTS, LAUNCH, MODEL, ROWS, STATE
+from dc_kernels.runtime.backends import bind, check_backend, kernel_file, make_kernels
+from dc_kernels.runtime.capture import refuse_recording
+from dc_kernels.runtime.inputs import check_layout, check_start
+from dc_kernels.runtime.interop import host_view
+
+INT = np.dtype(np.int32)
+
+
+def color(
+    body_a: Any,
+    body_b: Any,
+    movable: Any,
+    *,
+    color: Any = None,
+    body_start: Any = None,
+    contact_start: Any = None,
+    backend: str = "warp",
+) -> np.ndarray:
+    """Colour contacts so that no two of a colour share a body that moves: they may then be solved at once.
+
+    Colours are greedy: each contact in turn takes the lowest that is free at both of its bodies, so that a graph of
+    degree d takes at most 2 d - 1, and the same contacts in the same order always get the same ones. Those kept from an
+    earlier call come first. What finds none of the first 63 free gets the last one, 63, whose contacts may share bodies
+    and are to be solved one after the other.
+
+    Args:
+        body_a: body A of each contact, (C,) int32.
+        body_b: body B, (C,) int32.
+        movable: which bodies contacts move, (N,) bool, or any numbers, such as inverse masses, of which 0 says no.
+        color: colours of an earlier call, to be kept, (C,) int32; -1 for a contact that is new. It is written to. One
+            that another contact of a body has too is chosen anew. None: all contacts are new.
+        body_start: first body of each world and N, (W + 1,); None: one world.
+        contact_start: first contact of each world and C, (W + 1,); None: one world.
+        backend: "warp", or "numpy": the oracle.
+
+    Returns:
+        The colours, (C,) int32; ``color`` as numpy, if that was given.
+
+    Raises:
+        ValueError: naming argument, index and limit.
+        RuntimeError: within ``wp.ScopedCapture``; a ``ContactSolver`` colours there.
+
+    Examples:
+        >>> import numpy as np
+        >>> import dc_kernels as dc
+        >>> a, b = np.array([0, 1, 2], np.int32), np.array([1, 2, 3], np.int32)
+        >>> dc.color(a, b, movable=[0.0, 1.0, 1.0, 1.0])
+        array([0, 1, 0], dtype=int32)
+    """
+    refuse_recording("color", "it makes arrays of its own; a ContactSolver colours in a graph")
+    check_backend(backend)
+    body_a = check_layout("body_a", body_a, (None,), INT)
+    body_b = check_layout("body_b", body_b, body_a.shape, INT)
+    moves = np.asarray(host_view("movable", movable))
+    if moves.ndim != 1 or moves.dtype.kind not in "buif":
+        raise ValueError(f"movable has shape {moves.shape}, dtype {moves.dtype}; it must be (N,) bool or numbers")
+    contacts, bodies = len(body_a), len(moves)
+    first_body = check_start("body_start", body_start, bodies)
+    first_contact = check_start("contact_start", contact_start, contacts)
+    worlds = len(first_body) - 1
+    if len(first_contact) != worlds + 1:
+        raise ValueError(f"contact_start has {len(first_contact) - 1} worlds, body_start {worlds}; they must agree")
+    world = np.repeat(np.arange(worlds), np.diff(first_contact))
+    low, high = first_body[world], first_body[world + 1]
+    for name, body in (("body_a", body_a), ("body_b", body_b)):
+        good = (body >= low) & (body < high) & ((body != body_a) if name == "body_b" else True)
+        if not good.all():
+            i = int(good.argmin())
+            raise ValueError(
+                f"{name}[{i}] is {body[i]}; it must be a body of its world, in [{low[i]}, {high[i] - 1}], "
+                "and another than the contact's other one"
+            )
+    if color is None:
+        colors = np.full(contacts, -1, np.int32)
+    else:
+        colors = check_layout("color", color, (contacts,), INT, writes=True)
+    kinds = np.where(moves != 0, BodyType.DYNAMIC, BodyType.STATIC).astype(np.int32)
+    groups = {
+        "launch": (LAUNCH, {"world_offset": 0}),
+        "model": (
+            MODEL,
+            {
+                "body_start": first_body.astype(np.int32),
+                "joint_start": np.zeros(worlds + 1, np.int32),
+                "body_type": kinds,
+            },
+        ),
+        "state": (STATE, {"flags": np.zeros(worlds, np.int32)}),
+        "joints": (JOINTS, {}),
+        "contacts": (
+            CONTACTS,
+            {
+                "contact_start": first_contact.astype(np.int32),
+                "contact_count": np.diff(first_contact).astype(np.int32),
+                "body_a": body_a,
+                "body_b": body_b,
+                "color": colors,
+            },
+        ),
+        "rows": (ROWS, {"color_mask": np.zeros(bodies, np.uint64)}),
+    }
+    make = kernel_file(backend, "groups").group
+    values = {name: make(name, "float32", table, arrays) for name, (table, arrays) in groups.items()}
+    kernels = make_kernels(backend, "collide.color", "float32")
+    for name in ("keep_colors", "color_constraints"):
+        bind(kernels[name], worlds, values, "cpu")()
+    return colors

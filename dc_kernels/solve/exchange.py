@@ -1,0 +1,203 @@
+"""Arrays that a solver of other engines' contacts reads and writes where they lie, and what they must hold."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Mapping
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.model.arrays import ArrayGroup
+from dc_kernels.model.dtypes import FLOATS, numpy_spec
+from dc_kernels.model.fields import field_table
+from dc_kernels.runtime.backends import kernel_file, on_numpy
+from dc_kernels.runtime.building import start_warp
+from dc_kernels.runtime.inputs import check_layout, check_start
+from dc_kernels.runtime.interop import host_view
+
+UNIT = 2e-3  # of a squared length: what a unit vector may be off by, far above rounding
+ARM = 1e-3  # of an arm: what may lie beside the normal where all that moves is discs
+
+# axes: world, body, contact (capacity), "contact point" and "contact color" (capacity, or 0), "body before" (or 0)
+EXCHANGE = field_table(
+    ("count", "world", "int32", "1", "contacts of each world"),
+    ("point", "contact point", "vec2", "m", "contact points, in the coordinates of the bodies' positions"),
+    ("color", "contact color", "int32", "1", "colours that contacts keep, -1 for none"),
+    ("velocity", "body", "vec2", "m/s", "with the step's forces applied; then solved"),
+    ("angular_velocity", "body", "real", "rad/s", "with the step's torques applied; then solved"),
+    ("velocity_before", "body before", "vec2", "m/s", "before the step's forces, which a bounce mirrors"),
+    ("angular_velocity_before", "body before", "real", "rad/s", "before the step's torques"),
+    ("impulse", "contact", "vec2", "N s", "normal and tangential: the start, then the solution"),
+)
+
+
+VELOCITIES = ("velocity", "angular_velocity")
+BEFORE = ("velocity_before", "angular_velocity_before")
+WRITTEN = (*VELOCITIES, "impulse", "color")
+
+
+class Exchange(ArrayGroup):
+    """What a solve is given and gives back (``EXCHANGE``)."""
+
+    table = EXCHANGE
+
+
+def make_exchange(contacts: ArrayGroup, bodies: int, given: Mapping[str, Any]) -> Exchange:
+    """Allocate what is exchanged: as much of the optional arrays as is given."""
+    room = contacts.sizes["contact"]
+    sizes = {
+        "world": contacts.sizes["world"],
+        "body": bodies,
+        "contact": room,
+        "contact point": room if "point" in given else 0,
+        "contact color": room if "color" in given else 0,
+        "body before": bodies if any(name in given for name in BEFORE) else 0,
+    }
+    exchange = Exchange(sizes, contacts.dtype, contacts.device, contacts.backend)
+    if "count" not in given:
+        exchange.assign("count", np.diff(contacts.numpy("contact_start")))
+    return exchange
+
+
+def view_of(group: ArrayGroup, name: str, array: Any, *, writes: bool = False) -> np.ndarray:
+    """An array that is to be a field of a group as numpy, the same memory.
+
+    Args:
+        group: on the CPU.
+        name: of the field, which errors name.
+        array: numpy array, torch tensor, ``wp.array``, or anything with ``__dlpack__``.
+        writes: whether kernels write to it.
+
+    Raises:
+        ValueError: naming the field, for another dtype, shape, device or memory layout.
+    """
+    field = group.table[name]
+    scalar, inner = numpy_spec(field, group.dtype)
+    shape = (*(group.sizes[axis] for axis in field.axes), *inner)
+    return check_layout(name, array, shape, scalar, writes=writes)
+
+
+def share_all(group: ArrayGroup, arrays: Mapping[str, Any], writes: Container[str] = ()) -> None:
+    """Let fields of a group lie in the memory of given arrays, which live as long as the group.
+
+    Args:
+        group: on the CPU.
+        arrays: by the names of fields: arrays (see ``view_of``), numbers that fill the field's own, or None.
+        writes: fields that kernels write to.
+
+    Raises:
+        ValueError: naming the field.
+    """
+    for name, array in arrays.items():
+        if name not in group.table:
+            raise ValueError(f"{name} is unknown; it must be one of {tuple(group.table)}")
+        if array is None:
+            continue
+        if isinstance(array, int | float):
+            group.numpy(name)[...] = array  # the kernels look at it
+            continue
+        view = view_of(group, name, array, writes=name in writes)
+        if on_numpy(group.backend):
+            setattr(group, name, view)
+            continue
+        import warp as wp
+
+        start_warp()
+        field = group.table[name]
+        element = kernel_file(group.backend, "groups").field_type(field, group.dtype.name)
+        shape = view.shape[: len(field.axes)]
+        setattr(group, name, wp.array(view, dtype=element, shape=shape, device="cpu", copy=False))
+
+
+def scalar_of(name: str, array: Any) -> np.dtype:
+    """The scalar type of an array.
+
+    Raises:
+        ValueError: for another than float32 and float64.
+    """
+    view = host_view(name, array)
+    dtype = getattr(view, "dtype", None)
+    if not isinstance(view, np.ndarray) or dtype not in FLOATS.values():
+        raise ValueError(f"{name} is a {type(array).__name__} of {dtype}; it must be an array of float32 or float64")
+    return view.dtype
+
+
+def length_of(name: str, array: Any) -> int:
+    """The length of an array.
+
+    Raises:
+        ValueError: for what has none.
+    """
+    view = host_view(name, array)
+    if view is None or not np.ndim(view):
+        raise ValueError(f"{name} is {array!r}; it must be an array")
+    return len(view)
+
+
+def offsets(lengths: Mapping[str, int], starts: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Offsets of the worlds on each axis, (W + 1,) int64; one that is not given is of one world, or of nothing.
+
+    Raises:
+        ValueError: naming the axis and the first bad index, or for different numbers of worlds.
+    """
+    worlds = len(starts["body"]) - 1 if starts["body"] is not None else 1
+    found = {}
+    for axis, length in lengths.items():
+        name, start = f"{axis}_start", starts[axis]
+        if start is None and worlds > 1 and not length:
+            start = np.zeros(worlds + 1, np.int64)
+        found[axis] = check_start(name, start, length)
+        if len(found[axis]) != len(found["body"]):
+            raise ValueError(f"{name} is of {len(found[axis]) - 1} worlds, body_start of {worlds}; they must agree")
+    return found
+
+
+def for_each(name: str, values: Any, worlds: int, positive: bool = False) -> np.ndarray:
+    """One number for each world, (W,) float64.
+
+    Raises:
+        ValueError: naming it, for another shape, or a value that is not finite, or negative, or 0 if it must not be.
+    """
+    array = np.asarray(host_view(name, values), np.float64)
+    if array.shape not in ((), (worlds,)):
+        raise ValueError(f"{name} has shape {array.shape}; it must be a number or ({worlds},)")
+    array = np.array(np.broadcast_to(array, (worlds,)))
+    good = np.isfinite(array) & (array > 0 if positive else array >= 0)
+    if not good.all():
+        w = int(good.argmin())
+        raise ValueError(f"{name}[{w}] is {array[w]}; it must be finite and {'>' if positive else '>='} 0")
+    return array
+
+
+def refuse_values(arrays: Mapping[str, np.ndarray], own: slice, bodies: slice) -> None:
+    """Raise ValueError, naming field, index and limit, for the first value of a world that is out of range.
+
+    Args:
+        arrays: by their names as fields.
+        own: elements of the world.
+        bodies: of the world.
+    """
+    for name, array in arrays.items():
+        values = array[own]
+        if "body_" in name:
+            good = (values >= bodies.start) & (values < bodies.stop)
+            limit = f"a body of its world, in [{bodies.start}, {bodies.stop - 1}]"
+            other = name.replace("body_b", "body_a")
+            if name != other and good.all():
+                good, limit = values != arrays[other][own], "another body than body A"
+        else:
+            good, limit = np.isfinite(values), "finite"
+            if name in ("inv_mass", "inv_inertia", "friction", "joint_length"):
+                good, limit = good & (values >= 0), "finite and >= 0"
+            elif name == "restitution":
+                good, limit = good & (values >= 0) & (values <= 1), "in [0, 1]"
+            elif name == "normal":
+                good, limit = np.abs((values * values).sum(axis=1, keepdims=True) - 1) <= UNIT, "a unit vector"
+        if not good.all():
+            i = tuple(int(k) for k in np.argwhere(~good)[0])
+            place, shown = f"{i[0] + own.start}", values[i]
+            if name == "normal":
+                shown = tuple(map(float, values[i[0]]))
+            elif len(i) > 1:
+                place += f", {i[1]}"
+            raise ValueError(f"{name}[{place}] is {shown}; it must be {limit}")

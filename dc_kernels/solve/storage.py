@@ -1,0 +1,134 @@
+"""The contact solver's arrays: rows of contacts and joints, what a solve looks back on, and what it reports."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dc_kernels.model.arrays import ArrayGroup, Model
+from dc_kernels.model.config import SolverConfig
+from dc_kernels.model.enums import Flag
+from dc_kernels.model.fields import ROWS, STATS
+from dc_kernels.model.room import Room
+from dc_kernels.solve.iteration import PAST
+from dc_kernels.solve.rows import COLORS, COLUMNS, LANES
+
+SPARE_BLOCKS = 10  # blocks beyond full ones: a colour's last block is partly empty, and piles have 6-10 colours
+
+
+class Rows(ArrayGroup):
+    """Solver rows and colours (``model.fields.ROWS``)."""
+
+    table = ROWS
+
+
+class SolveStats(ArrayGroup):
+    """What the last solve of each world did (``model.fields.STATS``).
+
+    ``history`` holds the largest impulse change of each sweep, (W, max_sweeps), zero beyond ``sweeps``; it is (W, 0)
+    unless the settings ask for it.
+    """
+
+    table = STATS
+
+
+class SolverStorage:
+    """Rows, stats and their room; their kernels are ``pack_rows``, those of a schedule, ``unpack_impulses``.
+
+    Attributes:
+        rows: packed rows of the step.
+        stats: what the last solve did.
+        room: blocks of LANES rows reserved for each world.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        config: SolverConfig,
+        variant: str,
+        *,
+        contacts: np.ndarray,
+        bodies: int,
+        at_once: int,
+        any_colors: bool = False,
+    ) -> None:
+        """Reserve rows for the joints and for so many contacts of each world.
+
+        Args:
+            model: of the simulation.
+            config: settings of the solver.
+            variant: layout of the rows, a key of ``rows.COLUMNS``.
+            contacts: reserved for each world, (W,).
+            bodies: of all worlds, padding bodies included.
+            at_once: worlds whose solves may be in flight together.
+            any_colors: reserve for whatever colours so many contacts may have; else for those of usual piles.
+        """
+        self.at_once, self._any_colors = at_once, any_colors
+        self._width = len(COLUMNS[variant]) * LANES
+        self._joints = np.diff(model.numpy("joint_start")).astype(np.int64)
+        self._most_bodies = int(np.diff(model.numpy("body_start")).max(initial=0))
+        self.room = Room("blocks of rows", Flag.ROW_OVERFLOW, self._blocks_for(contacts))
+        worlds = model.world_count
+        sizes = {
+            **model.sizes,
+            "joint": model.joint_count,
+            "contact": int(contacts.sum()),
+            "body+1": bodies,
+            "world color": worlds * COLORS,
+            "world color+1": worlds * (COLORS + 1),
+            "sweep": config.max_sweeps if config.history else 0,
+            "row direction": 0,
+            "row past": 0,
+        }
+        sizes.update(self._row_sizes(sizes, config))
+        self.rows = Rows(sizes, model.dtype, model.device, model.backend)
+        self.stats = SolveStats(sizes, model.dtype, model.device, model.backend)
+        self.rows.assign("block_start", self.room.starts())
+
+    def _blocks_for(self, contacts: np.ndarray) -> np.ndarray:
+        """Blocks reserved for so many contacts and the joints of each world."""
+        rows = contacts + self._joints
+        if self._any_colors:
+            return np.minimum(-(-rows // LANES) + COLORS, rows)
+        return -(-rows // LANES) + SPARE_BLOCKS
+
+    def _row_sizes(self, sizes: dict[str, int], config: SolverConfig) -> dict[str, int]:
+        """Sizes of the axes that follow the room, and of what the settings, or earlier ones, ask for."""
+        pairs = self.room.total * 2 * LANES
+        direction = sizes["row direction"] > 0 or config.acceleration == "nncg"
+        past = sizes["row past"] > 0 or config.acceleration != "none"
+        return {
+            "row column": self.room.total * self._width,
+            "row pair": pairs,
+            "row direction": pairs if direction else 0,
+            "row past": self.at_once * self.past_width if past else 0,
+        }
+
+    @property
+    def past_width(self) -> int:
+        """Numbers that a world's accelerated solve may have to look back on."""
+        rows = int(self.room.slots.max(initial=0)) * 2 * LANES
+        return PAST * rows + 4 * self._most_bodies
+
+    @property
+    def used(self) -> np.ndarray:
+        """Blocks of each world at the last step, (W,)."""
+        return self.rows.numpy("block_needed")
+
+    def keep_history(self, config: SolverConfig) -> None:
+        """Allocate the history of sweeps as the settings want it."""
+        self.stats.reallocate(("history",), sweep=config.max_sweeps if config.history else 0)
+
+    def provide(self, config: SolverConfig) -> bool:
+        """Allocate what an iteration needs and has not got yet; whether there was any."""
+        wanted = self._row_sizes(self.rows.sizes, config)
+        missing = {"direction": "row direction", "past": "row past"}
+        missing = {name: axis for name, axis in missing.items() if wanted[axis] and not self.rows.sizes[axis]}
+        for name, axis in missing.items():
+            self.rows.reallocate((name,), **{axis: wanted[axis]})
+        return bool(missing)
+
+    def relayout(self, contacts: np.ndarray, config: SolverConfig) -> None:
+        """Allocate the rows anew for so many contacts of each world; the next step makes them."""
+        self.room.slots = np.maximum(self.room.slots, self._blocks_for(contacts))
+        self.rows.renew(contact=int(contacts.sum()), **self._row_sizes(self.rows.sizes, config))
+        self.rows.assign("block_start", self.room.starts())
