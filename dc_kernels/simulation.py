@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
@@ -19,24 +18,25 @@ from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.enums import CAPACITY_FLAGS
 from dc_kernels.model.fields import GROUPS
 from dc_kernels.model.validate import check_scene
+from dc_kernels.phases import Phases
 from dc_kernels.reports import capacity, memory
 from dc_kernels.runtime.backends import Launch
-from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recording
+from dc_kernels.runtime.capture import refuse_hosted, refuse_recording
 from dc_kernels.runtime.inputs import check_choice, check_count, check_room, check_type
-from dc_kernels.runtime.sequences import Rounds, Watch, in_turn
+from dc_kernels.runtime.sequences import Rounds, Watch
 from dc_kernels.runtime.stepping import Shards
-from dc_kernels.runtime.threads import GPU_CALLS
+from dc_kernels.runtime.threads import GPU_CALLS, OneCaller, uninterrupted
 from dc_kernels.solve.integrate import Motion
 from dc_kernels.solve.rows import only_centred_discs, variant_of
 from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration, check_pause, settings_of_solve
 from dc_kernels.solve.storage import Rows, SolveStats
-from dc_kernels.stages import PHASES, Phase, kernel_table, of_phase
+from dc_kernels.stages import PHASES, Phase, Turn, kernel_table, of_phase
 from dc_kernels.storage import Storage
 
 Start = Callable[["Simulation"], None]
 
 
-class Simulation:
+class Simulation(Phases):
     """Rigid bodies with contacts in any number of worlds, stepped together.
 
     A step is three phases that can be called one by one: ``collide`` (predict velocities, find contacts, match them
@@ -45,11 +45,17 @@ class Simulation:
 
     Worlds are independent: the result of each has the same bits whatever the others, ``threads`` and the schedule.
 
-    Several Python threads may call simulations at once; calls of one simulation wait for each other. A call on the CPU
-    within ``wp.ScopedCapture`` becomes part of that graph, or raises RuntimeError before anything is recorded. The
-    graph cannot grow: a world that runs out of room stays where it is, its flag set, until the next call outside the
-    graph mends that. ``layout_version`` has changed then, and the graph, which knows the arrays of before, is to be
-    made anew. On a GPU the calls of all simulations wait for each other, and none becomes part of a graph.
+    Several Python threads may call simulations at once, and one simulation in turn; a call during that of another
+    thread raises RuntimeError, by which neither is harmed. An interrupt (Ctrl-C) leaves all worlds at the same time.
+
+    A call on the CPU within ``wp.ScopedCapture`` becomes part of that graph, or raises RuntimeError before anything is
+    recorded; ``phase`` stays that of the calls that ran. The graph cannot grow: a world that runs out of room stays
+    where it is, its flag set, until the next call outside the graph mends that. ``layout_version`` has changed then,
+    and the graph, which knows the arrays of before, is to be made anew. On a GPU the calls of all simulations wait for
+    each other, and none becomes part of a graph.
+
+    Attributes:
+        calls: what each call holds while it works; ``with sim.calls:`` keeps other threads out of several calls.
     """
 
     motion: Motion
@@ -58,6 +64,7 @@ class Simulation:
     cache: Cache
     rows: Rows
     stats: SolveStats
+    calls: OneCaller
 
     def __init__(
         self,
@@ -128,8 +135,11 @@ class Simulation:
             at_once=at_once,
         )
         self._binding = Binding(self.kernels, model, self._shards.ranges)
-        self._phase: Phase = "advance"
-        self._lock = threading.RLock() if self.device == "cpu" else GPU_CALLS
+        self._turn = Turn()
+        self.calls = OneCaller(
+            f"the simulation of {model.world_count} worlds and {model.body_count} bodies",
+            None if self.device == "cpu" else GPU_CALLS,
+        )
         self._rounds: dict[str, list[Rounds]] = {}
         self._solves: dict[tuple[SolverConfig | None, int | None, bool], list[Rounds]] = {}
         self._bind_all()
@@ -152,24 +162,6 @@ class Simulation:
     def values(self) -> Mapping[str, Any]:
         """The groups and the settings as kernels take them, by name."""
         return self._binding.values
-
-    def _phase_rounds(self, phase: Any) -> list[Rounds]:
-        """A phase, or the whole "step", over each shard; bound when first wanted."""
-        if phase not in self._rounds:
-            phases: tuple[Phase, ...] = PHASES if phase == "step" else (phase,)
-            # a whole step that runs out of room halts all shards; else all should say what they need
-            self._rounds[phase] = self._bind_rounds(phases, together=phase == "step")
-        return self._rounds[phase]
-
-    def _bind_rounds(
-        self, phases: tuple[Phase, ...], changed: Mapping[str, Any] | None = None, together: bool = False
-    ) -> list[Rounds]:
-        def bind(first: int, count: int) -> list[Launch]:
-            return [launch for phase in phases for launch in self._phase_launches(phase, first, count, changed)]
-
-        # only collide runs out of room; to look costs a GPU copies for which the host waits
-        watch = self._watch if "collide" in phases else self._watch._replace(stop_at=0, used=())
-        return self._shards.rounds(bind, watch, together)
 
     def _phase_launches(
         self, phase: Phase, first: int, count: int, changed: Mapping[str, Any] | None = None
@@ -197,11 +189,12 @@ class Simulation:
         if config == (before := self._config):
             return
         refuse_recording("a change of config", "make it before")
-        with self._lock:
-            self._config = config
-            self.storage.adapt(config, before)
-            self._bind_all()
-            if self._phase != "advance":
+        with self.calls:
+            with uninterrupted():
+                self._config = config
+                self.storage.adapt(config, before)
+                self._bind_all()
+            if self._turn.ran != "advance":
                 # rows depend on the settings too: those of the step in flight are made anew
                 for shard in self._shards.ranges:
                     self.bind("pack_rows", *shard)()
@@ -209,7 +202,7 @@ class Simulation:
     @property
     def phase(self) -> Phase:
         """The part of a step that was called last: "advance" between two steps, "collide" or "solve" within one."""
-        return self._phase
+        return self._turn.ran
 
     @property
     def layout_version(self) -> int:
@@ -223,7 +216,7 @@ class Simulation:
 
     def warmup(self) -> None:
         """Compile and bind everything now, which the first step would do otherwise (seconds, if not in the cache)."""
-        with self._lock:
+        with self.calls:
             for phase in (*PHASES, "step"):
                 self._phase_rounds(phase)
 
@@ -257,7 +250,8 @@ class Simulation:
         steps = check_count("steps", steps, least=0)
         if start is not None or callback is not None:
             refuse_recording("a step with start or callback", "these run in Python")
-        with self._lock:
+        self.calls.begin()
+        try:
             refuse_hosted(self.backend, self.schedule, self.device)
             self.storage.integrator.set_time_step(dt)
             if start is None and callback is None:
@@ -274,6 +268,8 @@ class Simulation:
                     self.advance()
                 if callback is not None:
                     callback(self)
+        finally:
+            self.calls.end()
 
     def collide(self, dt: float | np.ndarray) -> None:
         """Predict velocities and find the contacts of the step; their impulses hold the start of the solve.
@@ -284,7 +280,7 @@ class Simulation:
         Raises:
             ValueError, OverflowError: see ``step``.
         """
-        with self._lock:
+        with self.calls:
             refuse_hosted(self.backend, self.schedule, self.device)
             self.storage.integrator.set_time_step(dt)
             self._collide()
@@ -303,9 +299,8 @@ class Simulation:
         Raises:
             ValueError: out of turn, or for another setting or a pause out of range.
         """
-        with self._lock:
-            if self._phase == "advance":
-                raise ValueError("solve() needs collide(dt) first: the contacts are those of a finished step")
+        with self.calls:
+            self._turn.check("solve")
             self._solve(config, pause, resume=False)
 
     def resume(self, config: SolverConfig | None = None, *, pause: int | None = None) -> None:
@@ -321,9 +316,8 @@ class Simulation:
         Raises:
             ValueError: see ``solve``.
         """
-        with self._lock:
-            if self._phase != "solve":
-                raise ValueError("resume() needs solve(pause=...) first: no solve is in flight")
+        with self.calls:
+            self._turn.check("resume")
             self._solve(config, pause, resume=True)
 
     @property
@@ -348,60 +342,14 @@ class Simulation:
                         self._bind_all()
                 changed = settings_of_solve(config or self._config, pause, resume)
                 self._solves[key] = self._bind_rounds(("solve",), changed)
-            self._shards.run(self._solves[key], 1)
-        self._phase = "solve"
+            self._take("solve", self._solves[key])
 
     def advance(self) -> None:
         """Commit the step: velocities, positions, their correction, time, and the contact cache."""
-        with self._lock:
-            if self._phase != "solve":
-                raise ValueError("advance() needs solve() first: there are no solved velocities")
+        with self.calls:
+            self._turn.check("advance")
             refuse_hosted(self.backend, self.schedule, self.device)
             self._take("advance")
-            self._phase = "advance"
-
-    def _take(self, phase: Phase) -> bool:
-        """Run a phase in all worlds; whether one ran out of room."""
-        return self._shards.run(self._phase_rounds(phase), 1)
-
-    def _collide(self) -> None:
-        while self._take("collide"):
-            self._grow()
-        self._phase = "collide"
-
-    def _run_steps(self, steps: int) -> None:
-        """All steps of every shard; a shard stops at an overflow, which is mended before it goes on."""
-        if (self.device != "cpu" or self.on_overflow == "raise") and not recording():
-            for _ in range(steps):
-                self._collide()  # all worlds, so that none has moved if one raises
-                self._take("solve")
-                self._take("advance")
-            self._phase = "advance"
-            return
-        left: int | list[int] = steps
-        while self._shards.run(self._phase_rounds("step"), left):
-            left = self._shards.left
-            behind = np.flatnonzero(self._flags & int(CAPACITY_FLAGS))
-            self._grow()
-            for w in behind:
-                self._repeat(int(w))
-        self._phase = "advance"
-
-    def _repeat(self, w: int) -> None:
-        """The step of a world that ran out of room, and so stayed behind the others."""
-        in_turn(self._phase_launches("collide", w, 1))()
-        while (self._flags & int(CAPACITY_FLAGS)).any():
-            self._grow()
-            in_turn(self._phase_launches("collide", w, 1))()
-        in_turn([*self._phase_launches("solve", w, 1), *self._phase_launches("advance", w, 1)])()
-
-    def _grow(self) -> None:
-        """More room for the worlds that ran out of it; their step is then repeated from ``collide``."""
-        flags = self.state.numpy("flags").copy()
-        self.state.assign("flags", flags & ~int(CAPACITY_FLAGS))
-        self._phase = "advance"
-        self.storage.grow(flags, self._config, error=self.on_overflow == "raise")
-        self._bind_all()
 
     def check_start(self) -> None:
         """Raise ValueError, naming the contact, if a start impulse is NaN or inf."""
@@ -420,9 +368,9 @@ class Simulation:
             ValueError: naming what is missing, of a wrong shape, or out of its range, with index and limit.
         """
         refuse_recording("restore_contacts", "it writes at once")
-        with self._lock:
+        with self.calls, uninterrupted():
             self.storage.restore(count, arrays, contact_dt, self._flags, self._config)
-            self._phase = "advance"
+            self._turn.ran = "advance"
             self._bind_all()
 
     def capacity(self) -> dict[str, dict[str, int]]:
@@ -435,7 +383,7 @@ class Simulation:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a snapshot to continue from, bit for bit (see ``snapshot.save``)."""
-        with self._lock:
+        with self.calls:
             snapshot.save(self, path)
 
     @classmethod

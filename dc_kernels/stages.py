@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, Literal, NamedTuple
 
 from dc_kernels.runtime.backends import make_kernels
+from dc_kernels.runtime.capture import recording
 
 Phase = Literal["advance", "collide", "solve"]
 PHASES: tuple[Phase, ...] = ("collide", "solve", "advance")
@@ -85,6 +86,36 @@ STEP = (
     ),
 )  # fmt: skip
 """The stages of a step in order. With schedule "color", ``solve_world`` is cut at the colours (``solve.schedules``)."""
+
+ORDER: dict[str, tuple[tuple[Phase, ...], str]] = {
+    "solve": (
+        ("collide", "solve"),
+        "solve() needs collide(dt) first: the contacts are those of a finished step",
+    ),
+    "resume": (("solve",), "resume() needs solve(pause=...) first: no solve is in flight"),
+    "advance": (("solve",), "advance() needs solve() first: there are no solved velocities"),
+}
+"""The phases that a call may follow, and what is wrong after another one."""
+
+
+class Turn:
+    """Which phase of a step was called last; calls that become part of a graph have a turn of their own.
+
+    Attributes:
+        ran: the phase that ran last.
+        recorded: the phase that became part of a graph last.
+    """
+
+    def __init__(self) -> None:
+        """Begin between two steps."""
+        self.ran: Phase = "advance"
+        self.recorded: Phase = "advance"
+
+    def check(self, call: str) -> None:
+        """Raise ValueError for a call out of turn; a recorded one may follow a phase that was recorded or that ran."""
+        follows, wrong = ORDER[call]
+        if self.ran not in follows and not (recording() and self.recorded in follows):
+            raise ValueError(wrong)
 
 
 def of_phase(phase: Phase, position_correction: bool = True) -> list[str]:

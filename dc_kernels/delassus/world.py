@@ -32,6 +32,11 @@ def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
             between bodies that nothing moves.
     """
     refuse_recording("from_world", "the host reads what the kernels leave")
+    with sim.calls:
+        return _from_world(sim, world)
+
+
+def _from_world(sim: Simulation, world: int) -> DelassusProblem:
     if sim.phase == "advance":
         raise ValueError("the contacts are those of a finished step: call collide(dt) first")
     if not 0 <= world < sim.model.world_count:
@@ -168,6 +173,11 @@ def refine(sim: Simulation, tolerance: float, *, max_sweeps: int = 100_000) -> d
         ValueError: out of turn, on a GPU, or for a tolerance that is not > 0.
     """
     refuse_recording("refine", "the host reads what the kernels leave")
+    with sim.calls:
+        return _refine(sim, tolerance, max_sweeps)
+
+
+def _refine(sim: Simulation, tolerance: float, max_sweeps: int) -> dict[int, DelassusSolution]:
     if sim.phase != "solve" or sim.running.any():
         raise ValueError("refine() stands between a solve() that has ended and advance()")
     _check_device("refine()", sim)

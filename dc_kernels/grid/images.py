@@ -39,7 +39,8 @@ class Images:
     what the step in flight applies. A flagged world has neither bodies nor contacts. Static bodies appear as walls
     only, as they stand when the images are made, kinematic ones not at all.
 
-    Worlds are shared by threads; the bits do not depend on their number. On the CPU only.
+    Worlds are shared by threads; the bits do not depend on their number. On the CPU only. Every call is one of the
+    simulation: while another thread is in one of those, it raises RuntimeError.
 
     Attributes:
         spec: grid, channels and stencil.
@@ -71,6 +72,11 @@ class Images:
         self._impulses: Any = None
         self._splat_impulses: Program | None = None
         self.image = self._array(self._image)
+        with sim.calls:
+            self._allocate()
+
+    def _allocate(self) -> None:
+        sim, spec = self.sim, self.spec
         self._bodies = area_points(sim.model, spec.grid.spacing) if spec.area else center_points(sim.model)
         self._walls = wall_nodes(sim.model, sim.state, spec.grid) if spec.wall_channel >= 0 else None
         self._bind()
@@ -91,8 +97,9 @@ class Images:
 
     def splat(self) -> Any:
         """Fill the image from the present state and contacts, and return it."""
-        self._keep_bound()
-        self._scene()
+        with self.sim.calls:
+            self._keep_bound()
+            self._scene()
         return self.image
 
     def impulse_image(self) -> Any:
@@ -100,15 +107,16 @@ class Images:
 
         Its channels are the normal and tangential impulse [N s] of each bin in turn, as ``start_from`` reads them.
         """
-        self._keep_bound()
-        if self._splat_impulses is None:
-            if self._impulses is None:
-                values = allocate_image(self.worlds, self.spec.impulse_channels, self.spec.grid, self.sim.dtype)
-                self._impulses = self._array(values)
-            to_numpy(self._impulses).fill(0)
-            self._splat_impulses = self._scene.program(self._scene.impulse_stages(self._impulse, self._impulses))
-        self._splat_impulses()
-        return self._impulses
+        with self.sim.calls:
+            self._keep_bound()
+            if self._splat_impulses is None:
+                if self._impulses is None:
+                    values = allocate_image(self.worlds, self.spec.impulse_channels, self.spec.grid, self.sim.dtype)
+                    self._impulses = self._array(values)
+                to_numpy(self._impulses).fill(0)
+                self._splat_impulses = self._scene.program(self._scene.impulse_stages(self._impulse, self._impulses))
+            self._splat_impulses()
+            return self._impulses
 
     # ------------------------------------------------------------------ back to the contacts
 
@@ -167,7 +175,6 @@ class Images:
         return start
 
     def _gather(self, image: Any, at: str, channels: int | None, stencil: Stencil | None, reverse: bool) -> Any:
-        self._keep_bound()
         pointer, shape = address(image, "image", self.sim.dtype)
         bins = self.spec.bins if at == "contacts" else 1
         count = channels or (shape[1] // bins if len(shape) > 1 else 0)
@@ -175,10 +182,12 @@ class Images:
             wanted, (rows, columns) = f"{channels * bins}" if channels else f"C * {bins}", self.spec.grid.shape
             raise ValueError(f"image has shape {shape}; it must be ({self.worlds}, {wanted}, {rows}, {columns})")
         key = (at, count, channels is not None, stencil, reverse)
-        if key not in self._gathers:
-            self._gathers[key] = self._bind_gather(*key)
-        run, value = self._gathers[key]
-        run(image, pointer)
+        with self.sim.calls:
+            self._keep_bound()
+            if key not in self._gathers:
+                self._gathers[key] = self._bind_gather(*key)
+            run, value = self._gathers[key]
+            run(image, pointer)
         return value
 
     def _bind_gather(

@@ -86,14 +86,15 @@ class SolveReader:
         self.image = allocate_image(worlds, len(IMAGE), grid, sim.dtype)
         self._point_count = np.zeros(worlds, np.int32)
         self.asked = self.count = 0
-        self._bind()
+        with sim.calls:
+            self._bind()
 
     def begin(self) -> None:
         """Take the impulses that the solves begin with as those known: ``since`` then counts from there."""
         refuse_recording("a solve that is read", "the host reads what the kernels leave")
-        if self._bound != (self.sim.layout_version, self.sim.config):
-            self._bind()
-        np.copyto(self.known, self.sim.contacts.numpy("impulse"))
+        with self.sim.calls:
+            self._keep_bound()
+            np.copyto(self.known, self.sim.contacts.numpy("impulse"))
 
     def read(self, worlds: np.ndarray, *, begin: bool) -> int:
         """Fill features and images of these worlds, whose solve is paused.
@@ -109,19 +110,19 @@ class SolveReader:
             ValueError: for a world that is not there, out of order or not paused, or acceleration "nncg".
         """
         refuse_recording("a solve that is read", "the host reads what the kernels leave")
-        self._check(worlds)
-        if self._bound != (self.sim.layout_version, self.sim.config):
-            self._bind()
-        self.asked = asked = len(worlds)
-        counts = self.sim.contacts.numpy("contact_count")[worlds]
-        self.active[:asked] = worlds
-        np.cumsum(counts, out=self.packed_start[1 : asked + 1])
-        self.count = int(self.packed_start[asked])
-        self.packed_start[asked + 1 :] = self.count
-        self._point_count[:asked] = counts
-        self._point_count[asked:] = 0
-        self._read[begin]()
-        return self.count
+        with self.sim.calls:
+            self._check(worlds)
+            self._keep_bound()
+            self.asked = asked = len(worlds)
+            counts = self.sim.contacts.numpy("contact_count")[worlds]
+            self.active[:asked] = worlds
+            np.cumsum(counts, out=self.packed_start[1 : asked + 1])
+            self.count = int(self.packed_start[asked])
+            self.packed_start[asked + 1 :] = self.count
+            self._point_count[:asked] = counts
+            self._point_count[asked:] = 0
+            self._read[begin]()
+            return self.count
 
     def features(self) -> Any:
         """Return ``local`` of the contacts read as a torch tensor (count, len(LOCAL)) on its memory."""
@@ -173,8 +174,9 @@ class SolveReader:
         pointer, shape = address(output, "output", self.sim.dtype)
         if shape != (self.count, len(OUTPUT)):
             raise ValueError(f"output has shape {shape}; it must be ({self.count}, {len(OUTPUT)})")
-        self._correct(output, pointer)
-        return self.sim.stats.numpy("replaced")[self.active[: self.asked]] != 0
+        with self.sim.calls:
+            self._correct(output, pointer)
+            return np.asarray(self.sim.stats.numpy("replaced")[self.active[: self.asked]] != 0)
 
     # ------------------------------------------------------------------ set-up
 
@@ -222,6 +224,11 @@ class SolveReader:
             count=self._point_count,
             place=getattr(self, place),
         )
+
+    def _keep_bound(self) -> None:
+        """Bind everything anew where the simulation has other arrays or settings than at the last time."""
+        if self._bound != (self.sim.layout_version, self.sim.config):
+            self._bind()
 
     def _bind(self) -> None:
         """Bind everything to the simulation's present arrays and settings."""

@@ -91,7 +91,8 @@ class Rounds:
         """
         self.launches, self.watch, self.peak, self.halt = list(launches), watch, peak, halt
         self._worlds = slice(first, first + count)
-        self._done = aligned_zeros((CACHE_LINE,), np.dtype(np.int32))
+        self._done = aligned_zeros((CACHE_LINE,), np.dtype(np.int64))
+        self._counted = 0
         self._run: Any = None
         table = address_table(launches)
         if table is None:
@@ -113,22 +114,33 @@ class Rounds:
             },
         )
 
-    def take(self, rounds: int) -> int:
-        """Take so many rounds, or fewer if one halts; how many were taken, with the one that halts."""
+    @property
+    def compiled(self) -> bool:
+        """Whether the launches of a round are made without Python between them, so that no interrupt falls into one."""
+        return self._run is not None
+
+    def take(self, rounds: int) -> None:
+        """Take so many rounds, or fewer if one halts; ``count`` tells how many, with the one that halts."""
         if self._run is not None:
             self._run.set("rounds", rounds)
             self._run.launch_now()
-            return int(self._done[0])
-        for done in range(rounds):
+            return
+        for _ in range(rounds):
             if self.halt[0]:
-                return done
+                break
             for launch in self.launches:
                 launch()
+            self._done[0] += 1
             for k, used in enumerate(self.watch.used):
                 self.peak[k] = max(int(self.peak[k]), int(to_numpy(used)[self._worlds].max(initial=0)))
             if self.watch.stop_at and (to_numpy(self.watch.flags)[self._worlds] & self.watch.stop_at).any():
                 self.halt[0] = 1
-        return rounds
+
+    def count(self) -> int:
+        """Rounds taken since this was last asked; an interrupt right after they were taken loses none."""
+        done = int(self._done[0])
+        found, self._counted = done - self._counted, done
+        return found
 
     def record(self, rounds: int) -> None:
         """Make so many rounds part of the graph that this thread records."""

@@ -12,7 +12,7 @@ from dc_kernels.model.dtypes import aligned_zeros
 from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import recording
 from dc_kernels.runtime.sequences import CACHE_LINE, Rounds, Watch
-from dc_kernels.runtime.threads import run_together
+from dc_kernels.runtime.threads import run_together, uninterrupted
 
 SHARDS_PER_THREAD = 2  # who is done first takes on what is left
 CHUNK = 10  # rounds that a thread takes of a shard at a time: 250 at once leaves one idle at the end for 3 %
@@ -29,6 +29,7 @@ class Shards:
         ranges: first world and number of worlds of each shard.
         peak: the most that a world used of each kind of room, an int32 for each kind in the row of a shard, or of all.
         left: rounds that each shard has still to take.
+        halted: whether one of the rounds taken last halted.
     """
 
     def __init__(self, worlds: int, bodies: int, threads: int) -> None:
@@ -40,9 +41,15 @@ class Shards:
         self.bodies = max(bodies, 1)
         self.peak = aligned_zeros((count + 1, CACHE_LINE), INT)
         self.left = [0] * count
+        self.halted = False
         self._lock = threading.Lock()
         self._busy: set[int] = set()
         self._stop = False
+
+    @property
+    def _at_once(self) -> int:
+        """Rounds that are taken between two looks for an interrupt."""
+        return max(AT_ONCE // self.bodies, 1)
 
     def rounds(self, bind: Callable[[int, int], Sequence[Launch]], watch: Watch, together: bool) -> list[Rounds]:
         """Rounds of each shard, and if there are several of all shards as one.
@@ -70,35 +77,66 @@ class Shards:
             count: rounds to take: of all shards, or of each.
 
         Raises:
-            BaseException: an interrupt, when no thread is at work any more; shards may differ in what is left.
+            BaseException: an interrupt, when no thread is at work any more; compiled rounds are then taken on until
+                each shard has come as far as that which came farthest, unless one has halted.
         """
         self.left = [count] * len(self.ranges) if isinstance(count, int) else list(count)
         shards, whole = rounds[: len(self.ranges)], rounds[-1]
         longest = max(self.left)
-        even = longest == min(self.left)
+        self.halted = False
         if recording():
             whole.record(longest)
             return False
         for one in rounds:
             one.halt[0] = 0
-        if self.threads > 1 and self.bodies * longest >= WORTH_THREADS:
-            self._share(shards)
-            return any(shard.halt[0] for shard in shards)
-        most = max(AT_ONCE // self.bodies, 1)
-        if even:
-            while longest and not whole.halt[0]:
-                longest -= whole.take(min(longest, most))
-            self.left = [longest] * len(self.ranges)
-            return bool(whole.halt[0])
-        for i, shard in enumerate(shards):
-            while self.left[i] and not shard.halt[0]:
-                self.left[i] -= shard.take(min(self.left[i], most))
-        return any(shard.halt[0] for shard in shards)
+        try:
+            if self.threads > 1 and self.bodies * longest >= WORTH_THREADS:
+                self._share(shards)
+            elif longest == min(self.left):
+                at_once, n = self._at_once, len(self.left)
+                while longest and not whole.halt[0]:
+                    whole.take(min(longest, at_once))
+                    longest -= whole.count()
+                    self.left = [longest] * n
+                self.halted = bool(whole.halt[0])
+                return self.halted
+            else:
+                for i in range(len(shards)):
+                    self._take_one(rounds, i, 0)
+        except BaseException:
+            with uninterrupted():
+                taken = whole.count()
+                self.left = [left - taken - shard.count() for left, shard in zip(self.left, shards)]
+                self.halted = any(one.halt[0] for one in rounds)
+                if not self.halted:
+                    self.level(rounds)
+            raise
+        self.halted = any(shard.halt[0] for shard in shards)
+        return self.halted
+
+    def level(self, rounds: Sequence[Rounds]) -> bool:
+        """Take compiled rounds until each shard has as few ``left`` as any, or one halts; whether one did."""
+        if not all(one.compiled for one in rounds):
+            return False
+        for one in rounds:
+            one.halt[0] = 0
+        ahead = min(self.left)
+        for i in range(len(self.ranges)):
+            self._take_one(rounds, i, ahead)
+        self.halted = any(one.halt[0] for one in rounds)
+        return self.halted
+
+    def _take_one(self, rounds: Sequence[Rounds], i: int, least: int) -> None:
+        """Take rounds of a shard until so few are left, as long as it doesn't halt."""
+        while self.left[i] > least and not rounds[i].halt[0]:
+            rounds[i].take(min(self.left[i] - least, self._at_once))
+            self.left[i] -= rounds[i].count()
 
     def _share(self, shards: Sequence[Rounds]) -> None:
         """All threads take chunks of shards."""
         self._stop = False
-        most = min(CHUNK, max(AT_ONCE // self.bodies, 1))
+        self._busy.clear()
+        most = min(CHUNK, self._at_once)
 
         def work() -> None:
             try:
@@ -121,11 +159,8 @@ class Shards:
                 return False
             i = max(free, key=self.left.__getitem__)
             self._busy.add(i)
-        done = 0
-        try:
-            done = shards[i].take(min(self.left[i], most))
-        finally:
-            with self._lock:
-                self.left[i] -= done
-                self._busy.discard(i)
+        shards[i].take(min(self.left[i], most))
+        with self._lock:
+            self.left[i] -= shards[i].count()
+            self._busy.discard(i)
         return True

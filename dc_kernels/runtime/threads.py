@@ -5,10 +5,12 @@ The thread that calls works too, so a task never waits for another one, and a ca
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
+import signal
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, TypeVar
 
@@ -25,6 +27,69 @@ _making = threading.Lock()
 GPU_CALLS = threading.RLock()
 """What calls that work on a GPU hold: Warp copies from there on another stream, which it makes current for all threads,
 so that of two at once one may leave it so."""
+
+
+class OneCaller:
+    """What the calls of an object hold that serves one thread at a time: a second thread gets an error and never waits.
+
+    Calls of the thread that holds it may nest. ``begin`` and ``end`` are what ``with`` does, without its cost.
+    """
+
+    def __init__(self, what: str, then: Any = None) -> None:
+        """Make it free.
+
+        Args:
+            what: the object, as the error names it.
+            then: a lock that is waited for, once no other thread holds this one.
+        """
+        self.what, self._then = what, then
+        self._lock = threading.RLock()
+        self.end: Callable[[], None] = self._lock.release if then is None else self._release_both
+
+    def begin(self) -> None:
+        """Take it.
+
+        Raises:
+            RuntimeError: at once, while a call of another thread holds it.
+        """
+        if not self._lock.acquire(False):
+            raise RuntimeError(
+                f"{self.what} is at work in a call of another thread, and nothing of this call was done: let its calls "
+                "follow each other, by a lock around them, or give each thread an object of its own"
+            )
+        if self._then is not None:
+            try:
+                self._then.acquire()
+            except BaseException:
+                self._lock.release()
+                raise
+
+    def _release_both(self) -> None:
+        self._then.release()
+        self._lock.release()
+
+    def __enter__(self) -> None:
+        self.begin()
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+
+@contextlib.contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Hold back an interrupt (Ctrl-C, SIGINT) until the block has ended: for work that must not be left half done."""
+    handler = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+        yield  # Python interrupts the main thread alone, and only by a handler of its own
+        return
+    held: list[tuple[Any, Any]] = []
+    signal.signal(signal.SIGINT, lambda *what: held.append(what))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        if held:
+            handler(*held[0])
 
 
 def thread_pool(threads: int) -> ThreadPoolExecutor:

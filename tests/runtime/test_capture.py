@@ -87,6 +87,39 @@ def test_phases_become_part_of_the_graph():
     assert_same(sim, alone)
 
 
+def test_what_is_recorded_leaves_the_turn_of_what_runs():
+    """A recorded phase has not run: the simulation takes no solve for granted that only a graph holds."""
+    sim, alone = simulation(), simulation()
+    collide = record(lambda: sim.collide(DT))
+    assert sim.phase == "advance"
+    with pytest.raises(ValueError, match="needs collide"):
+        sim.solve()
+    replay(collide)
+    solve = record(lambda: (sim.solve(), sim.advance()))  # follows the recorded one
+    assert sim.phase == "advance"
+    replay(solve)
+    sim.collide(DT)
+    step = record(lambda: sim.step(DT))
+    assert sim.phase == "collide"
+    sim.solve()
+    advance = record(sim.advance)  # follows the solve that ran
+    assert sim.phase == "solve"
+    replay(advance)
+    replay(step)
+    alone.run(3, DT)
+    assert_same(sim, alone)
+
+
+def test_what_is_recorded_out_of_turn_is_refused():
+    sim = simulation()
+    for call in (sim.solve, sim.resume, sim.advance):
+        with pytest.raises(ValueError, match="needs"):
+            record(call)
+    record(lambda: sim.step(DT))
+    with pytest.raises(ValueError, match="needs collide"):
+        record(sim.solve)
+
+
 def test_a_graph_leaves_a_world_without_room_to_the_next_step():
     sim, alone = simulation(40, contacts_per_body=0.1, pairs_per_shape=0.2), simulation(40)
     version = sim.layout_version

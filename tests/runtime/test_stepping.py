@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +12,9 @@ import warp as wp
 
 import dc_kernels as dc
 from dc_kernels.runtime import launches, stepping
-from dc_kernels.runtime.sequences import Watch
+from dc_kernels.runtime.sequences import Rounds, Watch
 from dc_kernels.runtime.stepping import Shards
+from dc_kernels.runtime.threads import uninterrupted
 
 WORLDS = 6
 
@@ -57,6 +60,72 @@ def test_a_round_from_which_no_bit_halts_goes_on():
     worlds.flags[2] = 1  # another bit
     assert not worlds.shards.run(worlds.rounds, 5)
     assert list(worlds.count) == [5, 5, 0, 5, 5, 5]
+
+
+def interrupt(monkeypatch, when):
+    """Interrupt the present thread right after it has taken rounds, for the time so many: before it counts them."""
+    here, count, calls = threading.current_thread(), Rounds.count, []
+
+    def count_or_raise(rounds):
+        if threading.current_thread() is here:
+            calls.append(rounds)
+            if len(calls) == when:
+                raise KeyboardInterrupt
+        return count(rounds)
+
+    monkeypatch.setattr(Rounds, "count", count_or_raise)
+
+
+@pytest.mark.parametrize("worth", [0, 10**9])
+@pytest.mark.parametrize("room", [0.2, 2.5])
+@pytest.mark.parametrize("when", [1, 2, 3])
+def test_an_interrupt_leaves_all_worlds_after_the_same_step(monkeypatch, when, room, worth):
+    """Whatever the threads have taken of it, and whether a world was about to get more room."""
+    monkeypatch.setattr(stepping, "WORTH_THREADS", worth)
+    monkeypatch.setattr(stepping, "AT_ONCE", 10**3)
+    sim, alone = pile(threads=2, contacts_per_body=room), pile()
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        interrupt(patch, when)
+        sim.run(3000, 0.01)
+    time = sim.state.numpy("time")
+    steps = int(np.argmin(np.abs(np.arange(3001) * 0.01 - time[0])))
+    assert 0 < steps < 3000 and (time == time[0]).all() and sim.phase == "advance"
+    alone.run(steps, 0.01)
+    sim.run(30, 0.01)
+    alone.run(30, 0.01)
+    for name in ("position", "velocity", "time"):
+        np.testing.assert_array_equal(sim.state.numpy(name), alone.state.numpy(name))
+
+
+@pytest.mark.parametrize("worth", [0, 10**9])
+def test_an_interrupted_phase_has_ended_in_all_worlds_and_is_not_taken_twice(monkeypatch, worth):
+    monkeypatch.setattr(stepping, "WORTH_THREADS", worth)
+    sim, alone = pile(threads=2), pile()
+    for one in (sim, alone):
+        one.run(40, 0.01)
+    for phase, call in (("collide", lambda: sim.collide(0.01)), ("solve", sim.solve), ("advance", sim.advance)):
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            interrupt(patch, 1)
+            call()
+        assert sim.phase == phase
+    with pytest.raises(ValueError, match="needs solve"):
+        sim.advance()
+    alone.step(0.01)
+    for name in ("position", "velocity", "time"):
+        np.testing.assert_array_equal(sim.state.numpy(name), alone.state.numpy(name))
+
+
+def test_an_interrupt_is_held_back_until_the_block_has_ended():
+    done = []
+    with pytest.raises(KeyboardInterrupt):
+        with uninterrupted():
+            with uninterrupted():
+                signal.raise_signal(signal.SIGINT)
+                done.append(1)
+            done.append(2)
+        done.append(3)
+    assert done == [1, 2]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def pile(**options):

@@ -7,12 +7,17 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import Future
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import warp as wp
 
 import dc_kernels as dc
+from dc_kernels import delassus
+from dc_kernels.learn.channels import OUTPUT
+from dc_kernels.learn.in_flight import SolveReader
 from dc_kernels.runtime import stepping, threads
 from dc_kernels.runtime.building import building
 
@@ -75,14 +80,17 @@ def simulation(worlds=2, discs=6, **options):
 
 
 def on_a_thread(function, seconds=20.0):
-    """What a function returns on a thread of its own, or TimeoutError."""
-    found = []
-    thread = threading.Thread(target=lambda: found.append(function()), daemon=True)
-    thread.start()
-    thread.join(seconds)
-    if not found:
-        raise TimeoutError
-    return found[0]
+    """What a function returns or raises on a thread of its own, or TimeoutError."""
+    found = Future()
+
+    def work():
+        try:
+            found.set_result(function())
+        except BaseException as error:
+            found.set_exception(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    return found.result(seconds)
 
 
 def test_the_first_use_may_come_from_many_threads():
@@ -133,16 +141,115 @@ def test_calls_of_one_splat_by_tiles_wait_for_each_other():
     np.testing.assert_array_equal(image, wanted)
 
 
-def test_calls_of_one_simulation_wait_for_each_other():
+def entries(sim):
+    """Every call of a simulation and of what works on it, by name; each may follow those before it."""
+    images = dc.Images(sim, dc.ImageSpec(GRID))
+    reader = SolveReader(sim, GRID)
+    image = np.zeros((len(sim.state.numpy("time")), 2, 16, 16), np.float32)
+    cached = {name: sim.contacts.numpy(name)[:0] for name in ("key", "impulse", "color", "age")}
+    none = np.zeros(len(sim.state.numpy("time")), np.int32)
+    return {
+        "step": lambda: sim.step(0.01),
+        "run": lambda: sim.run(3, 0.01),
+        "run of no step": lambda: sim.run(0, 0.01),
+        "collide": lambda: sim.collide(0.01),
+        "from_world": lambda: delassus.from_world(sim),
+        "solve": sim.solve,
+        "solve that pauses": lambda: sim.solve(pause=1),
+        "begin": reader.begin,
+        "read": lambda: reader.read(np.flatnonzero(sim.running), begin=True),
+        "correct": lambda: reader.correct(np.zeros((reader.count, len(OUTPUT)), np.float32)),
+        "resume": sim.resume,
+        "refine": lambda: delassus.refine(sim, 1e-9),
+        "advance": sim.advance,
+        "warmup": sim.warmup,
+        "config": lambda: setattr(sim, "config", replace(sim.config, max_sweeps=sim.config.max_sweeps + 1)),
+        "save": lambda: sim.save(os.devnull),
+        "restore_contacts": lambda: sim.restore_contacts(none, cached, none.astype(np.float32)),
+        "images": lambda: dc.Images(sim, dc.ImageSpec(GRID)),
+        "splat": images.splat,
+        "impulse_image": images.impulse_image,
+        "gather": lambda: images.gather(image),
+        "start_from": lambda: images.start_from(image),
+    }
+
+
+def test_a_second_thread_is_told_at_once_that_a_simulation_is_at_work():
+    """One waits within a step while the other tries every call: each is refused, and the bits are those of one."""
     sim, alone = simulation(), simulation()
-    workers = [threading.Thread(target=lambda: [sim.step(0.01) for _ in range(100)]) for _ in range(3)]
+    sim.run(20, 0.01)
+    alone.run(22, 0.01)
+    calls = entries(sim)
+    begun, end = threading.Event(), threading.Event()
+
+    def wait(_):
+        begun.set()
+        assert end.wait(20.0)
+
+    worker = threading.Thread(target=lambda: sim.run(1, 0.01, callback=wait), daemon=True)
+    worker.start()
+    assert begun.wait(20.0)
+    try:
+        for name, call in calls.items():
+            before = time.monotonic()
+            with pytest.raises(RuntimeError, match=r"the simulation of 2 worlds and 14 bodies is at work in a call of"):
+                call()
+            assert time.monotonic() - before < 1.0, name
+    finally:
+        end.set()
+        worker.join(20.0)
+    sim.step(0.01)
+    for name in ("position", "velocity", "time"):
+        np.testing.assert_array_equal(sim.state.numpy(name), alone.state.numpy(name))
+
+
+def test_threads_call_a_simulation_one_after_the_other(tmp_path):
+    sim, alone = simulation(), simulation()
+    sim.run(20, 0.01)
+    alone.run(20, 0.01)
+    theirs = entries(alone)
+    for name, call in entries(sim).items():
+        if name != "save":
+            on_a_thread(call)
+            theirs[name]()
+    on_a_thread(lambda: sim.save(tmp_path / "snapshot.h5"))
+    for name in ("position", "velocity", "time"):
+        np.testing.assert_array_equal(sim.state.numpy(name), alone.state.numpy(name))
+
+
+def test_threads_that_step_one_simulation_at_once_take_only_the_steps_that_returned():
+    sim, alone = simulation(), simulation()
+    taken, refused = [], []
+
+    def work():
+        for _ in range(200):
+            try:
+                sim.step(0.01)
+            except RuntimeError:
+                refused.append(1)
+            else:
+                taken.append(1)
+
+    workers = [threading.Thread(target=work) for _ in range(3)]
     for worker in workers:
         worker.start()
     for worker in workers:
         worker.join(60.0)
-    alone.run(300, 0.01)
-    np.testing.assert_array_equal(sim.state.numpy("position"), alone.state.numpy("position"))
-    np.testing.assert_array_equal(sim.state.numpy("time"), alone.state.numpy("time"))
+    assert len(taken) + len(refused) == 600
+    alone.run(len(taken), 0.01)
+    for name in ("position", "velocity", "time"):
+        np.testing.assert_array_equal(sim.state.numpy(name), alone.state.numpy(name))
+
+
+def test_several_calls_may_be_kept_from_other_threads():
+    sim = simulation()
+    with sim.calls:
+        sim.collide(0.01)
+        with pytest.raises(RuntimeError, match="at work in a call of another thread"):
+            on_a_thread(sim.solve)
+        sim.solve()
+        sim.advance()
+    on_a_thread(lambda: sim.step(0.01))
 
 
 def test_a_thread_steps_while_another_records_a_graph():

@@ -65,13 +65,12 @@ def kernels() -> dict[str, Any]:
         # in, out:
         peak: wp.array(dtype=wp.int32),
         halt: wp.array(dtype=wp.int32),
-        # out:
-        done: wp.array(dtype=wp.int32),
+        done: wp.array(dtype=wp.int64),
     ):
         """Rounds of all launches, until a world's flags hold a bit of ``stop_at``: that halts whoever shares ``halt``.
 
         ``used`` holds the address of an int32 for each world, for several kinds of room; ``peak`` is raised to the most
-        that a world used of each kind after any round.
+        that a world used of each kind after any round, and ``done`` by the rounds taken.
         """
         taken = int(0)
         while taken < rounds and read_shared(halt) == 0:
@@ -87,6 +86,6 @@ def kernels() -> dict[str, Any]:
                 peak[k] = most
             if full != 0:
                 write_shared(halt, 1)
-        done[0] = taken
+        done[0] = done[0] + wp.int64(taken)
 
     return {"run_launches": run_launches, "repeat_launches": repeat_launches}
