@@ -28,7 +28,6 @@ LABELS = {
     "pybox2d_10": "pybox2d\n10 iterations",
     "pybox2d_50": "pybox2d\n50 iterations",
 }
-OURS, PEER = "#0b6e99", "#b8bfc6"
 
 
 def run_bench(name: str, quick: bool) -> dict[str, Any]:
@@ -65,35 +64,32 @@ def engine_values(record: dict[str, Any]) -> tuple[list[float], list[float]]:
 
 def draw(record: dict[str, Any], path: Path) -> None:
     """Draw the bench ``worlds``: thesis worlds per second, and how far the settled discs overlap."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from pipeline.plots import style
 
     speed, overlap = engine_values(record)
-    colors = [OURS if name == "ours" else PEER for name in ENGINES]
-    figure, axes = plt.subplots(1, 2, figsize=(9.6, 3.4), sharey=True, layout="constrained")
+    colors = [style.VERMILION if name == "ours" else style.EDGE for name in ENGINES]
     titles = (
         "thesis worlds per second, one thread\n(more is better)",
         "mean overlap after the run [mm]\n(less is better)",
     )
-    for axis, values, title in zip(axes, (speed, overlap), titles, strict=True):
-        bars = axis.barh(range(len(ENGINES)), values, color=colors, height=0.68)
-        axis.bar_label(bars, [f"{value:.3g}" for value in values], padding=4, fontsize=9)
-        axis.set_title(title, fontsize=10, loc="left")
-        axis.set_xlim(0, 1.15 * max(values))
-        axis.spines[["top", "right", "bottom"]].set_visible(False)
-        axis.tick_params(left=False, bottom=False, labelbottom=False)
-    axes[0].set_yticks(range(len(ENGINES)), [LABELS[name] for name in ENGINES], fontsize=9)
-    axes[0].invert_yaxis()
-    figure.supxlabel(
-        f"100 discs fall into a box, 250 steps of 0.01 s; creation included. {record['machine']['cpu']}",
-        fontsize=8,
-        color="#555555",
-    )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=160)
-    plt.close(figure)
+    with style.figure(9.6, 3.4) as figure:
+        axes = figure.subplots(1, 2, sharey=True)
+        for axis, values, title in zip(axes, (speed, overlap), titles, strict=True):
+            bars = axis.barh(range(len(ENGINES)), values, color=colors, height=0.68)
+            axis.bar_label(bars, [f"{value:.3g}" for value in values], padding=4, fontsize=9)
+            axis.set_title(title, fontsize=10)
+            axis.set_xlim(0, 1.15 * max(values))
+            axis.grid(False)
+            axis.spines[["top", "right", "bottom"]].set_visible(False)
+            axis.tick_params(left=False, bottom=False, labelbottom=False)
+        axes[0].set_yticks(range(len(ENGINES)), [LABELS[name] for name in ENGINES], fontsize=9)
+        axes[0].invert_yaxis()
+        figure.supxlabel(
+            f"100 discs fall into a box, 250 steps of 0.01 s; creation included. {record['machine']['cpu']}",
+            fontsize=8,
+            color=style.MUTED,
+        )
+        style.save_figure(figure, path, dpi=160)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -137,7 +137,7 @@ def _title(case: Any, summary: dict[str, Any]) -> str:
     out = summary["left_out"]
     return (
         f"{case.title}: {summary['states']} states, {summary['contacts']:,.0f} contacts in the mean"
-        f"{f'; {out} without a reference' if out else ''}"
+        f"{f'; {out} without a reference' if out else ''}; points of solves: geometric means over the states"
     )
 
 

@@ -205,12 +205,14 @@ def draw(times: Mapping[str, Mapping[str, list[float | None]]], files: int, stat
         axes = figure.subplots(1, 2, sharey=True)
         for axis, (tag, tolerance) in zip(axes, TOLERANCES.items(), strict=True):
             for i, (solver, share) in enumerate(profile(times[tag]).items()):
-                line = style.LINES[i // 4 % len(style.LINES)] if solver != "auto" else "-"
-                axis.plot(RATIOS, share, line, color=style.CYCLE[i], label=solver, lw=2.6 if solver == "auto" else 1.6)
+                width = 2.6 if solver == "auto" else 1.6
+                every = (0.02 * i, 0.16)
+                axis.plot(RATIOS, share, label=solver, linewidth=width, markevery=every, **style.SOLVERS[solver])
             axis.set(xscale="log", xlim=(1, RATIOS[-1]), ylim=(0, 1.02), xlabel="time over the fastest solver's")
             axis.set_title(f"relative natural map {tolerance:g}")
         axes[0].set_ylabel(f"share solved of {files} files and {states} states of our scenes")
-        axes[1].legend(loc="lower right", ncols=2)
+        handles, labels = axes[1].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), handlelength=3.0)
         style.save_figure(figure, path)
 
 

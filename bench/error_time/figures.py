@@ -14,6 +14,8 @@ from bench.error_time.motion import MOTIONS, SERIES, order
 from dc_kernels.runtime.optional import require
 from pipeline.plots import style as plots
 
+Style = Mapping[str, str]
+"""Colour, marker and dash of a setting."""
 PALE = "#b8c4d0"
 LINE = {"linewidth": 1.6, "zorder": 3}
 # panels of a scene: kind of point, error, title, axis
@@ -25,6 +27,8 @@ PANELS = (
     ("run", "penetration", "mean penetration, pile at rest", "[m]"),
     ("run", "drift", "drift of the pile at rest", "[m/s]"),
 )
+VARIANTS = {"from zero": ("v", ":"), "float64": ("D", "--"), "scalar": ("X", "-."), "ContactNet": ("P", "--")}
+"""Marker and dash of settings that differ in more than the acceleration."""
 LEAST = {"penetration": 1e-9, "drift": 1e-9}  # zero is drawn there
 PEERS = {"pymunk": "s", "pybox2d": "^"}
 OFFSETS = {"pymunk": 5, "pybox2d": -10}  # of their names [points]
@@ -42,7 +46,7 @@ def scene_figure(title: str, points: Sequence[Mapping[str, Any]], path: Path) ->
     with plots.figure(14.0, 8.4) as figure:
         figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
         axes = figure.subplots(2, 3).ravel()
-        colors = _colors(points)
+        styles = _styles(points)
         for panel, (kind, error, name, unit) in zip(axes, PANELS, strict=True):
             chosen = [p for p in points if p["kind"] in (kind, f"{kind}_default") and p.get(error) is not None]
             panel.set(xscale="log", yscale="log", title=f"{name} {unit}")
@@ -51,7 +55,7 @@ def scene_figure(title: str, points: Sequence[Mapping[str, Any]], path: Path) ->
                 panel.text(0.5, 0.5, "no reference reached", transform=panel.transAxes, ha="center", color=plots.MUTED)
                 panel.axis("off")
                 continue
-            (_solves if kind == "solve" else _runs)(panel, chosen, error, colors)
+            (_solves if kind == "solve" else _runs)(panel, chosen, error, styles)
             _decades(panel)
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, fontsize=9, loc="outside lower center", ncols=9, handlelength=1.6)
@@ -59,7 +63,7 @@ def scene_figure(title: str, points: Sequence[Mapping[str, Any]], path: Path) ->
         plots.save_figure(figure, path)
 
 
-def _colors(points: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+def _styles(points: Sequence[Mapping[str, Any]]) -> dict[str, Style]:
     """A colour for plain and default, and for what is on a front most often; the others are pale."""
     counts: dict[str, int] = {}
     for point in points:
@@ -68,12 +72,21 @@ def _colors(points: Sequence[Mapping[str, Any]]) -> dict[str, str]:
             counts[point["setting"]] = counts.get(point["setting"], 0) + on
     fixed = [error_time_solve.DEFAULT.label, "plain"]
     often = sorted((label for label in counts if label not in fixed and counts[label]), key=lambda s: -counts[s])
-    colors = {"plain": plots.INK, fixed[0]: plots.CYCLE[0]}
-    for setting in error_time_solve.settings(learned=True):  # the same colour in every figure, as far as they last
-        if setting.label not in colors and setting.method == "pgs":
-            colors[setting.label] = plots.CYCLE[1 + (len(colors) - 2) % (len(plots.CYCLE) - 1)]
     named = [label for label in fixed if label in counts] + often[:MOST_NAMED]
-    return {label: colors.get(label, plots.MUTED) for label in named}
+    return {label: line_style(label) for label in named}
+
+
+def line_style(label: str) -> Style:
+    """Colour of a setting's acceleration, with a marker and a dash of the setting's own; Jacobi's curves are grey."""
+    name, *more = label.split(", ")
+    method, _, acceleration = name.rpartition(" ")
+    style = dict(plots.SOLVERS[acceleration])
+    if method:
+        style["color"] = plots.MUTED
+    for kind, (marker, line) in VARIANTS.items():
+        if kind in more:
+            style.update(marker=marker, linestyle=line)
+    return style
 
 
 def _decades(axes: Any) -> None:
@@ -100,7 +113,7 @@ def _value(point: Mapping[str, Any], error: str) -> float:
     return max(point[error], LEAST.get(error, 0.0))
 
 
-def _solves(axes: Any, points: Sequence[Mapping[str, Any]], error: str, colors: Mapping[str, str]) -> None:
+def _solves(axes: Any, points: Sequence[Mapping[str, Any]], error: str, styles: Mapping[str, Style]) -> None:
     """A curve a setting over the number of sweeps; a star where the default solver stops."""
     _front(axes, points, error)
     curves: dict[str, list[tuple[float, float]]] = {}
@@ -108,32 +121,30 @@ def _solves(axes: Any, points: Sequence[Mapping[str, Any]], error: str, colors: 
         if point["kind"] == "solve":
             curves.setdefault(point["setting"], []).append((point["seconds"], point[error]))
     for label, curve in curves.items():
-        if label not in colors:
+        if label not in styles:
             axes.plot(*zip(*curve, strict=True), color=PALE, linewidth=0.8, zorder=2)
-    for label in colors:
+    for label, style in styles.items():
         if label in curves:
-            axes.plot(
-                *zip(*curves[label], strict=True), color=colors[label], marker="o", markersize=2.5, label=label, **LINE
-            )
+            axes.plot(*zip(*curves[label], strict=True), markersize=3.5, label=label, **style, **LINE)
     axes.plot([], [], color=PALE, linewidth=0.8, label="other settings")
     for point in points:
         if point["kind"] == "solve_default":
             place = (point["seconds"], point[error])
             axes.plot(
-                *place, "*", color=plots.CYCLE[0], markersize=13, markeredgecolor="white", zorder=5, label="default"
+                *place, "*", color=plots.VERMILION, markersize=13, markeredgecolor="white", zorder=5, label="default"
             )
 
 
-def _runs(axes: Any, points: Sequence[Mapping[str, Any]], error: str, colors: Mapping[str, str]) -> None:
+def _runs(axes: Any, points: Sequence[Mapping[str, Any]], error: str, styles: Mapping[str, Style]) -> None:
     """Ours by name where on the front, the peers in grey, joined over the number of iterations."""
     _front(axes, points, error)
     ours = [p for p in points if p["engine"] == "deep-contact"]
     for point in ours:
         place = (point["seconds"], _value(point, error))
         if point["setting"] == "default":
-            axes.plot(*place, "*", color=plots.CYCLE[0], markersize=13, markeredgecolor="white", zorder=5)
+            axes.plot(*place, "*", color=plots.VERMILION, markersize=13, markeredgecolor="white", zorder=5)
         else:
-            axes.plot(*place, "o", color=plots.CYCLE[1], markersize=4, zorder=4)
+            axes.plot(*place, "o", color=plots.VERMILION, markersize=4, zorder=4)
     for engine, marker in PEERS.items():
         chosen = [p for p in points if p["engine"] == engine]
         usual = [(p["seconds"], _value(p, error)) for p in chosen if p["dt"] == error_time_runs.DT]
@@ -179,8 +190,8 @@ def _names(axes: Any, points: Sequence[Mapping[str, Any]], error: str) -> None:
 def motion_figure(points: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Error of each motion over wall time, with the order of convergence in dt."""
     style: dict[str, dict[str, Any]] = {
-        "deep-contact": {"color": plots.CYCLE[0], "marker": "o"},
-        "deep-contact float64": {"color": plots.CYCLE[1], "marker": "o"},
+        "deep-contact": {"color": plots.VERMILION, "marker": "o"},
+        "deep-contact float64": {"color": plots.VERMILION, "marker": "D", "linestyle": "--", "fillstyle": "none"},
         "pymunk": {"color": plots.MUTED, "marker": "s", "linewidth": 0.9},
         "pybox2d": {"color": plots.MUTED, "marker": "^", "linewidth": 0.9, "linestyle": "--"},
     }

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.runtime.optional import require
-from pipeline.plots.style import CYCLE, MUTED, figure
+from pipeline.plots.style import CYCLE, INK, LINES, MARKERS, MUTED, SKY, VERMILION, figure, legend_below
 
+COLORS = tuple(color for color in CYCLE if color not in (SKY, MUTED))
+"""Colours of what is validated: sky blue is the training, grey the reference."""
 SHOWN = 0.995
 """Quantile of the true corrections to which the axes reach [1]."""
 
@@ -36,16 +38,19 @@ def contact_curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> An
         names = dict.fromkeys(name for row in rows for name in row if name.startswith("validation/"))
         points = [(row["step"], row["train/gain"]) for row in rows if "train/gain" in row]
         if points:
-            left.plot(*zip(*points), color=MUTED, linewidth=0.6, label="training")
+            left.plot(*zip(*points), color=SKY, linewidth=0.8, label="training")
         for i, name in enumerate(names):
             points = [(row["step"], row[name]) for row in rows if name in row]
-            left.plot(*zip(*points), marker="o", markersize=3, color=CYCLE[i % len(CYCLE)], label=curve_label(name))
+            turn, color = divmod(i, len(COLORS))
+            style = {"color": COLORS[color], "marker": MARKERS[i % len(MARKERS)], "linestyle": LINES[turn % len(LINES)]}
+            left.plot(*zip(*points), markersize=4, label=curve_label(name), **style)
         left.axhline(0.0, color=MUTED, linewidth=1.0)
-        left.set(xlabel="step", ylabel="log of the error left / that of an even share", title="gain of the network")
-        left.legend(fontsize=7.5, ncols=3, loc="upper right")
+        left.set(xlabel="step", title="gain of the network")
+        left.set_ylabel("log of the error left / that of an even share,\nmean over the calls")
+        legend_below(left, fontsize=8)
         points = [(row["step"], row["train/rate"]) for row in rows if "train/rate" in row]
         if points:
-            right.plot(*zip(*points), color=CYCLE[2])
+            right.plot(*zip(*points), color=INK)
         right.set(xlabel="step", title="learning rate")
     return fig
 
@@ -68,7 +73,7 @@ def contact_predictions_figure(before: np.ndarray, after: np.ndarray, label: np.
             count, _, _ = np.histogram2d(np.clip(true, -most, most), np.clip(found, -most, most), bins=(edges, edges))
             norm = colors.LogNorm(1.0, max(float(count.max()), 2.0))
             mesh = axes.pcolormesh(edges, edges, np.ma.masked_equal(count.T, 0.0), cmap="viridis", norm=norm)
-            axes.plot((-most, most), (-most, most), color=CYCLE[0], linewidth=1.0)
+            axes.plot((-most, most), (-most, most), color=VERMILION, linewidth=1.0)
             left = float(((true - found) ** 2).sum() / max((true**2).sum(), 1e-30))
             axes.set_title(f"{name}, {len(true):,} contacts\nsquared error {left:.2f} of that before")
             axes.set(xlabel="true correction [N s]", ylabel="correction by the network [N s]")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.sph.smoothing import KERNELS, smoothing, smoothing_gradient, smoothing_laplacian
-from pipeline.plots.style import CYCLE, figure, save_figure
+from pipeline.plots.style import BLUE, GREEN, MUTED, PURPLE, VERMILION, figure, save_figure
 
 LABELS = {
     "poly6": "poly6",
@@ -17,8 +17,14 @@ LABELS = {
     "cubic": "cubic spline",
     "wendland": "Wendland C2",
 }
-COLORS = {"poly6": CYCLE[0], "spiky": CYCLE[1], "gaussian": CYCLE[5], "cubic": CYCLE[2], "wendland": CYCLE[3]}
-DASHES = {"poly6": "-", "spiky": "-", "gaussian": (0, (1, 1.2)), "cubic": "-", "wendland": (0, (5, 1.5))}
+COLORS = {"poly6": VERMILION, "spiky": BLUE, "gaussian": MUTED, "cubic": GREEN, "wendland": PURPLE}
+DASHES = {
+    "poly6": "-",
+    "spiky": "-.",
+    "gaussian": (0, (1, 1.2)),
+    "cubic": (0, (7, 1.5, 1, 1.5)),
+    "wendland": (0, (4, 1.5)),
+}
 SAMPLES = 1001
 """Points of a curve; the number is odd, so that one of them is r = 0 [1]."""
 

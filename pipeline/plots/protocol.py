@@ -10,35 +10,49 @@ import numpy as np
 from dc_kernels.runtime.optional import require
 from pipeline.evaluate.runs import PARTS, PATHS, Run
 from pipeline.evaluate.tables import EVALUATION_COLUMNS, PROTOCOL_COLUMNS, Column, cells
-from pipeline.plots.style import INK, LINES, MUTED, figure
+from pipeline.plots.style import BLUE, GREEN, INK, LINES, MUTED, ORANGE, PURPLE, SKY, figure, legend_below, start_styles
 from pipeline.plots.world import draw_world
 
-COLORS = (
-    *("#c2410c", "#1d4ed8", "#0f766e", "#7c3aed", "#d4a017", "#475569"),
-    *("#be185d", "#65a30d", "#0ea5e9", "#111827", "#f472b6", "#92400e"),
-)
-"""Colours of the starts, in their order."""
 WINDOW = 9
 """Steps over which the noise of many lines is averaged [1]."""
 ERROR_FLOOR = 1e-10
 """Squared error below which a start is as good as the solution [N^2 s^2]."""
-PART_COLORS = dict(
-    zip(PARTS, ("#cbd5df", "#475569", "#7c3aed", "#1d4ed8", "#c2410c", "#0f766e", "#e3b341", "#9fb0c0"), strict=True)
-)
+PART_COLORS = dict(zip(PARTS, ("#dce4ec", INK, PURPLE, GREEN, BLUE, SKY, ORANGE, MUTED), strict=True))
+"""Colours of the parts of a step."""
+EVERY = 0.16
+"""Distance of the markers along a line, in units of the diagonal of its axes [1]."""
+MARKS = 8
+"""Markers of a line over the steps [1]."""
 
 
-def line_styles(runs: Sequence[Run]) -> list[dict[str, str]]:
-    """Choose a colour for each start, a line style for each solver, and the label, for each run.
+def line_styles(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Choose colour and marker for each start, a dash for each solver, and the label, for each run.
 
-    More starts than there are colours take the next line style too.
+    Markers of accelerated runs are hollow; each run has them at other places of its line.
     """
-    starts, solvers = (list(dict.fromkeys(getattr(run, name) for run in runs)) for name in ("start", "solver"))
-    styles = []
-    for run in runs:
-        turn, color = divmod(starts.index(run.start), len(COLORS))
-        line = LINES[(solvers.index(run.solver) + turn) % len(LINES)]
-        styles.append({"color": COLORS[color], "linestyle": line, "label": run.label})
+    solvers = list(dict.fromkeys(run.solver for run in runs))
+    of_start = start_styles([run.start for run in runs])
+    styles: list[dict[str, Any]] = []
+    for i, run in enumerate(runs):
+        solver = solvers.index(run.solver)
+        styles.append(
+            {
+                **of_start[run.start],
+                "linestyle": LINES[solver % len(LINES)],
+                "label": run.label,
+                "markersize": 5.0,
+                "markerfacecolor": "white" if solver else of_start[run.start]["color"],
+                "markevery": (EVERY * (i + 0.5) / len(runs), EVERY),
+            }
+        )
     return styles
+
+
+def _over_steps(axes: Any, steps: np.ndarray, values: np.ndarray, style: dict[str, Any]) -> None:
+    """Draw a noisy line over the steps, its markers at equal distances of steps."""
+    every = max(len(steps) // MARKS, 1)
+    marks = (int(style["markevery"][0] / EVERY * every), every)
+    axes.plot(steps, values, linewidth=1.2, **{**style, "markevery": marks})
 
 
 def _count_axis(axes: Any, runs: Sequence[Run]) -> None:
@@ -48,7 +62,7 @@ def _count_axis(axes: Any, runs: Sequence[Run]) -> None:
     axes.xaxis.set_major_formatter(require("matplotlib.ticker", "pipeline").FormatStrFormatter("%d"))
 
 
-def draw_steps_left(axes: Any, runs: Sequence[Run], legend: bool = True) -> None:
+def draw_steps_left(axes: Any, runs: Sequence[Run]) -> None:
     """Draw the share of steps still iterating after n sweeps, one line for each run."""
     for run, style in zip(runs, line_styles(runs), strict=True):
         sweeps = np.arange(1, run.max_sweeps + 1)
@@ -56,9 +70,9 @@ def draw_steps_left(axes: Any, runs: Sequence[Run], legend: bool = True) -> None
         left = 1.0 - np.searchsorted(taken, sweeps, side="right") / max(len(taken), 1)
         axes.plot(sweeps, 100.0 * left, **style)
     _count_axis(axes, runs)
-    axes.set(ylim=(0, 100), xlabel="sweeps n", ylabel="steps [%]", title="steps still iterating after n sweeps")
-    if legend:
-        axes.legend(fontsize=8.5)
+    worlds = runs[0].sweeps.shape[1]
+    axes.set(ylim=(0, 100), xlabel="sweeps n", title="steps still iterating after n sweeps")
+    axes.set_ylabel(f"share of the steps of all {worlds} worlds [%]")
 
 
 def draw_change(axes: Any, runs: Sequence[Run]) -> None:
@@ -69,7 +83,7 @@ def draw_change(axes: Any, runs: Sequence[Run]) -> None:
     _count_axis(axes, runs)
     axes.set_yscale("log")
     axes.axhline(runs[0].tolerance, color=MUTED, linewidth=1.0, linestyle="--")
-    axes.set(xlabel="sweep n", ylabel="impulse change [N s]", title="largest impulse change of sweep n (median)")
+    axes.set(xlabel="sweep n", ylabel="median over all steps [N s]", title="largest impulse change of sweep n")
 
 
 def draw_over_steps(axes: Any, runs: Sequence[Run], name: str, title: str, window: int = 1) -> None:
@@ -79,9 +93,9 @@ def draw_over_steps(axes: Any, runs: Sequence[Run], name: str, title: str, windo
         steps = np.arange(1, len(values) + 1)
         if 1 < window <= len(values):
             steps, values = (np.convolve(x, np.full(window, 1.0 / window), mode="valid") for x in (steps, values))
-        axes.plot(steps, values, linewidth=1.2, **style)
-    how = f"median of {runs[0].sweeps.shape[1]} worlds" + (f", mean over {window} steps" if window > 1 else "")
-    axes.set(xlabel="step", title=f"{title} ({how})")
+        _over_steps(axes, steps, values, style)
+    how = f"median of {runs[0].sweeps.shape[1]} worlds" + (f",\nmean over {window} steps" if window > 1 else "")
+    axes.set(xlabel="step", ylabel=how, title=title)
     axes.set_xlim(1, len(runs[0].sweeps))
     axes.set_ylim(bottom=0)
 
@@ -96,9 +110,18 @@ def protocol_figure(runs: Sequence[Run], title: str) -> Any:
         else:
             axes[0, 1].axis("off")
             draw_table(axes[0, 1], runs)
+        _legend(fig, axes[0, 0])
         draw_over_steps(axes[1, 0], runs, "contacts", "contacts per step")
         draw_over_steps(axes[1, 1], runs, "sweeps", "sweeps per step")
     return fig
+
+
+def _legend(fig: Any, axes: Any, columns: int = 4) -> None:
+    """Put the legend of an axes below all of a figure's."""
+    handles, labels = axes.get_legend_handles_labels()
+    fig.legend(
+        handles, labels, loc="outside lower center", ncols=min(columns, len(labels)), fontsize=9.0, handlelength=3.5
+    )
 
 
 def draw_table(axes: Any, runs: Sequence[Run], columns: Sequence[Column] = PROTOCOL_COLUMNS) -> None:
@@ -127,7 +150,9 @@ def demo_figure(sim: Any, runs: Sequence[Run], title: str) -> Any:
         draw_world(axes, sim)
         axes.set_title(f"one world after {float(sim.state.numpy('time')[0]):.2f} s: how its bodies press on each other")
         draw_over_steps(fig.add_subplot(grid[1, 0]), runs, "sweeps", "sweeps per step")
-        draw_steps_left(fig.add_subplot(grid[0, 1]), runs)
+        left = fig.add_subplot(grid[0, 1])
+        draw_steps_left(left, runs)
+        _legend(fig, left)
         table = fig.add_subplot(grid[1, 1])
         draw_table(table, runs)
         table.set_title("sweeps: mean, median, and share of steps done in n")
@@ -140,11 +165,12 @@ def draw_errors(axes: Any, runs: Sequence[Run], component: int) -> None:
         if run.errors is not None:
             values = [row[np.isfinite(row) & (row > 0.0)] for row in run.errors[..., component]]  # shown by their log
             middle = [np.median(row) if len(row) else np.nan for row in values]
-            axes.plot(np.arange(1, len(middle) + 1), middle, linewidth=1.2, **style)
+            _over_steps(axes, np.arange(1, len(middle) + 1), np.array(middle), style)
     what, worlds = ("normal", "tangential")[component], runs[0].sweeps.shape[1]
     axes.set_yscale("log")
     axes.set_ylim(bottom=ERROR_FLOOR)
-    axes.set(xlabel="step", ylabel="[N² s²]", title=f"MSE of the {what} start impulses (median of {worlds} worlds)")
+    axes.set(xlabel="step", title=f"squared error of the {what} start impulses")
+    axes.set_ylabel(f"mean over contacts, median of {worlds} worlds [N² s²]")
     axes.set_xlim(1, len(runs[0].sweeps))
 
 
@@ -161,11 +187,12 @@ def draw_worlds(axes: Any, runs: Sequence[Run]) -> None:
     """Draw the mean sweeps of each world, a dot, and of all, a bar."""
     for i, (run, style) in enumerate(zip(runs, line_styles(runs), strict=True)):
         means = run.world_means
-        axes.plot(means, np.full(len(means), i), "o", color=style["color"], markersize=4, alpha=0.55, markeredgewidth=0)
+        point = {"color": style["color"], "marker": style["marker"], "markersize": 4, "alpha": 0.55}
+        axes.plot(means, np.full(len(means), i), linestyle="none", markeredgewidth=0, **point)
         axes.plot([run.summary()["mean_sweeps"]] * 2, [i - 0.35, i + 0.35], color=style["color"], linewidth=2.2)
     _rows(axes, runs)
     axes.set_xlim(left=0)
-    axes.set(xlabel="sweeps", title="mean sweeps: of each world, of all")
+    axes.set(xlabel="sweeps, mean over the steps", title="sweeps of each world, and of all")
 
 
 def draw_wall(axes: Any, runs: Sequence[Run]) -> None:
@@ -180,9 +207,8 @@ def draw_wall(axes: Any, runs: Sequence[Run]) -> None:
             axes.barh(range(len(runs)), spent, left=left, height=0.62, color=PART_COLORS[part], label=part, linewidth=0)
             left += spent
     _rows(axes, runs)
-    axes.set(xlabel="wall time of a world's step [us]", title="where the time goes (without solves in advance)")
-    if left.any():
-        axes.legend(fontsize=8, ncols=2)
+    axes.set(xlabel="wall time of a world's step, mean [us]", title="where the time goes (without solves in advance)")
+    legend_below(axes, columns=4)
 
 
 def evaluation_figure(runs: Sequence[Run], title: str) -> Any:
@@ -190,7 +216,7 @@ def evaluation_figure(runs: Sequence[Run], title: str) -> Any:
     with figure(17.0, 12.0 + 0.25 * len(runs), title) as fig:
         grid = fig.add_gridspec(4, 3, height_ratios=(1, 1, 1, 0.09 * (len(runs) + 1.5)))
         panels = [[fig.add_subplot(grid[row, column]) for column in range(3)] for row in range(2)]
-        draw_steps_left(panels[0][0], runs, legend=False)
+        draw_steps_left(panels[0][0], runs)
         if any(run.decay is not None for run in runs):
             draw_change(panels[0][1], runs)
         else:
@@ -204,6 +230,12 @@ def evaluation_figure(runs: Sequence[Run], title: str) -> Any:
             draw_errors(fig.add_subplot(grid[2, component]), runs, component)
         legend = fig.add_subplot(grid[2, 2])
         legend.axis("off")
-        legend.legend(*panels[0][0].get_legend_handles_labels(), loc="center", fontsize=9.5, title=PATHS[runs[0].loop])
+        legend.legend(
+            *panels[0][0].get_legend_handles_labels(),
+            loc="center",
+            fontsize=9.5,
+            handlelength=3.5,
+            title=PATHS[runs[0].loop],
+        )
         draw_table(fig.add_subplot(grid[3, :]), runs, EVALUATION_COLUMNS)
     return fig

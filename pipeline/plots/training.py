@@ -12,7 +12,7 @@ from dc_kernels.grid.channels import IMPULSES
 from dc_kernels.grid.grid import Grid
 from dc_kernels.runtime.optional import require
 from pipeline.plots.grids import LINEAR, POSITIVE_MAP, SIGNED_MAP, ticks
-from pipeline.plots.style import CYCLE, INK, MUTED, figure
+from pipeline.plots.style import BLUE, COMPONENTS, INK, MUTED, SKY, VERMILION, figure, legend_below
 
 if TYPE_CHECKING:
     from pipeline.training.rate import RateSearch
@@ -72,22 +72,27 @@ def curves_figure(rows: Sequence[Mapping[str, float]], title: str) -> Any:
 
     with figure(13.0, 4.6, title) as fig:
         loss, error, rate = fig.subplots(1, 3, width_ratios=(1.0, 1.0, 0.7))
-        draw(loss, "train/loss", color=CYCLE[1], linewidth=1.0, alpha=0.55, label="training")
-        draw(loss, "validation/loss", color=CYCLE[0], **MARKED, label="validation")
+        draw(loss, "train/loss", color=SKY, linewidth=1.0, label="training, mean of the steps")
+        draw(loss, "validation/loss", color=BLUE, **MARKED, label="validation")
         for kind, style in REFERENCES.items():
             draw(loss, f"validation/loss_{kind}", **style)
-        for i, name in enumerate(NAMES.values()):
-            draw(error, f"validation/{name}", color=CYCLE[i], **MARKED, label=name)
+        for name in NAMES.values():
+            own = COMPONENTS[name]
+            draw(error, f"validation/{name}", **{**own, "markersize": 4}, label=name)
             for kind, style in REFERENCES.items():
-                draw(error, f"validation/{name}_{kind}", **{**style, "color": CYCLE[i], "label": None})
+                draw(error, f"validation/{name}_{kind}", **{**style, "color": own["color"], "label": None})
         error.axhline(1.0, **REFERENCES["zero"])
         for kind in ("cache", "grid"):
             error.plot([], [], **REFERENCES[kind])
-        draw(rate, "train/rate", color=CYCLE[2])
-        for axes, name in ((loss, "loss"), (error, "squared error at the contacts / that of zero"), (rate, "rate")):
-            axes.set(title=name, yscale="log", xlabel="step")
-            if axes.get_legend_handles_labels()[0]:
-                axes.legend(fontsize=8.5)
+        draw(rate, "train/rate", color=INK, **({} if any("train/rate" in row for row in rows[3:]) else MARKED))
+        panels = (
+            (loss, "loss", "mean over the states [1]"),
+            (error, "squared error at the contacts / that of zero", "sum over the contacts / sum of zero's [1]"),
+            (rate, "learning rate", "rate [1]"),
+        )
+        for axes, name, unit in panels:
+            axes.set(title=name, yscale="log", xlabel="step", ylabel=unit)
+            legend_below(axes, columns=2)
     return fig
 
 
@@ -95,10 +100,10 @@ def rates_figure(search: RateSearch) -> Any:
     """Draw the smoothed loss of the rate finder over the rate, and the rate that it chose."""
     with figure(6.5, 4.2) as fig:
         axes = fig.subplots()
-        axes.plot(search.rates, search.losses, color=CYCLE[1])
-        axes.axvline(search.rate, color=CYCLE[0], linestyle="--", linewidth=1.2, label=f"chosen: {search.rate:.2g}")
+        axes.plot(search.rates, search.losses, color=SKY, label="training")
+        axes.axvline(search.rate, color=VERMILION, linestyle="--", linewidth=1.2, label=f"chosen: {search.rate:.2g}")
         axes.set(xscale="log", xlabel="rate", ylabel="smoothed loss / that before", title="rate finder (Smith 2017)")
-        axes.legend()
+        legend_below(axes)
     return fig
 
 
@@ -141,7 +146,7 @@ def draw_density(axes: Any, shown: Prediction, i: int) -> None:
     for setter, axis in ((axes.set_xscale, axes.xaxis), (axes.set_yscale, axes.yaxis)):
         setter("asinh", linear_width=knee)
         set_ticks(axis, axis, most, signed=low < -2.0 * knee)
-    axes.plot((low, high), (low, high), color=CYCLE[0], linewidth=1.0)
+    axes.plot((low, high), (low, high), color=VERMILION, linewidth=1.0)
     axes.set(xlim=(low, high), ylim=(low, high), xlabel="true [N s]", ylabel="predicted [N s]")
     axes.set_box_aspect(1.0)
     square = max(float(np.square(true).sum()), TINY)

@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.runtime.optional import require
-from pipeline.plots.style import CYCLE, INK, MUTED, figure
+from pipeline.plots.style import QUANTITIES, figure, legend_below
 from pipeline.plots.world import WorldDrawing, WorldShapes, draw_world
 
 
-def _over_worlds(axes: Any, time: np.ndarray, values: np.ndarray, color: str, label: str | None = None) -> None:
+def _over_worlds(axes: Any, time: np.ndarray, values: np.ndarray, quantity: str, label: str | None = None) -> None:
     """Draw the median over the worlds of values (steps, worlds), with the band that holds 80 % of them."""
+    style = QUANTITIES[quantity]
     if values.shape[1] > 1:
-        axes.fill_between(time, *np.percentile(values, (10, 90), axis=1), color=color, alpha=0.15, linewidth=0)
-    axes.plot(time, np.median(values, axis=1), color=color, label=label, linewidth=1.4)
+        axes.fill_between(time, *np.percentile(values, (10, 90), axis=1), color=style["color"], alpha=0.15, linewidth=0)
+    axes.plot(time, np.median(values, axis=1), label=label, linewidth=1.4, **style)
 
 
 def summary_figure(sim: Any, series: Mapping[str, np.ndarray], dt: float, title: str) -> Any:
@@ -39,23 +40,25 @@ def summary_figure(sim: Any, series: Mapping[str, np.ndarray], dt: float, title:
         if not len(time):
             return fig
         sweeps, contacts, energy, overlap = (fig.add_subplot(grid[place]) for place in ((2, 0), (0, 1), (1, 1), (2, 1)))
-        _over_worlds(sweeps, time, series["sweeps"], CYCLE[0])
-        _over_worlds(contacts, time, series["contact_count"], MUTED, "within reach")
-        _over_worlds(contacts, time, series["pressing_count"], CYCLE[1], "that press or overlap")
+        _over_worlds(sweeps, time, series["sweeps"], "sweeps")
+        _over_worlds(contacts, time, series["contact_count"], "contacts", "within reach")
+        _over_worlds(contacts, time, series["pressing_count"], "pressing", "that press or overlap")
         kinetic, potential = series["kinetic_energy"], series["potential_energy"]
-        _over_worlds(energy, time, kinetic + potential, INK, "total")
-        _over_worlds(energy, time, potential, CYCLE[2], "potential")
-        _over_worlds(energy, time, kinetic, CYCLE[0], "kinetic")
-        _over_worlds(overlap, time, 1e3 * series["penetration_max"], CYCLE[3], "largest")
-        _over_worlds(overlap, time, 1e3 * series["penetration_mean"], CYCLE[5], "mean of the contacts that press")
-        panels = {"sweeps of the solver": sweeps, "contacts": contacts, "energy [J]": energy, "overlap [mm]": overlap}
-        for name, panel in panels.items():
+        _over_worlds(energy, time, kinetic + potential, "total", "total")
+        _over_worlds(energy, time, potential, "potential", "potential")
+        _over_worlds(energy, time, kinetic, "kinetic", "kinetic")
+        _over_worlds(overlap, time, 1e3 * series["penetration_max"], "largest", "largest")
+        _over_worlds(overlap, time, 1e3 * series["penetration_mean"], "mean", "mean of the contacts that press")
+        panels = {
+            "sweeps of the solver": (sweeps, "sweeps of a step"),
+            "contacts": (contacts, "number in a world"),
+            "energy": (energy, "sum over the bodies [J]"),
+            "overlap": (overlap, "depth [mm]"),
+        }
+        for name, (panel, unit) in panels.items():
             panel.set_title(name + (f" (median and 10-90 % of {worlds} worlds)" if worlds > 1 else ""))
-            panel.set_xlim(0.0, time[-1])
-            if panel is not sweeps:
-                panel.legend(fontsize=8, loc="best")
-        for panel in (sweeps, overlap):
-            panel.set_xlabel("time [s]")
+            panel.set(xlim=(0.0, time[-1]), xlabel="time [s]", ylabel=unit)
+            legend_below(panel, fontsize=8)
         for panel in (sweeps, contacts, overlap):
             panel.set_ylim(bottom=0.0)
     return fig

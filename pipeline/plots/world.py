@@ -10,7 +10,7 @@ import numpy as np
 
 from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.runtime.optional import require
-from pipeline.plots.style import CYCLE, EDGE, FILL, INK
+from pipeline.plots.style import EDGE, FILL, GREEN, INK
 
 FORCE_MAP = "inferno_r"
 FORCE_WIDTH = 5.0
@@ -109,7 +109,7 @@ class WorldDrawing:
             fill = collections.PolyCollection([], facecolors=color, edgecolors=EDGE, linewidths=width, zorder=1)
             self.fills.append(axes.add_collection(fill))
         self.marks = axes.add_collection(collections.LineCollection([], colors=EDGE, linewidths=width, zorder=1.5))
-        self.joints = axes.add_collection(collections.LineCollection([], colors=CYCLE[2], linewidths=1.5, zorder=4))
+        self.joints = axes.add_collection(collections.LineCollection([], colors=GREEN, linewidths=1.5, zorder=4))
         self.walls = axes.add_collection(collections.LineCollection([], colors=INK, linewidths=2.5, zorder=5))
         axes.set_aspect("equal", anchor="N")
         axes.grid(False)

@@ -20,6 +20,7 @@ from pipeline.evaluate.comparison import evaluation
 from pipeline.evaluate.options import EvaluationOptions
 from pipeline.evaluate.worlds import run_worlds, split_label
 from pipeline.plots import protocol as run_plots
+from pipeline.plots import style
 from pipeline.starts import registry
 from pipeline.starts import start as starting
 from pipeline.starts.impulses import ImpulseStart, Zero
@@ -335,9 +336,9 @@ def test_command_evaluate(tmp_path, capsys, network):
 
 def test_figure_shows_every_run():
     """Without histories, with more starts than colours, one of them without contacts."""
-    many = [made(f"start{i}", errors=np.full((3, 2, 2), 0.1)) for i in range(len(run_plots.COLORS) + 1)]
+    many = [made(f"start{i}", errors=np.full((3, 2, 2), 0.1)) for i in range(2 * len(style.CYCLE) + 1)]
     many.append(made("still", contacts=np.zeros((3, 2), int), errors=np.full((3, 2, 2), np.nan)))
-    styles = {(style["color"], style["linestyle"]) for style in run_plots.line_styles(many)}
+    styles = {(line["color"], line["marker"]) for line in run_plots.line_styles(many)}
     assert len(styles) == len(many)
     fig = run_plots.evaluation_figure(many, "all")
     texts = {text.get_text() for axes in fig.axes for text in axes.get_yticklabels()}
