@@ -8,9 +8,7 @@ keep every bit, so a run that goes on from a snapshot on the same device equals 
 
 from __future__ import annotations
 
-import io
 import os
-import uuid
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -24,6 +22,8 @@ from dc_kernels.model.dtypes import float_dtype, numpy_spec
 from dc_kernels.model.fields import CONTACTS, Field
 from dc_kernels.model.rules import BrokenRule
 from dc_kernels.model.validate import check_state
+from dc_kernels.runtime.files import write_whole
+from dc_kernels.runtime.hdf5 import image, reading
 from dc_kernels.runtime.optional import require
 
 if TYPE_CHECKING:
@@ -40,36 +40,17 @@ def save(sim: Simulation, path: str | os.PathLike[str]) -> None:
     """Write a snapshot, between steps.
 
     The file is complete or not there: it is written under another name in the same folder and renamed at the end,
-    so that a full disk or a kill never damages a file that was there before.
+    so that a full disk or a kill never damages a file that was there before. Links are followed.
 
     Raises:
         ValueError: in the middle of a step, between ``collide`` and ``advance``.
-        OSError: when it cannot be written.
+        OSError: naming the file, when it cannot be written, or there is a folder, a device or a FIFO of its name.
         ImportError: without h5py, naming the extra that installs it.
     """
-    h5py = require("h5py", "pipeline")
+    require("h5py", "pipeline")
     if sim.phase != "advance":
         raise ValueError("save() in the middle of a step: finish it with solve() and advance(), or take a step")
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    image = io.BytesIO()  # HDF5 itself crashes the process when a disk is full; a plain write raises OSError
-    with h5py.File(image, "w") as file:
-        _write(file, sim)
-    try:
-        with open(temporary, "xb") as target:
-            target.write(image.getbuffer())
-            target.flush()
-            os.fsync(target.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    if os.name == "posix":  # so that the new name outlives a power cut, too
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+    write_whole(path, image(lambda file: _write(file, sim)))
 
 
 def load(
@@ -93,19 +74,13 @@ def load(
 
     Raises:
         ValueError: naming file and dataset: not a snapshot, truncated or damaged, of another schema version, a
-            dataset missing or of another shape or dtype, a value that breaks the rule of its field.
-        OSError: when there is no such file, or it must not be read.
+            dataset missing or of another shape or dtype, a value that breaks the rule of its field, values in other
+            files, or sizes that the file cannot hold (``runtime.hdf5``).
+        OSError: when there is no such file, it is a folder, FIFO or device, or it must not be read.
         ImportError: without h5py, naming the extra that installs it.
     """
-    h5py = require("h5py", "pipeline")
     path = Path(path)
-    try:
-        file = h5py.File(path, "r")
-    except (FileNotFoundError, PermissionError):
-        raise
-    except OSError as error:
-        raise ValueError(f"{path} is not an HDF5 file, or is truncated: {error}") from error
-    with file:
+    with reading(path) as file:
         header = _Header(file, path)
         tables = {"model": Model.table, "state": State.table, "joints": Joints.table, "contacts": CONTACTS}
         values = {name: _read(file, path, name, table, header) for name, table in tables.items()}

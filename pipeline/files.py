@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,39 +12,30 @@ from typing import Any
 
 import numpy as np
 
+from dc_kernels.runtime.files import replacing, write_whole
+
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Give a temporary name in the folder of ``path``, renamed to it when the block ends, removed when it raises."""
+    """Give a temporary name (``runtime.files.replacing``) for a file whose folder is made if it is missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
-    try:
+    with replacing(path) as partial:
         yield partial
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def write_bytes(path: Path, content: bytes | memoryview) -> None:
-    """Write a whole file in one go, and wait until it is on the disk.
+    """Write a file in one go, into a folder that is made if it is missing, and wait until it is on the disk.
 
     Raises:
-        OSError: naming the file, when the disk is full or does not take it.
+        OSError: naming the file, when the disk is full or does not take it, or it is no regular file.
     """
-    try:
-        with atomic_path(path) as partial, open(partial, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        text = f"{path} was not written: {error.strerror or error}; what was there before is whole"
-        raise OSError(error.errno, text) from error
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, content)
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write JSON in one go (``atomic_path``)."""
-    with atomic_path(path) as partial:
-        partial.write_text(json.dumps(content, indent=2) + "\n")
+    """Write JSON in one go (``write_bytes``)."""
+    write_bytes(path, (json.dumps(content, indent=2) + "\n").encode())
 
 
 def versions() -> dict[str, str]:

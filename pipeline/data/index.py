@@ -29,6 +29,8 @@ class Source(NamedTuple):
 def write_index(folder: Path, shards: Sequence[Path]) -> None:
     """Write the index over whole shards: offsets through all of them, the rest as virtual datasets.
 
+    Where a shard is missing HDF5 shows NaN or -1 (in bytes 255), not zeros.
+
     Raises:
         ValueError: for a damaged or foreign shard.
         OSError: when the index cannot be written.
@@ -77,9 +79,11 @@ def _create_virtual(file: Any, name: str, source: Source, spec: DatasetSpec | No
     shape = list(source.parts[0][1])
     shape[along] = sum(part[along] for _, part in source.parts)
     layout, row = h5py.VirtualLayout(tuple(shape), source.dtype), 0
+    layout.dcpl.set_obj_track_times(False)  # the index of the same data has the same bytes
     for path, part in source.parts:
         rows = slice(row, row + part[along])
         if part[along]:
             layout[(slice(None),) * along + (rows,)] = h5py.VirtualSource(path, name, part, source.dtype)
         row += part[along]
-    file.create_virtual_dataset(name, layout).attrs.update(source.attributes)
+    fill = np.nan if source.dtype.kind == "f" else np.array(-1).astype(source.dtype)
+    file.create_virtual_dataset(name, layout, fillvalue=fill).attrs.update(source.attributes)

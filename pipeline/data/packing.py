@@ -6,14 +6,13 @@ many threads as make shards, and a file is written in one go from the bytes of a
 
 from __future__ import annotations
 
-import io
 import zlib
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.hdf5 import image
 from pipeline.data.layout import DatasetSpec
 
 ROWS = 8192
@@ -82,15 +81,15 @@ def file_image(
     Returns:
         The bytes of the file.
     """
-    h5py = require("h5py", "pipeline")
-    buffer = io.BytesIO()
-    with h5py.File(buffer, "w", libver=("v110", "v110")) as file:  # checksums of the structure, too
+
+    def build(file: Any) -> None:
         file.attrs.update(attributes)
         for name, item in packed.items():
             _create(file, name, item, specs[name])
         if add is not None:
             add(file)
-    return buffer.getbuffer()
+
+    return image(build, libver=("v110", "v110"))  # checksums of the structure, too
 
 
 def _create(file: Any, name: str, item: Packed, spec: DatasetSpec) -> None:

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.runtime.optional import require
-from pipeline.data.layout import LAYOUT, SCHEMA, STARTS, VERSION, DatasetSpec, described
+from dc_kernels.runtime.hdf5 import reading
+from pipeline.data.layout import INDEX, LAYOUT, SCHEMA, STARTS, VERSION, DatasetSpec, described
 from pipeline.data.packing import ROWS, damaged_row, file_image, pack
 from pipeline.files import versions
 
@@ -60,19 +60,9 @@ def opened(path: Path) -> Iterator[Any]:
         ValueError: naming it, when it is foreign or damaged, also when that shows while it is read.
         OSError: when there is none, or it must not be read.
     """
-    h5py = require("h5py", "pipeline")
-    try:
-        file = h5py.File(path, "r")
-    except (FileNotFoundError, PermissionError):
-        raise
-    except OSError as error:
-        raise ValueError(f"{path} is not an HDF5 file, or is truncated: {error}") from error
-    with file:
-        try:
-            check_schema(file, path)
-            yield file
-        except (KeyError, OSError, RuntimeError) as error:
-            raise ValueError(f"{path} is damaged: {error}") from error
+    with reading(path, virtual=path.name == INDEX) as file:
+        check_schema(file, path)
+        yield file
 
 
 def check_schema(file: Any, path: Path) -> None:

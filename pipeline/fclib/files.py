@@ -23,8 +23,9 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.delassus import DelassusProblem, assemble_blocks
+from dc_kernels.runtime.hdf5 import image, reading
 from dc_kernels.runtime.optional import require
-from pipeline.files import atomic_path
+from pipeline.files import write_bytes
 
 ROOT = "fclib_local"
 INFO = ("title", "description", "math_info")
@@ -144,18 +145,8 @@ def read_fclib(path: Path) -> FclibProblem:
             that is missing, of a wrong size or out of range.
         OSError: the file is not there or cannot be opened.
     """
-    h5py = require("h5py", "pipeline")
-    with open(path, "rb"):
-        pass  # says what is wrong with the path itself
-    try:
-        file = h5py.File(path, "r")
-    except OSError as error:
-        raise ValueError(f"{path}: this is no HDF5 file, or it is cut short ({error})") from None
-    with file:
-        try:
-            return _read(_Reader(path, file))
-        except (OSError, RuntimeError, KeyError) as error:
-            raise ValueError(f"{path}: the file is damaged or cut short ({error})") from None
+    with reading(path) as file:
+        return _read(_Reader(path, file))
 
 
 def _read(reader: _Reader) -> FclibProblem:
@@ -225,7 +216,6 @@ def write_fclib(path: Path, content: FclibProblem) -> None:
     Raises:
         ValueError: bilateral rows that do not stand behind the contacts, or impulses of a wrong shape.
     """
-    h5py = require("h5py", "pipeline")
     problem = content.problem
     n = int((~problem.bilateral).sum())
     equations = problem.count - n
@@ -248,7 +238,7 @@ def write_fclib(path: Path, content: FclibProblem) -> None:
         shape = tuple(b - a if b <= low else (b - a) // 2 for a, b in zip(first, last, strict=True))
         _write_matrix(file, f"{ROOT}/{name}", shape, row, column, values[k])
 
-    with atomic_path(path) as partial, h5py.File(partial, "w") as file:
+    def fill(file: Any) -> None:
         file.attrs.update(content.attributes)
         file[f"{ROOT}/spacedim"] = np.array([2], np.int32)
         part(file, "W", (0, 0), (low, low))
@@ -275,6 +265,8 @@ def write_fclib(path: Path, content: FclibProblem) -> None:
             file["guesses/number_of_guesses"] = np.array([len(content.guesses)], np.int32)
             for k, guess in enumerate(content.guesses):
                 impulses(f"guesses/{k + 1}", guess)
+
+    write_bytes(path, image(fill))
 
 
 def _write_matrix(

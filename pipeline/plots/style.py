@@ -12,13 +12,14 @@ Figures are made without pyplot, so nothing global changes and no display is nee
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from dc_kernels.runtime.optional import require
-from pipeline.files import atomic_path
+from pipeline.files import write_bytes
 
 INK = "#1f2933"
 MUTED = "#525c66"
@@ -132,7 +133,9 @@ def legend_below(axes: Any, columns: int = 3, **options: Any) -> None:
 
 
 def save_figure(fig: Any, path: Path, dpi: int = 130) -> None:
-    """Write a figure in one go (``atomic_path``); the suffix of the path says as what."""
+    """Write a figure in one go (``write_bytes``); the suffix of the path says as what."""
     matplotlib = require("matplotlib", "pipeline")
-    with matplotlib.rc_context(STYLE), atomic_path(path) as partial:
-        fig.savefig(partial, dpi=dpi)
+    picture = io.BytesIO()
+    with matplotlib.rc_context(STYLE):
+        fig.savefig(picture, dpi=dpi, format=path.suffix.removeprefix(".") or None)
+    write_bytes(path, picture.getbuffer())

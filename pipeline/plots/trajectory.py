@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dc_kernels.runtime.hdf5 import reading
 from dc_kernels.runtime.optional import require
 from pipeline.plots.style import QUANTITIES, figure, legend_below
 from pipeline.plots.world import WorldDrawing, WorldShapes, draw_world
@@ -76,21 +78,24 @@ def animate(trajectory: Path, target: Path, world: int = 0, rate: float = 25.0, 
 
     Raises:
         ImportError: naming the extra, without ffmpeg for .mp4.
+        OSError: the disk does not take it.
     """
-    h5py, animation = require("h5py", "pipeline"), require("matplotlib.animation", "pipeline")
-    with h5py.File(trajectory, "r") as file, figure(7.0, 7.0) as fig:
+    animation = require("matplotlib.animation", "pipeline")
+    with reading(trajectory) as file:
         shapes = WorldShapes.of({name: data[...] for name, data in file["model"].items()}, world)
         time = file["record/time"][...]
         every = max(1, round(1.0 / (rate * float(np.diff(time[:2])[0])))) if len(time) > 1 else 1
-        frames = np.arange(0, len(time), every)
-        spacing = float(time[every] - time[0]) if len(time) > every else 1.0 / rate
+        position, angle = (file[f"record/{name}"][::every, shapes.bodies] for name in ("position", "angle"))
+    frames = np.arange(len(angle))
+    spacing = float(time[every] - time[0]) if len(time) > every else 1.0 / rate
+    with figure(7.0, 7.0) as fig:
         axes = fig.add_subplot()
 
-        def state(record: int) -> tuple[np.ndarray, np.ndarray]:
-            return file["record/position"][record, shapes.bodies], file["record/angle"][record, shapes.bodies]
+        def state(frame: int) -> tuple[np.ndarray, np.ndarray]:
+            return position[frame], angle[frame]
 
         drawing = WorldDrawing(axes, shapes, *state(0))
-        drawing.fit([state(0), state(len(time) // 2), state(-1)])
+        drawing.fit([state(0), state(len(frames) // 2), state(-1)])
         axes.set_title("0.00 s")
         fig.canvas.draw()
         fig.set_layout_engine("none")  # once is enough
@@ -102,8 +107,11 @@ def animate(trajectory: Path, target: Path, world: int = 0, rate: float = 25.0, 
             writer = animation.FFMpegWriter(fps=min(rate, 1.0 / spacing))
         else:
             writer = animation.PillowWriter(fps=min(rate, 1.0 / spacing))
-        with writer.saving(fig, str(target), dpi=90):
-            for record in progress(frames) if progress else frames:
-                drawing.update(*state(int(record)))
-                axes.set_title(f"{time[record]:.2f} s")
-                writer.grab_frame()
+        try:
+            with writer.saving(fig, str(target), dpi=90):
+                for frame in progress(frames) if progress else frames:
+                    drawing.update(*state(int(frame)))
+                    axes.set_title(f"{time[frame * every]:.2f} s")
+                    writer.grab_frame()
+        except subprocess.CalledProcessError as error:
+            raise OSError(f"ffmpeg ended with status {error.returncode}, as it does on a full disk") from error

@@ -1,6 +1,7 @@
 """Run a scene and write what happened: ``trajectory.h5``, ``summary.json``, ``summary.png``, a video.
 
-Every file is written under a temporary name and renamed when it is whole.
+Every file is written under a temporary name and renamed when it is whole; the trajectory grows with the run, and a run
+that fails leaves its steps so far.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import dc_kernels as dc
-from dc_kernels.runtime.optional import require
 from pipeline.checks import check_least
 from pipeline.files import atomic_path, write_json
 from pipeline.options import RunOptions, SolverOptions
@@ -72,7 +72,7 @@ def simulate(
 
     Raises:
         ValueError: for an option out of its range, or a network that cannot read the simulation.
-        OSError: a network's file cannot be read.
+        OSError: a network's file cannot be read, or a file cannot be written; the trajectory keeps the steps so far.
         ImportError: naming the extra, without h5py, tqdm or matplotlib.
     """
     run, solver, output = run or RunOptions(), solver or SolverOptions(), output or Output()
@@ -102,18 +102,18 @@ def record(start: Start, run: RunOptions, output: Output, config: dict[str, Any]
         output: steps, and what is recorded.
         config: scene and options, for the file.
         progress: show a bar on stderr.
+
+    Raises:
+        OSError: the disk does not take the trajectory; the steps so far are in it.
     """
     sim, done, spent = start.sim, 0, 0.0
-    h5py = require("h5py", "pipeline")
+    bar = progress_bar(total=output.steps, desc=f"simulate {config['scene']['name']}", unit="step", show=progress)
     with (
-        atomic_path(output.out / TRAJECTORY) as partial,
-        h5py.File(partial, "w") as file,
+        TrajectoryWriter(output.out / TRAJECTORY, sim, config) as writer,
         torch_threads(run.threads),
         interruptible() as stop,
-        progress_bar(total=output.steps, desc=f"simulate {config['scene']['name']}", unit="step", show=progress) as bar,
+        bar,
     ):
-        writer = TrajectoryWriter(file, sim, config)
-        writer.add_record(0, 0.0, sim.state)
         while done < output.steps and not stop.is_set():
             before = time.perf_counter()
             step(start, run.dt)
@@ -123,10 +123,12 @@ def record(start: Start, run: RunOptions, output: Output, config: dict[str, Any]
             writer.add_step(measured, dc.to_numpy(sim.stats.history) if output.history else None)
             if done % output.record_every == 0 or done == output.steps or stop.is_set():
                 writer.add_record(done, done * run.dt, sim.state)
+            writer.commit_if_due()
             bar.set_postfix(contacts=int(measured["contact_count"].sum()), refresh=False)
             bar.update()
         complete = done == output.steps
-        return Recording(steps=done, complete=complete, seconds=spent, series=writer.finish(done, complete))
+        series = writer.finish(complete)
+    return Recording(steps=done, complete=complete, seconds=spent, series=series)
 
 
 def draw(sim: dc.Simulation, recording: Recording, config: dict[str, Any], output: Output, progress: bool) -> None:

@@ -9,12 +9,17 @@ Layout of ``trajectory.h5`` (schema ``deep-contact.trajectory``, version 1; attr
 - ``step/NAME`` (steps, worlds): the quantities of ``STEP_FIELDS`` in every step;
 - ``history/change`` (steps, worlds, max_sweeps): with ``history``, the largest impulse change of each sweep,
   NaN after the last one.
+
+The file grows while the run goes on, under the name ``.trajectory.PROCESS.RANDOM.partial.h5``. A kill leaves that one:
+it can be read, and ends a second or a twentieth of the run before the kill (``run.stream``).
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +28,7 @@ import dc_kernels as dc
 from dc_kernels.measure import contact_slots
 from dc_kernels.model.fields import STATE
 from pipeline.files import versions
+from pipeline.run.stream import Stream
 
 SCHEMA = "deep-contact.trajectory"
 VERSION = 1
@@ -112,6 +118,12 @@ class RowWriter:
         if len(self.rows) >= self.height:
             self.flush()
 
+    def cut(self, count: int) -> None:
+        """Drop the rows after the first ``count``."""
+        del self.rows[max(count - self.data.shape[0], 0) :]
+        if self.data.shape[0] > count:
+            self.data.resize(count, axis=0)
+
     def flush(self) -> None:
         """Write the rows that are waiting."""
         if self.rows:
@@ -122,12 +134,53 @@ class RowWriter:
 
 
 class TrajectoryWriter:
-    """Writes a run into an open HDF5 file, in the layout of this module."""
+    """Writes a run into a file that grows with it, in the layout of this module.
 
-    def __init__(self, file: Any, sim: dc.Simulation, config: dict[str, Any]) -> None:
-        """Write the model and the state at the start."""
-        self.file = file
-        model = sim.model
+    As a context: the file is put in its place at the end. When the block raises after some steps, a full disk among the
+    reasons, it is put there with the steps so far, all datasets of the same length; before that the old file stays.
+
+    Attributes:
+        steps: steps added, and ``written``, those of them that the disk has.
+    """
+
+    def __init__(self, path: Path, sim: dc.Simulation, config: dict[str, Any]) -> None:
+        """Open the file, and write the model and the state at the start.
+
+        Raises:
+            OSError: naming the file, when it cannot be written.
+        """
+        self.steps = self.written = self.records = 0
+        self.stream = Stream(path)
+        try:
+            self._begin(sim, config)
+            self.add_record(0, 0.0, sim.state)
+            self.commit()
+        except BaseException:
+            self.stream.close()
+            raise
+
+    def __enter__(self) -> TrajectoryWriter:
+        """Return the writer."""
+        return self
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        """Put the file in its place, whole or with the steps so far.
+
+        Raises:
+            OSError: the disk does not take it; the error says what the file holds.
+        """
+        try:
+            if error is None:
+                self._try(self.stream.finish)
+            elif self.steps and not isinstance(error, _Unwritten):
+                self.commit()
+                self._try(self.stream.keep)
+        finally:
+            self.stream.close()
+
+    def _begin(self, sim: dc.Simulation, config: dict[str, Any]) -> None:
+        """Write the model, and make the datasets."""
+        file, model = self.stream.file, sim.model
         file.attrs.update(schema=SCHEMA, version=VERSION, complete=False, steps=0)
         file.attrs.update(config=json.dumps(config), versions=json.dumps(versions()))
         for group in (model, sim.joints):
@@ -156,6 +209,7 @@ class TrajectoryWriter:
         self.record["time"].append(time)
         for name in RECORD_FIELDS:
             self.record[name].append(state.numpy(name))
+        self.records += 1
 
     def add_step(self, measured: dict[str, np.ndarray], history: np.ndarray | None) -> None:
         """Record a step's quantities."""
@@ -164,11 +218,59 @@ class TrajectoryWriter:
         if self.history is not None and history is not None:
             done = np.arange(history.shape[1]) < measured["sweeps"][:, None]
             self.history.append(np.where(done, history, np.nan))
+        self.steps += 1
 
-    def finish(self, steps: int, complete: bool) -> dict[str, np.ndarray]:
+    def commit_if_due(self) -> None:
+        """Bring to the disk what is waiting, now and then.
+
+        Raises:
+            OSError: see ``commit``.
+        """
+        if self.stream.due():
+            self.commit()
+
+    def commit(self) -> None:
+        """Bring to the disk what is waiting.
+
+        Raises:
+            OSError: the disk does not take it; the file is in its place with the steps committed before, if any.
+        """
+        for columns, count in ((self.record.values(), self.records), (self._step_columns(), self.steps)):
+            for column in columns:
+                column.cut(count)  # an interrupt may come between two columns of a row
+                column.flush()
+        self.stream.file.attrs.update(steps=self.steps)
+        self._try(self.stream.commit)
+        self.written = self.steps
+
+    def finish(self, complete: bool) -> dict[str, np.ndarray]:
         """Write what is waiting and return the quantities of all steps, (steps, worlds) each."""
-        columns = [*self.record.values(), *self.step.values()]
-        for column in columns if self.history is None else [*columns, self.history]:
-            column.flush()
-        self.file.attrs.update(complete=complete, steps=steps)
+        self.stream.file.attrs.update(complete=complete)
+        self.commit()
         return {name: column.data[...] for name, column in self.step.items()}
+
+    def _step_columns(self) -> list[RowWriter]:
+        """Return what grows with every step."""
+        return [*self.step.values(), *([] if self.history is None else [self.history])]
+
+    def _try(self, action: Callable[[], None]) -> None:
+        """Do what the disk may refuse; then keep the steps that it has.
+
+        Raises:
+            OSError: that says so.
+        """
+        try:
+            action()
+        except OSError as error:
+            path, reason = self.stream.path, error.strerror or error
+            if not self.written:
+                raise _Unwritten(
+                    error.errno, f"{path} was not written: {reason}; what was there before is whole"
+                ) from error
+            self.stream.keep()
+            text = f"{path} holds the first {self.written} steps; then it could not be written: {reason}"
+            raise _Unwritten(error.errno, text) from error
+
+
+class _Unwritten(OSError):
+    """Says that the disk does not take a file, which has been dealt with."""

@@ -28,6 +28,7 @@ from pipeline.data import layout, packing, shards
 from pipeline.data.generate import generate
 from pipeline.data.recipe import GenerateOptions, Recipe, load_recipe, parse_recipe
 from pipeline.data.recorder import make_shard
+from pipeline.files import write_bytes
 from pipeline.scenes import Chain, Mixed, Stack, Thesis
 
 SMALL = Recipe(scene=Thesis(bodies=6), options=GenerateOptions(worlds=5, seed=7, steps=70, dt=0.02, shard_worlds=2))
@@ -45,7 +46,7 @@ def make(recipe: Recipe, folder: Path, **options) -> dict:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file of a folder but the index, in which HDF5 leaves bytes of no meaning."""
+    """Every file of a folder but the index, which tells how many worlds there are."""
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.name != layout.INDEX}
 
 
@@ -378,17 +379,24 @@ def test_interrupt_keeps_what_is_finished(whole, tmp_path, monkeypatch):
     assert contents(tmp_path) == contents(whole)
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full is Linux's")
+@pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
 def test_full_disk_is_named_and_loses_nothing(whole, tmp_path, monkeypatch):
-    def full(recipe, number, *rest):
-        if number == 2:
-            (tmp_path / f".shard-00002.{os.getpid()}.partial.h5").symlink_to("/dev/full")
-        return make_shard(recipe, number, *rest)
+    import resource
 
-    monkeypatch.setattr(generation, "make_shard", full)
-    with pytest.raises(OSError, match=r"shard-00002.h5 was not written: No space left on device") as raised:
-        make(SMALL, tmp_path)
-    assert raised.value.errno == errno.ENOSPC
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def full(path, content):
+        if path.name == SHARDS[2]:  # the system refuses larger files from now on, as a full disk does
+            resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+        write_bytes(path, content)
+
+    monkeypatch.setattr(generation, "write_bytes", full)
+    try:
+        with pytest.raises(OSError, match=r"shard-00002.h5 was not written: File too large") as raised:
+            make(SMALL, tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert raised.value.errno == errno.EFBIG
     assert contents(tmp_path) == {name: (whole / name).read_bytes() for name in SHARDS[:2]}
     monkeypatch.undo()
     make(SMALL, tmp_path)

@@ -216,7 +216,7 @@ def test_bad_files(tmp_path, change, message):
 def test_foreign_truncated_and_missing(tmp_path):
     text = tmp_path / "a.hdf5"
     text.write_text("not HDF5")
-    with pytest.raises(ValueError, match=r"a\.hdf5: this is no HDF5 file"):
+    with pytest.raises(ValueError, match=r"a\.hdf5 is not an HDF5 file, or is truncated"):
         read_fclib(text)
     with pytest.raises(FileNotFoundError):
         read_fclib(tmp_path / "b.hdf5")

@@ -1,0 +1,132 @@
+"""HDF5 files: read with care, as they may come from strangers, and written so that no full disk ends the process.
+
+HDF5 follows what a file says to other files, raw ones as well, and allocates the sizes that it declares. ``reading``
+looks at all links and datasets of a file before any value is read, and refuses
+
+- links to other files, user-defined links, datasets whose values stand in other files: raw ones (external storage) or
+  HDF5 files (virtual datasets); an index of a data set may show files beside it, of plain names that its reader knows;
+- values that are not stored, and sizes that the file cannot hold: more than ``MOST_RATIO`` bytes of values for a byte
+  that is stored, which is as far as gzip goes.
+
+What is written is built in memory first (``image``): HDF5 itself crashes a process when a write fails.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import os
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from dc_kernels.runtime.files import check_regular
+from dc_kernels.runtime.optional import require
+
+MOST_RATIO = 1032
+"""Bytes of values that a stored byte may stand for; gzip's format allows no more [1]."""
+_DAMAGED = (ArithmeticError, AttributeError, LookupError, OSError, RuntimeError, TypeError)
+
+
+@contextlib.contextmanager
+def reading(path: str | os.PathLike[str], *, virtual: bool = False) -> Iterator[Any]:
+    """Open a file to read it.
+
+    Args:
+        path: of the file.
+        virtual: let virtual datasets be, as long as they show files of plain names in the same folder.
+
+    Yields:
+        The open ``h5py.File``. What goes wrong in the block while it is read is an error that names the file.
+
+    Raises:
+        ValueError: naming the file: not HDF5, truncated, damaged, or refused as the module says.
+        OSError: there is no such file, it is a folder, FIFO or device, or it must not be read.
+        ImportError: without h5py, naming the extra that installs it.
+    """
+    h5py = require("h5py", "pipeline")
+    check_regular(path)
+    with open(path, "rb"):
+        pass  # says what is wrong with the path itself
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        raise ValueError(f"{os.fspath(path)} is not an HDF5 file, or is truncated: {error}") from error
+    with file:
+        try:
+            _check(file, os.path.getsize(path), virtual)
+            yield file
+        except ValueError as error:
+            if os.fspath(path) in str(error):
+                raise
+            raise ValueError(f"{os.fspath(path)}: {error}") from error
+        except _DAMAGED as error:
+            raise ValueError(f"{os.fspath(path)} is damaged: {error}") from error
+
+
+def image(build: Callable[[Any], None], **options: Any) -> memoryview:
+    """Return the bytes of an HDF5 file that ``build`` fills, given it open; ``options`` are those of ``h5py.File``."""
+    buffer = io.BytesIO()
+    with require("h5py", "pipeline").File(buffer, "w", **options) as file:
+        build(file)
+    return buffer.getbuffer()
+
+
+def plain_name(name: str) -> bool:
+    """Tell whether a name is that of a file beside another one: no folder, no drive, no pattern of HDF5's."""
+    return bool(name) and name not in (".", "..") and not set(name) & set("/\\:%\0")
+
+
+def _check(file: Any, size: int, virtual: bool) -> None:
+    """Raise ``ValueError`` for the first link or dataset that is refused."""
+    h5py = require("h5py", "pipeline")
+    links: list[tuple[bytes, int]] = []
+    file.id.links.visit(lambda name, link: links.append((name, link.type)), info=True)  # an error must not pass HDF5
+    seen: set[int] = set()
+    stored = 0
+    for name, kind in links:
+        text = name.decode(errors="replace")
+        if kind == h5py.h5l.TYPE_SOFT:
+            continue  # within the file: what it leads to is looked at where it stands
+        if kind != h5py.h5l.TYPE_HARD:
+            what = "to another file" if kind == h5py.h5l.TYPE_EXTERNAL else f"of the user's type {kind}"
+            raise ValueError(f"{text} is a link {what}, which is not followed")
+        found = h5py.h5o.open(file.id, name)
+        address = h5py.h5o.get_info(found).addr
+        if not isinstance(found, h5py.h5d.DatasetID) or address in seen:
+            continue
+        seen.add(address)
+        stored += _stored(found, text, virtual)
+        if stored > size:
+            raise ValueError(f"{text}: the datasets up to this one take {stored} bytes; the file has {size}")
+
+
+def _stored(data: Any, name: str, virtual: bool) -> int:
+    """Return the bytes that a dataset takes in the file, checked against what it declares."""
+    h5d = require("h5py", "pipeline").h5d
+    properties = data.get_create_plist()
+    if properties.get_external_count():
+        raise ValueError(f"{name} has its values in another file (external storage), which are not read")
+    layout = properties.get_layout()
+    if layout == h5d.VIRTUAL:
+        shown = {properties.get_virtual_filename(i) for i in range(properties.get_virtual_count())}
+        bad = sorted(source for source in shown if not (virtual and plain_name(source)))
+        if bad or not virtual:
+            raise ValueError(f"{name} is virtual: it shows values of {bad[:3]}, which are not read")
+        return 0
+    declared = math.prod(data.shape or (0,)) * data.get_type().get_size()
+    stored = data.get_storage_size()
+    held = declared
+    if layout == h5d.CHUNKED and declared:
+        chunk = properties.get_chunk()
+        held = math.prod(chunk) * data.get_type().get_size() * data.get_num_chunks()
+        places = math.prod(-(-n // c) for n, c in zip(data.shape, chunk))
+        if places != data.get_num_chunks():
+            raise ValueError(f"{name} of shape {data.shape} has {data.get_num_chunks()} of its {places} chunks stored")
+    most = stored * (MOST_RATIO if properties.get_nfilters() else 1)
+    if max(held, declared) > most:
+        raise ValueError(
+            f"{name} declares {max(held, declared)} bytes of values, for which {stored} are stored; "
+            f"these can hold {most}"
+        )
+    return int(stored)
