@@ -14,7 +14,7 @@ from dc_kernels.collide.broadphase import Pairs
 from dc_kernels.collide.narrowphase import Cache
 from dc_kernels.explain import explain
 from dc_kernels.model.arrays import Contacts, Joints, Model, State
-from dc_kernels.model.config import SolverConfig
+from dc_kernels.model.config import SimulationOptions, SolverConfig, check_config
 from dc_kernels.model.enums import CAPACITY_FLAGS
 from dc_kernels.model.fields import GROUPS
 from dc_kernels.model.validate import check_scene
@@ -22,13 +22,13 @@ from dc_kernels.phases import Phases
 from dc_kernels.reports import capacity, memory
 from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import refuse_hosted, refuse_recording
-from dc_kernels.runtime.inputs import check_choice, check_count, check_room, check_type
+from dc_kernels.runtime.inputs import check_whole
 from dc_kernels.runtime.sequences import Rounds, Watch
 from dc_kernels.runtime.stepping import Shards
 from dc_kernels.runtime.threads import GPU_CALLS, OneCaller, uninterrupted
 from dc_kernels.solve.integrate import Motion
 from dc_kernels.solve.rows import only_centred_discs, variant_of
-from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration, check_pause, settings_of_solve
+from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration, check_solve, settings_of_solve
 from dc_kernels.solve.storage import Rows, SolveStats
 from dc_kernels.stages import PHASES, Phase, Turn, kernel_table, of_phase
 from dc_kernels.storage import Storage
@@ -99,28 +99,24 @@ class Simulation(Phases):
         Raises:
             ValueError: for settings out of range, or arrays that do not belong together or break a rule of their field.
         """
-        threads = check_count("threads", threads)
-        check_choice("schedule", schedule, SCHEDULES)
-        check_choice("on_overflow", on_overflow, ("grow", "raise"))
-        check_room(pairs_per_shape=pairs_per_shape, contacts_per_body=contacts_per_body)
+        options = SimulationOptions(
+            config, threads, schedule, on_overflow, specialize, pairs_per_shape, contacts_per_body
+        )
+        self.joints = joints = check_scene(model, state, joints)
         self.model = model
         self.state = state
         self.dtype = model.dtype
         self.device = model.device
         self.backend = model.backend
-        if joints is None:
-            joints = Joints({"joint": 0}, self.dtype, self.device, self.backend)
-        self.joints = joints
-        check_scene(model, state, joints)
-        self.schedule = schedule
-        self.on_overflow = on_overflow
-        self._shards = Shards(model.world_count, model.body_count, threads if self.device == "cpu" else 1)
+        self.schedule = options.schedule
+        self.on_overflow = options.on_overflow
+        self._shards = Shards(model.world_count, model.body_count, options.threads if self.device == "cpu" else 1)
         self.threads = self._shards.threads
-        self.specialize = specialize
+        self.specialize = specialize = options.specialize
         self.only_discs = only_centred_discs(model)
         self.variant = variant_of(model, self.only_discs and specialize)
         self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, self.only_discs and specialize)
-        self._config = config or SolverConfig()
+        self._config = options.config or SolverConfig()
         # on a CPU a shard solves world after world
         self._in_turn = schedule == "world" and self.device == "cpu"
         at_once = len(self._shards.ranges) if self._in_turn else model.world_count
@@ -129,8 +125,8 @@ class Simulation(Phases):
             joints,
             self._config,
             variant=self.variant,
-            pairs=pairs_per_shape,
-            contacts=contacts_per_body,
+            pairs=options.pairs_per_shape,
+            contacts=options.contacts_per_body,
             shards=len(self._shards.ranges),
             at_once=at_once,
         )
@@ -185,7 +181,7 @@ class Simulation(Phases):
 
     @config.setter
     def config(self, config: SolverConfig) -> None:
-        check_type("config", config, SolverConfig)
+        config = check_config("config", config)
         if config == (before := self._config):
             return
         refuse_recording("a change of config", "make it before")
@@ -247,7 +243,7 @@ class Simulation(Phases):
         Raises:
             ValueError, OverflowError: see ``step``.
         """
-        steps = check_count("steps", steps, least=0)
+        steps = check_whole("steps", steps)
         if start is not None or callback is not None:
             refuse_recording("a step with start or callback", "these run in Python")
         self.calls.begin()
@@ -327,7 +323,7 @@ class Simulation(Phases):
         return ~done & (self.state.numpy("flags") == 0)
 
     def _solve(self, config: SolverConfig | None, pause: int | None, resume: bool) -> None:
-        check_pause(pause, resume, self.schedule)
+        config, pause = check_solve(config, pause, resume, self.schedule)
         refuse_hosted(self.backend, self.schedule, self.device)
         if config is None and pause is None and not resume:
             self._take("solve")

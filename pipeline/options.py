@@ -6,29 +6,30 @@ from dataclasses import asdict, dataclass
 from typing import Literal
 
 import dc_kernels as dc
-from pipeline.checks import check_finite, check_least
+from dc_kernels.model.config import Tolerance
+from dc_kernels.model.settings import Count, Positive, Seed, Settings, Whole
 from pipeline.scenes import Scene
 
 DEFAULT = dc.SolverConfig()
 
 
 @dataclass(frozen=True, kw_only=True)
-class SolverOptions:
+class SolverOptions(Settings):
     """Options of the contact solver."""
 
     method: Literal["pgs", "jacobi"] = DEFAULT.method
     """Gauss-Seidel in colour order, or Jacobi with mass splitting."""
     acceleration: Literal["none", "sor", "aitken", "nncg", "adaptive"] = DEFAULT.acceleration
     """How the method is accelerated."""
-    tolerance: float = DEFAULT.tolerance
+    tolerance: Tolerance = DEFAULT.tolerance
     """Impulse change of a sweep, or residual, at which a solve ends [N s or 1]."""
-    relative_tolerance: float = DEFAULT.relative_tolerance
+    relative_tolerance: Tolerance = DEFAULT.relative_tolerance
     """Impulse change at which a solve ends, in units of what a typical weight gives in a step, where smaller [1]."""
     stop: Literal["change", "residual"] = DEFAULT.stop
     """What the tolerance is compared with."""
-    max_sweeps: int = DEFAULT.max_sweeps
+    max_sweeps: Whole = DEFAULT.max_sweeps
     """Sweeps after which a solve ends unconverged [1]."""
-    min_sweeps: int = DEFAULT.min_sweeps
+    min_sweeps: Whole = DEFAULT.min_sweeps
     """Least number of sweeps of a solve [1]."""
     position_correction: Literal["ngs", "baumgarte", "none"] = DEFAULT.position_correction
     """How overlaps are mended: in a phase of its own after the velocities, by a velocity bias, or not at all."""
@@ -39,16 +40,16 @@ class SolverOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions:
+class RunOptions(Settings):
     """Options of a run: its worlds, its time step, and what it computes on."""
 
-    worlds: int = 1
+    worlds: Count = 1
     """Worlds, of the seeds seed, seed + 1, ... [1]."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the first world [1]."""
-    dt: float = 0.01
+    dt: Positive = 0.01
     """Time step [s]."""
-    threads: int = 1
+    threads: Count = 1
     """Threads that share the worlds [1]."""
     dtype: Literal["float32", "float64"] = "float32"
     """Scalar type of all arrays."""
@@ -63,7 +64,5 @@ class RunOptions:
         Raises:
             ValueError: for an option out of its range.
         """
-        check_finite(self, "dt")
-        check_least(self, threads=1)
         arrays = scene.build(self.worlds, self.seed).finalize(self.dtype, device=self.device, backend=self.backend)
         return dc.Simulation(*arrays, config=config, threads=self.threads)

@@ -10,6 +10,12 @@ HELD_OUT_SEED = 100_000
 """First seed of the worlds for tests: no training uses seeds from here on [1]."""
 
 
+def check_seeds(first: int, count: int) -> None:
+    """Raise a ``ValueError`` unless ``count`` seeds from ``first`` on fit the 63 bits that files hold."""
+    if first + count > 2**63:
+        raise ValueError(f"seed is {first}; the seeds of {count} worlds from there on exceed {2**63 - 1}")
+
+
 def check_training_seeds(first: int, count: int) -> None:
     """Raise a ``ValueError`` unless ``count`` seeds from ``first`` on are free for training."""
     if first < 0 or first + count > HELD_OUT_SEED:

@@ -13,8 +13,8 @@ from dc_kernels.runtime.lazy import lazy_names
 
 if TYPE_CHECKING:
     from dc_kernels.delassus.problem import DelassusProblem, assemble_blocks
-    from dc_kernels.delassus.search import METHODS, DelassusSolution
-    from dc_kernels.delassus.solver import Method, solve, warmup
+    from dc_kernels.delassus.search import METHODS, DelassusSolution, Method
+    from dc_kernels.delassus.solver import solve, warmup
     from dc_kernels.delassus.world import from_contacts, from_world, read_impulses, refine, write_impulses
 
 __all__ = [
@@ -35,8 +35,8 @@ __all__ = [
 # public names by the module that defines them
 _MODULES = {
     "problem": ("DelassusProblem", "assemble_blocks"),
-    "search": ("METHODS", "DelassusSolution"),
-    "solver": ("Method", "solve", "warmup"),
+    "search": ("METHODS", "DelassusSolution", "Method"),
+    "solver": ("solve", "warmup"),
     "world": ("from_contacts", "from_world", "read_impulses", "refine", "write_impulses"),
 }
 __getattr__, __dir__ = lazy_names(__name__, _MODULES)

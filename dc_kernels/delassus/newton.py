@@ -49,9 +49,9 @@ def search_automatically(search: Search, *, newton_only: bool = False) -> None:
         search.sweep("anderson", FIRST_SWEEPS)
         _newton(search, patches=False)
         return
-    looks = max(1, PATIENCE // search.every)
+    looks = max(1, PATIENCE // search.options.every)
     search.sweep("anderson", FIRST_SWEEPS)
-    search.sweep("anderson", search.max_sweeps, patience=looks)
+    search.sweep("anderson", search.options.max_sweeps, patience=looks)
     search.sweep("hybrid", SLOW, patience=looks, gain=0.9)
     if SMALL < search.problem.count <= LARGE and _has_scipy():
         _newton(search, patches=False, most=FEW)
@@ -61,8 +61,8 @@ def search_automatically(search: Search, *, newton_only: bool = False) -> None:
     if _has_scipy():
         _newton(search, patches=True)
     else:
-        search.sweep("hybrid", search.max_sweeps, patience=10 * looks)
-    search.sweep("aitken", search.max_sweeps)
+        search.sweep("hybrid", search.options.max_sweeps, patience=10 * looks)
+    search.sweep("aitken", search.options.max_sweeps)
 
 
 def _has_scipy() -> bool:
@@ -77,7 +77,7 @@ def _pivots(search: Search) -> None:
     """Solve small problems by pivots and sweeps that round them off; large ones patch by patch, while that helps."""
     patience = PATCHES
     x = search.best
-    while not search.done and patience > 0 and search.sweeps < search.max_sweeps:
+    while not search.done and patience > 0 and search.sweeps < search.options.max_sweeps:
         patience -= 1
         whole = search.problem.count <= WHOLE
         y = lemke(search.problem) if whole else solve_patch(search.problem, x)
@@ -132,8 +132,8 @@ class Newton:
         self.rubs = (problem.mu > 0.0) & ~problem.bilateral
         # the launch is kept: to make it anew takes a millisecond
         self.blocks, self.packed_reg = block.reshape(-1, 4), -1.0
-        self.packed = problem.packed(search.dtype, search.backend)
-        self.regular = PackedProblem(self.packed.sizes, search.dtype, backend=search.backend)
+        self.packed = problem.packed(search.options.dtype, search.options.backend)
+        self.regular = PackedProblem(self.packed.sizes, search.options.dtype, backend=search.options.backend)
         for name in PROBLEM:
             self.regular.numpy(name)[...] = self.packed.numpy(name)
         self.regular.scale = factor
@@ -150,8 +150,8 @@ class Newton:
         x = search.best.ravel() / self.unit
         now = search.worst(search.maps)
         reg, sweeps, wait = REG_FIRST, SWEEPS, 0
-        while not search.done and search.factorizations < self.most and search.sweeps < search.max_sweeps:
-            goal = max(ACCURACY * now, 0.1 * search.tolerance)
+        while not search.done and search.factorizations < self.most and search.sweeps < search.options.max_sweeps:
+            goal = max(ACCURACY * now, 0.1 * search.options.tolerance)
             y, solved, steps = self.proximal(x, reg, goal, sweeps)
             then = self.offer(y)
             if solved:
@@ -282,7 +282,7 @@ class Newton:
     def sweep(self, x: np.ndarray, start: np.ndarray, reg: float, sweeps: int, goal: float) -> np.ndarray:
         """Sweep on the problem regularised about ``start`` by Anderson's acceleration, or Aitken's where reg is 0."""
         search = self.search
-        sweeps = min(sweeps, search.max_sweeps - search.sweeps)
+        sweeps = min(sweeps, search.options.max_sweeps - search.sweeps)
         if sweeps <= 0:
             return x
         if reg != self.packed_reg:
@@ -297,7 +297,7 @@ class Newton:
             x.reshape(-1, 2),
             method=int(Acceleration.ANDERSON if reg else Acceleration.AITKEN),
             max_sweeps=sweeps,
-            every=max(20, search.every) if goal else sweeps,
+            every=max(20, search.options.every) if goal else sweeps,
             tolerance=HUGE if goal else LEAST,
             scaled_tolerance=0.5 * goal if goal else HUGE,
         )

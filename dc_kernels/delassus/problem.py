@@ -15,6 +15,7 @@ import numpy as np
 
 from dc_kernels.delassus.groups import PackedProblem
 from dc_kernels.model.arrays import check_values
+from dc_kernels.model.settings import numeric
 from dc_kernels.runtime.interop import host_view
 
 FREE = -3e38  # least normal impulse of a row without bound; finite in float32
@@ -201,7 +202,7 @@ class DelassusProblem:
         Raises:
             ValueError: for another shape, NaN or inf.
         """
-        x = np.asarray(host_view(name, impulses))
+        x = numeric(name, host_view(name, impulses))
         if x.shape == (2 * self.count,):
             x = x.reshape(-1, 2)
         return check_values(name, x, (self.count, 2), np.dtype(np.float64))

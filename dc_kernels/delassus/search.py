@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
 
 from dc_kernels.delassus.first_order import lent
 from dc_kernels.delassus.groups import Acceleration, Reason
 from dc_kernels.delassus.problem import DelassusProblem
+from dc_kernels.model.settings import Count, Limits, Positive, Settings, Whole
 
+Method = Literal["auto", "pgs", "sor", "aitken", "nncg", "anderson", "hybrid", "newton"]
+Dtype = Literal["float32", "float64"]
 METHODS = {
     "pgs": Acceleration.NONE,
     "sor": Acceleration.NONE,
@@ -21,6 +25,20 @@ METHODS = {
 """Methods of one kernel; "auto" and "newton" are made of them and of ``newton``."""
 HUGE, LEAST = 3e38, 1e-30  # tolerances that float32 can hold
 LOOKS = 200_000  # rows of history kept of a phase
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolveOptions(Settings):
+    """Arguments of ``solve`` beside the problem and the start; see there."""
+
+    method: Method = "auto"
+    tolerance: Positive = 1e-8
+    max_sweeps: Whole = 100_000
+    scaled: bool = True
+    every: Count = 5
+    omega: Annotated[float, Limits(above=0.0, below=2.0)] = 1.4
+    dtype: Dtype = "float64"
+    backend: Literal["warp", "numpy"] = "warp"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,23 +70,11 @@ class Search:
         self,
         problem: DelassusProblem,
         start: np.ndarray,
-        tolerance: float,
-        scaled: bool,
-        max_sweeps: int,
-        every: int,
-        omega: float,
-        dtype: str,
-        backend: str,
+        options: SolveOptions,
     ) -> None:
-        """Arguments as of ``solve``."""
+        """Begin at the impulses ``start``, (n, 2) [N s]."""
         self.problem = problem
-        self.tolerance = tolerance
-        self.scaled = scaled
-        self.max_sweeps = max_sweeps
-        self.every = every
-        self.omega = omega
-        self.dtype = dtype
-        self.backend = backend
+        self.options = options
         self.sweeps = 0
         self.pivotings = 0
         self.factorizations = 0
@@ -83,12 +89,12 @@ class Search:
 
     def worst(self, maps: tuple[float, float]) -> float:
         """Return the natural map that decides whether a solve has converged."""
-        return max(maps) if self.scaled else maps[0]
+        return max(maps) if self.options.scaled else maps[0]
 
     @property
     def done(self) -> bool:
         """Whether the best impulses are good enough."""
-        return self.worst(self.maps) <= self.tolerance
+        return self.worst(self.maps) <= self.options.tolerance
 
     def offer(self, impulses: np.ndarray) -> bool:
         """Keep impulses if they are better than the best so far, and return whether they are."""
@@ -118,25 +124,25 @@ class Search:
             start: (n, 2) [N s].
         """
         x = self.best if start is None else start
-        sweeps = min(sweeps, self.max_sweeps - self.sweeps)
+        sweeps = min(sweeps, self.options.max_sweeps - self.sweeps)
         if sweeps <= 0 or self.done or not self.problem.count:
             return x
-        looks = min(-(-sweeps // self.every), LOOKS)
+        looks = min(-(-sweeps // self.options.every), LOOKS)
         unit = self.problem.units[0]
-        with lent(self.problem.packed(self.dtype, self.backend), METHODS[method], looks) as run:
+        with lent(self.problem.packed(self.options.dtype, self.options.backend), METHODS[method], looks) as run:
             progress = run(
                 x / unit,
                 max_sweeps=sweeps,
-                every=self.every,
+                every=self.options.every,
                 patience=patience,
                 gain=gain,
-                tolerance=max(self.tolerance, LEAST),
-                scaled_tolerance=max(self.tolerance, LEAST) if self.scaled else HUGE,
-                omega=self.omega if method == "sor" else 1.0,
+                tolerance=max(self.options.tolerance, LEAST),
+                scaled_tolerance=max(self.options.tolerance, LEAST) if self.options.scaled else HUGE,
+                omega=self.options.omega if method == "sor" else 1.0,
             )
             looks = min(int(progress["looks"]), looks)
             row = np.empty((looks, 3))
-            row[:, 0] = self.sweeps + np.minimum(self.every * np.arange(1, looks + 1), progress["sweeps"])
+            row[:, 0] = self.sweeps + np.minimum(self.options.every * np.arange(1, looks + 1), progress["sweeps"])
             row[:, 1:] = run.history[:looks]
             self.rows.append(row)
             self.sweeps += int(progress["sweeps"])

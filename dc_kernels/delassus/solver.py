@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from dc_kernels.delassus.newton import search_automatically
 from dc_kernels.delassus.problem import DelassusProblem
-from dc_kernels.delassus.search import METHODS, DelassusSolution, Search
-from dc_kernels.model.dtypes import FLOATS
-from dc_kernels.runtime.backends import check_backend
+from dc_kernels.delassus.search import METHODS, DelassusSolution, Dtype, Method, Search, SolveOptions
+from dc_kernels.model.settings import checker
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.optional import require
 
-Method = Literal["auto", "pgs", "sor", "aitken", "nncg", "anderson", "hybrid", "newton"]
+_problem = checker(DelassusProblem)
 
 
 def solve(
@@ -28,7 +27,7 @@ def solve(
     scaled: bool = True,
     every: int = 5,
     omega: float = 1.4,
-    dtype: Literal["float32", "float64"] = "float64",
+    dtype: Dtype = "float64",
     backend: str = "warp",
 ) -> DelassusSolution:
     """Solve until the relative natural maps are within the tolerance; a first-order solve is one launch.
@@ -54,28 +53,27 @@ def solve(
         ImportError: for "newton" without SciPy.
     """
     refuse_recording("a solve in Delassus form", "the host reads what the kernels leave")
-    if method not in METHODS and method not in ("auto", "newton"):
-        raise ValueError(f"method is {method!r}; it must be one of {('auto', *METHODS, 'newton')}")
-    if not 0.0 < tolerance < float("inf"):
-        raise ValueError(f"tolerance is {tolerance!r}; it must be finite and > 0")
-    for name, value, low in (("max_sweeps", max_sweeps, 0), ("every", every, 1)):
-        if not low <= value < 2**31:
-            raise ValueError(f"{name} is {value!r}; it must lie in [{low}, 2^31)")
-    if not 0.0 < omega < 2.0:
-        raise ValueError(f"omega is {omega!r}; it must lie in (0, 2)")
-    if dtype not in FLOATS:
-        raise ValueError(f"dtype is {dtype!r}; it must be one of {tuple(FLOATS)}")
-    check_backend(backend)
+    _problem("problem", problem)
+    options = SolveOptions(
+        method=method,
+        tolerance=tolerance,
+        max_sweeps=max_sweeps,
+        scaled=scaled,
+        every=every,
+        omega=omega,
+        dtype=dtype,
+        backend=backend,  # type: ignore[arg-type]
+    )
     first = np.zeros((problem.count, 2)) if start is None else problem.check_impulses("start", start)
-    search = Search(problem, first, tolerance, scaled, max_sweeps, every, omega, dtype, backend)
-    if method in METHODS:
-        search.sweep(method, max_sweeps)
+    search = Search(problem, first, options)
+    if options.method in METHODS:
+        search.sweep(options.method, options.max_sweeps)
     else:
-        search_automatically(search, newton_only=method == "newton")
+        search_automatically(search, newton_only=options.method == "newton")
     return search.solution()
 
 
-def warmup(dtype: Literal["float32", "float64"] = "float64") -> None:
+def warmup(dtype: Dtype = "float64") -> None:
     """Load all that a solve needs, which the first one would do otherwise (seconds, if nothing is compiled yet)."""
     block = np.eye(2)[None]
     one = DelassusProblem(row_start=[0, 1], column=[0], block=block, q=[[-1.0, 0.5]], mu=[0.3])  # type: ignore[arg-type]

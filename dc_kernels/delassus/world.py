@@ -10,13 +10,16 @@ from dc_kernels.delassus.problem import DelassusProblem, assemble_blocks
 from dc_kernels.delassus.search import DelassusSolution
 from dc_kernels.delassus.solver import solve
 from dc_kernels.model.arrays import to_numpy
+from dc_kernels.model.settings import checker
 from dc_kernels.runtime.capture import refuse_recording
+from dc_kernels.runtime.inputs import check_positive, check_simulation, check_whole
 from dc_kernels.solve.contacts import ContactSolver
 from dc_kernels.solve.rows import read_column
 
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
 
+_problem, _solution = checker(DelassusProblem), checker(DelassusSolution)
 OPEN = 1e5  # times its gap over dt: a bias above that is a row that never acts (see _warp/rows.py)
 
 
@@ -31,6 +34,7 @@ def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
         ValueError: after ``advance``, for a world that is not there or does not advance, or a contact or joint
             between bodies that nothing moves.
     """
+    check_simulation("sim", sim)
     refuse_recording("from_world", "the host reads what the kernels leave")
     with sim.calls:
         return _from_world(sim, world)
@@ -39,8 +43,7 @@ def from_world(sim: Simulation, world: int = 0) -> DelassusProblem:
 def _from_world(sim: Simulation, world: int) -> DelassusProblem:
     if sim.phase == "advance":
         raise ValueError("the contacts are those of a finished step: call collide(dt) first")
-    if not 0 <= world < sim.model.world_count:
-        raise ValueError(f"world is {world}; it must lie in [0, {sim.model.world_count})")
+    world = check_world(sim, world)
     if sim.state.numpy("flags")[world]:
         raise ValueError(f"world {world} does not advance (flags {sim.state.numpy('flags')[world]}): it has no problem")
     return _from_rows(sim, world)
@@ -70,8 +73,7 @@ def from_contacts(
         ValueError: naming argument, index and limit, or a contact or joint between bodies that nothing moves.
     """
     solver = ContactSolver(body_a, body_b, point, normal, gap, **options)
-    if not 0 <= world < solver.model.world_count:
-        raise ValueError(f"world is {world}; it must lie in [0, {solver.model.world_count})")
+    world = check_world(solver, world)
     solver.pack(dt)
     return _from_rows(solver, world)
 
@@ -172,6 +174,8 @@ def refine(sim: Simulation, tolerance: float, *, max_sweeps: int = 100_000) -> d
     Raises:
         ValueError: out of turn, on a GPU, or for a tolerance that is not > 0.
     """
+    check_simulation("sim", sim)
+    tolerance, max_sweeps = check_positive("tolerance", tolerance), check_whole("max_sweeps", max_sweeps)
     refuse_recording("refine", "the host reads what the kernels leave")
     with sim.calls:
         return _refine(sim, tolerance, max_sweeps)
@@ -181,8 +185,6 @@ def _refine(sim: Simulation, tolerance: float, max_sweeps: int) -> dict[int, Del
     if sim.phase != "solve" or sim.running.any():
         raise ValueError("refine() stands between a solve() that has ended and advance()")
     _check_device("refine()", sim)
-    if not 0.0 < tolerance < float("inf"):
-        raise ValueError(f"tolerance is {tolerance!r}; it must be finite and > 0")
     found: dict[int, DelassusSolution] = {}
     residual = sim.stats.numpy("residual")
     flags = sim.state.numpy("flags")
@@ -198,6 +200,8 @@ def _refine(sim: Simulation, tolerance: float, max_sweeps: int) -> dict[int, Del
 
 def read_impulses(sim: Simulation, given: DelassusProblem) -> np.ndarray:
     """Read the present impulses of a problem's contacts and joints, (n, 2) [N s]."""
+    check_simulation("sim", sim)
+    _problem("given", given)
     assert given.slot is not None
     x = np.zeros((given.count, 2))
     x[~given.bilateral] = sim.contacts.numpy("impulse")[given.slot[~given.bilateral]]
@@ -211,6 +215,10 @@ def write_impulses(sim: Simulation, world: int, given: DelassusProblem, solution
     Raises:
         ValueError: on a GPU.
     """
+    check_simulation("sim", sim)
+    world = check_world(sim, world)
+    _problem("given", given)
+    _solution("solution", solution)
     _check_device("write_impulses()", sim)
     assert given.slot is not None
     first = int(sim.contacts.numpy("contact_start")[world])
@@ -238,6 +246,18 @@ def write_impulses(sim: Simulation, world: int, given: DelassusProblem, solution
     else:
         for array, value in zip(arrays, before, strict=True):
             array[...] = value
+
+
+def check_world(sim: Simulation | ContactSolver, world: int) -> int:
+    """Return the index of a world of a simulation or solver.
+
+    Raises:
+        TypeError, ValueError: for another one.
+    """
+    world = check_whole("world", world)
+    if world >= sim.model.world_count:
+        raise ValueError(f"world is {world}; it must lie in [0, {sim.model.world_count})")
+    return world
 
 
 def _check_device(what: str, sim: Simulation) -> None:

@@ -3,43 +3,39 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from dc_kernels.model.settings import MAX_INT, Limits, Positive, Settings, checker
 from dc_kernels.model.shapes import points as check_points
 from dc_kernels.runtime.inputs import check_start
 from dc_kernels.runtime.interop import host_view
 
+Nodes = Annotated[int, Limits(least=2, below=2**24)]
+"""Nodes along a side: kernels find them in float32, which counts so far."""
+_positive = checker(Positive)
+_most_nodes = checker(Annotated[int, Limits(least=4, most=MAX_INT)])
+_corner = checker(tuple[float, float])
+
 
 @dataclass(frozen=True, kw_only=True)
-class Grid:
+class Grid(Settings):
     """Nodes of a regular grid, the same in every world: node (row r, column c) lies at origin + spacing (c, r).
 
     An image on it is an array (worlds, channels, rows, columns), the layout a CNN wants; row 0 is the lowest.
     """
 
-    rows: int
+    settings_prefix: ClassVar[str] = "Grid."
+
+    rows: Nodes
     """Nodes along y [1]."""
-    columns: int
+    columns: Nodes
     """Nodes along x [1]."""
-    spacing: float
+    spacing: Positive
     """Distance of neighbouring nodes [m]."""
     origin: tuple[float, float] = (0.0, 0.0)
     """Place of node (0, 0), relative to each world's origin [m]."""
-
-    def __post_init__(self) -> None:
-        for name in ("rows", "columns"):
-            value = getattr(self, name)
-            if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 2 <= value < 2**24:
-                raise ValueError(f"Grid.{name} is {value!r}; it must be an integer in [2, 2^24)")
-        if not (0.0 < self.spacing < float("inf")):
-            raise ValueError(f"Grid.spacing is {self.spacing!r}; it must be finite and > 0 [m]")
-        origin = np.asarray(self.origin, float)
-        if origin.shape != (2,):
-            raise ValueError(f"Grid.origin has shape {origin.shape}; it must be (2,)")
-        if not np.isfinite(origin).all():
-            raise ValueError(f"Grid.origin is {self.origin}; it must be finite [m]")
 
     @classmethod
     def from_box(cls, lower: Any, upper: Any, spacing: float) -> Grid:
@@ -54,8 +50,7 @@ class Grid:
             ValueError: for a box without area, or a spacing out of range.
         """
         sides = _sides(lower, upper)
-        if not (0.0 < spacing < float("inf")):
-            raise ValueError(f"Grid.spacing is {spacing!r}; it must be finite and > 0 [m]")
+        spacing = _positive("spacing", spacing)
         cells = _cells(sides, spacing)
         if not (cells < 2**24 - 1).all():
             raise ValueError(f"box of {sides} m has {cells} cells of {spacing} m; a side may have 2^24 - 2")
@@ -158,12 +153,8 @@ def choose_grid(
     """
     points, start = _worlds_of(points, start)
     sides = _sides(lower, upper)
-    if not isinstance(max_nodes, int | np.integer) or isinstance(max_nodes, bool) or max_nodes < 4:
-        raise ValueError(f"max_nodes is {max_nodes!r}; it must be an integer of at least 4")
-    if max_spacing is None:
-        max_spacing = float(sides.min())
-    if not (0.0 < max_spacing < float("inf")):
-        raise ValueError(f"max_spacing is {max_spacing!r}; it must be finite and > 0 [m]")
+    max_nodes = _most_nodes("max_nodes", max_nodes)
+    max_spacing = float(sides.min()) if max_spacing is None else _positive("max_spacing", max_spacing)
     closest = closest_pair(points, start)
     wanted = min(REACH * closest / np.sqrt(2.0), max_spacing)
     finest = _finest(sides, int(max_nodes))
@@ -248,11 +239,9 @@ def _sides(lower: Any, upper: Any) -> np.ndarray:
     Raises:
         ValueError: for corners that are not finite, or a box without area.
     """
-    low, high = np.asarray(lower, float), np.asarray(upper, float)
-    if low.shape != (2,) or high.shape != (2,) or not (np.isfinite(low).all() and np.isfinite(high).all()):
-        raise ValueError(f"box is {lower} to {upper}; both corners must be two finite numbers [m]")
+    low, high = (np.array(_corner(name, corner)) for name, corner in (("lower", lower), ("upper", upper)))
     if not (high > low).all():
-        raise ValueError(f"box is {lower} to {upper}; the upper corner must lie above and to the right [m]")
+        raise ValueError(f"upper is {high.tolist()}; it must lie above and to the right of lower, {low.tolist()} [m]")
     return high - low
 
 

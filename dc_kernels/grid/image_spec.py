@@ -11,11 +11,11 @@ import numpy as np
 from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES, channel_codes
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.stencil import Stencil
-from dc_kernels.runtime.inputs import check_count
+from dc_kernels.model.settings import Count, NotNegative, Settings
 
 
 @dataclass(frozen=True)
-class ImageSpec:
+class ImageSpec(Settings):
     """Grid, channels and stencil of the images that show bodies and contacts.
 
     Raises:
@@ -31,31 +31,24 @@ class ImageSpec:
     """Keys of ``channels.CONTACT_CHANNELS``; may be empty."""
     stencil: Stencil = field(default_factory=Stencil)
     """How bodies and contacts reach the nodes; not normalized by "shepard"."""
-    bins: int = 1
+    bins: Count = 1
     """Parts of the half circle of normal directions (n and -n are one) that contacts are kept apart in; bin b is
     centred on the angle b pi / bins [1]."""
-    walls: float | None = 100.0
+    walls: NotNegative | None = 100.0
     """Mass of the nodes that static shapes cover (``area.wall_nodes``), on top of what bodies add there [kg]; None, or
     no channel "mass": none."""
     area: bool = False
     """Whether bodies are splatted over their area, in cells of a spacing (``area.area_points``)."""
 
-    def __post_init__(self) -> None:
-        if not isinstance(self.grid, Grid):
-            raise ValueError(f"grid is a {type(self.grid).__name__}; it must be a Grid")
+    def check(self) -> None:
+        """Raise a ``ValueError`` for channels that do not exist, or settings that do not go together."""
         for name, table in (("body_channels", BODY_CHANNELS), ("contact_channels", CONTACT_CHANNELS)):
             channel_codes(name, getattr(self, name), table)
-            object.__setattr__(self, name, tuple(getattr(self, name)))
         if not self.body_channels and not self.contact_channels:
             raise ValueError("body_channels and contact_channels are both empty; an image needs a channel")
         if self.stencil.normalize == "shepard":
             raise ValueError("stencil.normalize is 'shepard'; that of images must be 'particle' or 'sum'")
         self.stencil.support(self.grid.spacing)
-        check_count("bins", self.bins)
-        if self.walls is not None and not 0.0 <= self.walls < float("inf"):
-            raise ValueError(f"walls is {self.walls!r}; it must be None, or finite and not negative [kg]")
-        if not isinstance(self.area, bool):
-            raise ValueError(f"area is {self.area!r}; it must be True or False")
 
     @property
     def channels(self) -> tuple[str, ...]:

@@ -19,15 +19,19 @@ from dc_kernels.grid.gather import gather_kernel, weight_stages
 from dc_kernels.grid.image_spec import ImageSpec
 from dc_kernels.grid.scene import Scene, SceneSplat
 from dc_kernels.grid.splat import allocate_image, points_group
-from dc_kernels.grid.stencil import BILINEAR, Stencil
+from dc_kernels.grid.stencil import BILINEAR, Stencil, check_stencil
 from dc_kernels.model.arrays import kernel_array, to_numpy, to_torch
+from dc_kernels.model.settings import check_choice, checker
 from dc_kernels.runtime.capture import HOST, refuse_recording
-from dc_kernels.runtime.inputs import check_count
+from dc_kernels.runtime.inputs import check_callable, check_count, check_simulation, check_truth
 from dc_kernels.runtime.interop import address
 from dc_kernels.runtime.program import Fed, Program, Stage
 
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation, Start
+
+
+_spec = checker(ImageSpec)
 
 
 class Images:
@@ -60,10 +64,10 @@ class Images:
         Raises:
             ValueError: for a setting out of range, or a simulation on a GPU.
         """
+        check_simulation("sim", sim)
         if sim.device != "cpu":
             raise ValueError(f"sim.device is {sim.device!r}; Images runs on the CPU")
-        if not isinstance(spec, ImageSpec):
-            raise ValueError(f"spec is a {type(spec).__name__}; it must be an ImageSpec")
+        _spec("spec", spec)
         threads = sim.threads if threads is None else check_count("threads", threads)
         self.sim, self.spec, self.channels = sim, spec, spec.channels
         self.worlds = sim.model.world_count
@@ -146,8 +150,7 @@ class Images:
         Raises:
             ValueError: for an image of another type, dtype, shape, layout or device, or a stencil that no gather has.
         """
-        if at not in ("contacts", "bodies"):
-            raise ValueError(f"at is {at!r}; it must be 'contacts' or 'bodies'")
+        check_choice("at", at, ("contacts", "bodies"))
         return self._gather(image, at, None, stencil, reverse)
 
     def start_from(self, image: Any, *, stencil: Stencil | None = None, reverse: bool = False) -> None:
@@ -164,7 +167,13 @@ class Images:
         Args:
             predict: called with these images after the splat; returns an image of impulses for ``start_from``.
             **options: stencil and reverse of ``start_from``.
+
+        Raises:
+            TypeError: for what cannot be called, or another option.
         """
+        check_callable("predict", predict)
+        if unknown := set(options) - {"stencil", "reverse"}:
+            raise TypeError(f"{min(unknown)} is no option of start_from; there are stencil and reverse")
 
         def start(sim: Simulation) -> None:
             if sim is not self.sim:
@@ -175,6 +184,7 @@ class Images:
         return start
 
     def _gather(self, image: Any, at: str, channels: int | None, stencil: Stencil | None, reverse: bool) -> Any:
+        stencil, reverse = check_stencil("stencil", stencil), check_truth("reverse", reverse)
         pointer, shape = address(image, "image", self.sim.dtype)
         bins = self.spec.bins if at == "contacts" else 1
         count = channels or (shape[1] // bins if len(shape) > 1 else 0)

@@ -21,8 +21,9 @@ from enum import IntEnum
 from typing import Any, Literal
 
 from dc_kernels.grid.grid import Grid
+from dc_kernels.model.settings import Positive, Settings, checker
 from dc_kernels.solve.rows import LANES
-from dc_kernels.sph.smoothing import KERNELS, STENCILS, check_support
+from dc_kernels.sph.smoothing import KERNELS, STENCILS
 
 SUPPORT = 2.0  # default h [spacing]
 MAX_SUPPORT = 2**20  # [spacing]
@@ -44,7 +45,7 @@ NORMALIZE = {"sum": Normalize.SUM, "particle": Normalize.PARTICLE, "shepard": No
 
 
 @dataclass(frozen=True)
-class Stencil:
+class Stencil(Settings):
     """Settings of a splat or a gather: how the weights of a point follow from its distance to the nodes.
 
     Raises:
@@ -54,22 +55,12 @@ class Stencil:
     kernel: KernelName = "poly6"
     """Name of the stencil: a radial smoothing kernel, "bilinear" or "bspline"."""
     _: KW_ONLY
-    h: float | None = None
+    h: Positive | None = None
     """Support radius of a radial kernel [m]; None: 2 spacings."""
     normalize: Literal["particle", "shepard", "sum"] = "particle"
     """What the weights are divided by (see the module)."""
     nearest: bool = True
     """Whether a point that reaches no node is given to its nearest one, under "particle"."""
-
-    def __post_init__(self) -> None:
-        if self.kernel not in STENCILS:
-            raise ValueError(f"kernel is {self.kernel!r}; it must be one of {tuple(STENCILS)}")
-        if self.normalize not in NORMALIZE:
-            raise ValueError(f"normalize is {self.normalize!r}; it must be one of {tuple(NORMALIZE)}")
-        if not isinstance(self.nearest, bool):
-            raise ValueError(f"nearest is {self.nearest!r}; it must be True or False")
-        if self.h is not None:
-            check_support(self.h)
 
     def support(self, spacing: float) -> float:
         """Return the support radius on a grid [m].
@@ -115,6 +106,20 @@ class Stencil:
             raise ValueError("normalize is 'shepard', which only a splat can be; it must be 'particle' or 'sum'")
 
 
+_grid, _stencil = checker(Grid), checker(Stencil)
+
+
+def check_place(grid: Any, stencil: Any) -> tuple[Grid, Stencil]:
+    """Return a grid and a stencil.
+
+    Raises:
+        TypeError: naming what is none.
+    """
+    return _grid("grid", grid), _stencil("stencil", stencil)
+
+
+check_stencil = checker(Stencil | None)
+"""Returns a stencil, or None, or raises a TypeError with the name."""
 POLY6 = Stencil()
 """The stencil of a splat unless another one is asked for: poly6 of 2 spacings, each point's weights of sum 1."""
 BILINEAR = Stencil("bilinear")

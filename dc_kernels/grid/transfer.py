@@ -9,11 +9,20 @@ import numpy as np
 from dc_kernels.grid.gather import gather_kernel, weight_stages
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.splat import Splat, allocate_image, first_and_count, points_group
-from dc_kernels.grid.stencil import BILINEAR, POLY6, Stencil
+from dc_kernels.grid.stencil import BILINEAR, POLY6, Stencil, check_place
 from dc_kernels.model.arrays import kernel_array
+from dc_kernels.model.settings import WrongType, shown
 from dc_kernels.runtime.backends import Launch, check_backend
 from dc_kernels.runtime.capture import clear
-from dc_kernels.runtime.inputs import check_array, check_bins, check_count, check_layout, check_points, check_start
+from dc_kernels.runtime.inputs import (
+    check_array,
+    check_bins,
+    check_count,
+    check_layout,
+    check_points,
+    check_start,
+    check_truth,
+)
 from dc_kernels.runtime.interop import host_view
 from dc_kernels.runtime.program import Program, Stage
 
@@ -46,7 +55,7 @@ class Transfer:
         Raises:
             ValueError: naming the setting, when it is out of range.
         """
-        self.grid, self.stencil = grid, stencil
+        self.grid, self.stencil = check_place(grid, stencil)
         stencil.support(grid.spacing)
         self.bins, self.threads = check_count("bins", bins), check_count("threads", threads)
         self.backend = check_backend(backend)
@@ -81,11 +90,12 @@ class Transfer:
         out: Any = None,
     ) -> np.ndarray:
         """Return an image at points; arguments, result and errors as of the function ``gather``."""
-        self.stencil.check_gather(reverse)
+        self.stencil.check_gather(check_truth("reverse", reverse))
         bound = self.at(points, start=start, point_bin=point_bin)
         image = host_view("image", image)
         if not isinstance(image, np.ndarray) or image.ndim != 4:
-            raise ValueError(f"image has shape {getattr(image, 'shape', None)}; it must be (W, bins C, rows, columns)")
+            found = f"has shape {image.shape}" if isinstance(image, np.ndarray) else f"is {shown(image)}"
+            raise WrongType(f"image {found}; it must be (W, bins C, rows, columns)")
         channels = max(image.shape[1] // self.bins, 1)
         check_array("image", image, bound.image_shape(channels), bound.points.dtype)
         if out is None:
@@ -151,7 +161,7 @@ class PointTransfer:
         Raises:
             ValueError: for arrays of another shape, dtype or memory layout, or a stencil that no gather has.
         """
-        self.transfer.stencil.check_gather(reverse)
+        self.transfer.stencil.check_gather(check_truth("reverse", reverse))
         values = check_layout("values", values, (len(self.points), None), self.points.dtype)
         image = check_array("image", image, self.image_shape(values.shape[1]), self.points.dtype)
         return self.bind_gather(image, values, reverse)

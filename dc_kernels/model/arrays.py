@@ -13,6 +13,7 @@ import numpy as np
 
 from dc_kernels.model.dtypes import aligned_zeros, float_dtype, numpy_spec
 from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, Field
+from dc_kernels.model.settings import numeric
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
 from dc_kernels.runtime.optional import require
@@ -231,11 +232,9 @@ def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype
         ValueError: naming field and first bad index: another shape, an integer that does not fit, and, where numbers
             must be ``finite``, NaN or inf.
     """
-    array = np.asarray(values)
+    array = numeric(name, values, f"numbers of shape {shape}", "buif")
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; it must be {shape}")
-    if array.dtype.kind not in "buif":
-        raise ValueError(f"{name} has dtype {array.dtype}; it must be numeric")
     if dtype.kind == "f":
         bad = np.argwhere(~np.isfinite(array)) if finite else np.zeros((0, array.ndim), np.int64)
     else:

@@ -7,7 +7,6 @@ float64 up to the last cast, so that a world far from the origin is as exact as 
 from __future__ import annotations
 
 import math
-import operator
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
@@ -33,12 +32,13 @@ from dc_kernels.model.assemble import (
     Y,
     assemble,
 )
-from dc_kernels.model.checks import ALL_BITS, fill, number, pair
+from dc_kernels.model.checks import ALL_BITS, body_type, fill, number, pair, truth, whole
 from dc_kernels.model.dtypes import float_dtype
 from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.row_table import RowTable
+from dc_kernels.model.settings import numeric
 from dc_kernels.model.shapes import TOLERANCE, box_vertices, convex_polygon, points
-from dc_kernels.runtime.backends import on_numpy
+from dc_kernels.runtime.backends import check_device
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -117,10 +117,7 @@ class ModelBuilder:
         """
         where = f"body {self._bodies.count}"
         self._need_world(where)
-        try:
-            kind = BodyType(type)
-        except ValueError as error:
-            raise ValueError(f"type of {where} is {type!r}; it must be one of {[t.name for t in BodyType]}") from error
+        kind = body_type(type, where)
         x, y = pair("position", position, where)
         vx, vy = pair("velocity", velocity, where)
         spin = number("angular_velocity", angular_velocity, where)
@@ -216,6 +213,7 @@ class ModelBuilder:
             **material: see ``Material``.
         """
         where = self._shape_of(body)
+        closed = truth(f"closed of {where}", closed)
         kind = BodyType(int(self._bodies.row(body)[TYPE]))
         if kind != BodyType.STATIC:
             raise ValueError(f"body of {where} is {body}, of type {kind.name}; chains need a STATIC body")
@@ -307,11 +305,12 @@ class ModelBuilder:
         n = len(positions)
         bodies = np.full((n, 9), np.nan)
         bodies[:, X : Y + 1] = positions
-        try:
-            bodies[:, VX : VY + 1] = 0.0 if velocity is None else velocity
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"velocity has shape {np.shape(velocity)}; it must be ({n}, 2) or (2,)") from error
-        points(bodies[:, VX : VY + 1], "velocity", 0)
+        wanted = f"({n}, 2) or (2,)"
+        speed = np.zeros(2) if velocity is None else numeric("velocity", velocity, f"numbers of shape {wanted}")
+        if speed.shape not in ((n, 2), (2,)):
+            raise ValueError(f"velocity has shape {speed.shape}; it must be {wanted}")
+        points(speed.reshape(-1, 2), "velocity", 0)
+        bodies[:, VX : VY + 1] = speed
         fill(bodies[:, ANGLE], "angle", angle)
         fill(bodies[:, SPIN], "angular_velocity", angular_velocity)
         bodies[:, TYPE] = BodyType.DYNAMIC
@@ -349,8 +348,7 @@ class ModelBuilder:
                 cannot hold; an unknown dtype, device or backend.
         """
         real = float_dtype(dtype)
-        if on_numpy(backend) and device != "cpu":
-            raise ValueError(f"device is {device!r}; the {backend} backend runs on 'cpu' only")
+        check_device(device, backend)
         if not self._worlds:
             raise ValueError("the builder has no world: call add_world first")
         with np.errstate(over="ignore", invalid="ignore"):  # values too large are found when they are assigned
@@ -386,10 +384,7 @@ class ModelBuilder:
     def _body(self, name: str, body: Any, where: str) -> int:
         """The index of a body of the latest world."""
         self._need_world(where)
-        try:
-            index = operator.index(body)
-        except TypeError as error:
-            raise ValueError(f"{name} of {where} is {body!r}; it must be an integer") from error
+        index = whole(f"{name} of {where}", body)
         if not 0 <= index < self._bodies.count:
             raise ValueError(f"{name} of {where} is {index}; it must lie in [0, {self._bodies.count})")
         if index < self._worlds[-1].body:

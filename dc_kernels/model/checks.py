@@ -1,95 +1,106 @@
-"""Checks of numbers that users give; what is wrong is named with its field, index and limit."""
+"""Checks of what is given to a builder; what is wrong is named with its field, index and limit."""
 
 from __future__ import annotations
 
-import math
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from dc_kernels.model.enums import BodyType
+from dc_kernels.model.settings import Limits, WrongType, checker, number_limits, numeric, shown
+from dc_kernels.model.shapes import LARGEST
+
+Finite = Annotated[float, Limits(size=LARGEST)]
+Positive = Annotated[float, Limits(above=0.0, size=LARGEST)]
+NotNegative = Annotated[float, Limits(least=0.0, size=LARGEST)]
 ALL_BITS = 0xFFFFFFFF
-# field: (low, low itself allowed, high)
-LIMITS = {
-    "mass": (0.0, False, math.inf),
-    "inertia": (0.0, True, math.inf),
-    "radius": (0.0, False, math.inf),
-    "rounding": (0.0, True, math.inf),
-    "half_width": (0.0, False, math.inf),
-    "half_height": (0.0, False, math.inf),
-    "density": (0.0, True, math.inf),
-    "friction": (0.0, True, math.inf),
-    "restitution": (0.0, True, 1.0),
-    "category": (0, True, ALL_BITS),
-    "mask": (0, True, ALL_BITS),
-    "length": (0.0, False, math.inf),
-    "length_scale": (0.0, False, math.inf),
+Bits = Annotated[int, Limits(least=0, most=ALL_BITS)]
+MATERIAL: dict[str, Any] = {
+    "density": NotNegative,
+    "friction": NotNegative,
+    "restitution": Annotated[float, Limits(least=0.0, most=1.0)],
+    "category": Bits,
+    "mask": Bits,
 }
-_ANY = (-math.inf, True, math.inf)
+"""What the keywords of every shape may be, by name."""
+FIELDS: dict[str, Any] = {
+    **MATERIAL,
+    "mass": Positive,
+    "inertia": NotNegative,
+    "radius": Positive,
+    "rounding": NotNegative,
+    "half_width": Positive,
+    "half_height": Positive,
+    "length": Positive,
+    "length_scale": Positive,
+    "angle": Finite,
+    "angular_velocity": Finite,
+}
+"""What the numbers of bodies, shapes and joints may be, by name."""
 _LABELS = {"rounding": "radius"}
+_CHECKS = {name: checker(hint) for name, hint in FIELDS.items()}
+_finite = checker(Finite)
+truth = checker(bool)
+"""Returns True or False, or raises a TypeError with the name."""
+whole = checker(int)
+"""Returns an integer, or raises a TypeError with the name."""
+
+
+def body_type(value: Any, where: str) -> BodyType:
+    """Return a type of body, given as such or as its number.
+
+    Raises:
+        TypeError, ValueError: naming ``where``.
+    """
+    names = [kind.name for kind in BodyType]
+    if isinstance(value, BodyType):
+        return value
+    if not isinstance(value, int | np.integer) or isinstance(value, bool):
+        raise WrongType(f"type of {where} is {shown(value)}; it must be one of {names}")
+    if value not in set(BodyType):
+        raise ValueError(f"type of {where} is {value}; it must be one of {names}")
+    return BodyType(int(value))
 
 
 def number(name: str, value: Any, where: str) -> float:
-    """One number within the limits of its field.
+    """Return one number within the limits of its field.
 
     Raises:
-        ValueError: "radius of shape 3 is -1; it must be finite and > 0", where ``where`` is "shape 3".
+        TypeError, ValueError: "radius of shape 3 is -1; it must be finite and > 0", where ``where`` is "shape 3".
     """
-    label = _LABELS.get(name, name)
-    try:
-        result = float(value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{label} of {where} is {value!r}; it must be a number") from error
-    low, closed, high = LIMITS.get(name, _ANY)
-    if not (math.isfinite(result) and low <= result <= high and (closed or result > low)):
-        raise ValueError(f"{label} of {where} is {result!r}; it must be {limit(name)}")
-    if isinstance(low, int) and result != int(result):
-        raise ValueError(f"{label} of {where} is {result!r}; it must be {limit(name)}")
-    return result
-
-
-def limit(name: str) -> str:
-    """The limits of a field in words."""
-    low, closed, high = LIMITS.get(name, _ANY)
-    if isinstance(low, int):
-        return f"an integer in [{low}, {high:#x}]"
-    if high < math.inf:
-        return f"in [{low:g}, {high:g}]"
-    return "finite" if low == -math.inf else f"finite and {'>=' if closed else '>'} {low:g}"
+    return _CHECKS[name](f"{_LABELS.get(name, name)} of {where}", value)
 
 
 def fill(column: np.ndarray, name: str, values: Any) -> None:
-    """Numbers within the limits of their field into a column; a single one fills it.
+    """Write numbers within the limits of their field into a column; a single one fills it.
 
     Raises:
-        ValueError: naming field, index and limit.
+        TypeError, ValueError: naming field, index and limit.
     """
-    if isinstance(values, (int, float)):
-        column[:] = number(name, values, "the discs")
-        return
-    array = np.asarray(values)
-    if array.shape not in ((), column.shape) or array.dtype.kind not in "buif":
-        raise ValueError(f"{name} has shape {array.shape}, dtype {array.dtype}; it must be a number or {column.shape}")
-    column[:] = array
-    low, closed, high = LIMITS.get(name, _ANY)
-    good = np.isfinite(column) & (column >= low if closed else column > low) & (column <= high)
-    if isinstance(low, int):
-        good &= column == np.floor(column)
+    wanted = f"a number or {column.shape}"
+    array = numeric(name, values, wanted)
+    if array.shape not in ((), column.shape):
+        raise ValueError(f"{name} has shape {array.shape}; it must be {wanted}")
+    kind, limits = number_limits(FIELDS[name])
+    good = limits.hold_all(array)
+    if kind is int:
+        good &= array == np.floor(array)
     if not good.all():
         i = int(good.argmin())
-        raise ValueError(f"{name}[{i}] is {float(column[i])!r}; it must be {limit(name)}")
+        value = array.flat[i].item() if kind is int else float(array.flat[i])
+        place = f"[{i}]" if array.ndim else " of the discs"
+        raise ValueError(f"{name}{place} is {value!r}; {limits.demand(value, kind)}")
+    column[:] = array
 
 
 def pair(name: str, value: Any, where: str) -> tuple[float, float]:
-    """Two finite numbers.
+    """Return two finite numbers.
 
     Raises:
-        ValueError: naming field and ``where``.
+        TypeError, ValueError: naming field and ``where``.
     """
-    try:
-        x, y = value
-        x, y = float(x), float(y)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} of {where} is {value!r}; it must be two numbers") from error
-    if not (math.isfinite(x) and math.isfinite(y)):
-        raise ValueError(f"{name} of {where} is ({x}, {y}); it must be finite")
-    return x, y
+    if not (isinstance(value, tuple | list) and len(value) == 2):
+        value = numeric(f"{name} of {where}", given := value, "two numbers")
+        if value.shape != (2,):
+            raise ValueError(f"{name} of {where} is {shown(given)}; it must be two numbers")
+    return _finite(f"{name}[0] of {where}", value[0]), _finite(f"{name}[1] of {where}", value[1])

@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from dc_kernels.model.fields import Field
+from dc_kernels.model.settings import (
+    Count,
+    Limits,
+    NotNegative,
+    Positive,
+    Settings,
+    Whole,
+    checker,
+    field_types,
+    plain_type,
+)
 
 # how kernels know a choice of SolverConfig
 METHODS = {"pgs": 0, "jacobi": 1}
@@ -20,107 +32,80 @@ CHOICES = {
     "start": STARTS,
     "position_correction": POSITION_CORRECTIONS,
 }
+Tolerance = Annotated[float, Limits(least=0.0, size=math.inf)]
 SLACK = 0.05  # of the slop: within it two separating axes count as equal and the first body's is taken
 
 
 @dataclass(frozen=True, kw_only=True)
-class SolverConfig:
+class SolverConfig(Settings):
     """Settings of the contact solver and of the stages around it.
 
     Lengths are multiples of each world's ``length_scale``, so that a scene of millimetres behaves like
     one of kilometres.
     """
 
+    settings_prefix: ClassVar[str] = "SolverConfig."
+
     method: Literal["pgs", "jacobi"] = "pgs"
     """Projected Gauss-Seidel in colour order, or Jacobi with mass splitting (Tonge et al. 2012)."""
     acceleration: Literal["none", "sor", "aitken", "nncg", "adaptive"] = "adaptive"
     """Over-relaxation, Aitken extrapolation with back-off, nonsmooth nonlinear CG (Silcowitz et al. 2010), or Aitken,
     momentum and Anderson's update in turns, chosen by what they gained."""
-    max_sweeps: int = 1000
+    max_sweeps: Whole = 1000
     """Sweeps after which a solve ends unconverged [1]."""
-    min_sweeps: int = 10
+    min_sweeps: Whole = 10
     """Sweeps of a solve at least, if max_sweeps allows: what a step at rest leaves is met by the next, so that piles
     lie still (up to 1e3 times less creep than at 1) and need fewer long solves [1]."""
-    tolerance: float = 1e-4
+    tolerance: Tolerance = 1e-4
     """Largest impulse change of a sweep [N s], or residual [1], at which a solve ends."""
-    relative_tolerance: float = 1.3e-3
+    relative_tolerance: Tolerance = 1.3e-3
     """The same relative to the impulse that a typical body's weight gives in a step: the smaller bound on the impulse
     change counts, so that light bodies and short steps are solved too; inf: none. The default leaves the theses' discs
     at 1e-4 N s [1]."""
     stop: Literal["change", "residual"] = "change"
     """What the tolerance is compared with: the largest impulse change, or the relative natural map."""
-    residual_every: int = 5
+    residual_every: Count = 5
     """Sweeps between two evaluations of the residual when it decides the stop [1]."""
     start: Literal["cache", "zero"] = "cache"
     """Start impulses of a step: those of the step before, or zero."""
-    omega: float = 1.4
+    omega: Annotated[float, Limits(above=0.0, most=2.0)] = 1.4
     """Relaxation factor of acceleration "sor" [1]."""
-    aitken_period: int = 3
+    aitken_period: Annotated[int, Limits(least=3, most=2**29)] = 3
     """Shortest period of the Aitken extrapolation, in sweeps: 3 needs a tenth fewer sweeps than 5 at 100 discs [1]."""
-    aitken_period_max: int = 40
+    aitken_period_max: Annotated[int, Limits(least=3, most=2**29)] = 40
     """Longest period after back-off, in sweeps [1]."""
-    aitken_cap: float = 200.0
+    aitken_cap: NotNegative = 200.0
     """Largest multiple of the last step to move on by [1]."""
-    aitken_threshold: float = 0.95
+    aitken_threshold: Annotated[float, Limits(above=0.0, most=1.0)] = 0.95
     """Back off when the step shrank by less than this factor over a period [1]."""
-    aitken_patience: int = 20
+    aitken_patience: Count = 20
     """Periods without a smaller step after which plain sweeps follow, 2 aitken_period_max and twice as many each
     time: extrapolation alone can cycle for good where plain Gauss-Seidel converges [1]."""
-    stretch: int = 120
+    stretch: Annotated[int, Limits(least=10, most=2**30)] = 120
     """Sweeps after which "adaptive" compares its methods: 80 to 240 are within 5 % of each other [1]."""
     position_correction: Literal["ngs", "baumgarte", "none"] = "ngs"
     """A phase of its own after the velocities (Box2D 2.3), a velocity bias, or nothing."""
-    position_iterations: int = 3
+    position_iterations: Whole = 3
     """Sweeps of the "ngs" phase; it is skipped where nothing overlaps by more than the slop [1]."""
-    position_factor: float = 0.2
+    position_factor: Annotated[float, Limits(above=0.0, most=1.0)] = 0.2
     """Share of an overlap that one "ngs" sweep, or one "baumgarte" step, removes [1]."""
-    slop: float = 5e-4
+    slop: NotNegative = 5e-4
     """Overlap that is left alone, and gap that counts as closed [length_scale]."""
-    max_correction: float = 0.2
+    max_correction: Positive = 0.2
     """Largest overlap corrected at once [length_scale]."""
-    speculative: float = 0.02
+    speculative: NotNegative = 0.02
     """A gap below this is a contact, as is one that closes within the step [length_scale]."""
-    speculative_max: float = 0.1
+    speculative_max: NotNegative = 0.1
     """The same where bodies are fast: what the fastest moves in a step, up to this [length_scale]."""
-    margin: float = 0.1
+    margin: NotNegative = 0.1
     """Broadphase boxes are this much larger on each side, so that pairs last several steps [length_scale]."""
-    restitution_threshold: float = 1.0
+    restitution_threshold: NotNegative = 1.0
     """Approach speed below which a contact does not bounce [m/s]."""
     history: bool = False
     """Keep the largest impulse change of every sweep (``SolveStats.history``)."""
 
-    def __post_init__(self) -> None:
-        for name, allowed in CHOICES.items():
-            if getattr(self, name) not in allowed:
-                raise ValueError(f"SolverConfig.{name} is {getattr(self, name)!r}; it must be one of {tuple(allowed)}")
-        # name: (low, high, low itself allowed)
-        ranges = {
-            "max_sweeps": (0, 2**31 - 1, True),
-            "min_sweeps": (0, 2**31 - 1, True),
-            "tolerance": (0.0, float("inf"), True),
-            "relative_tolerance": (0.0, float("inf"), True),
-            "residual_every": (1, 2**31 - 1, True),
-            "omega": (0.0, 2.0, False),
-            "aitken_period": (3, 2**29, True),
-            "aitken_period_max": (3, 2**29, True),
-            "aitken_patience": (1, 2**31 - 1, True),
-            "stretch": (10, 2**30, True),
-            "aitken_cap": (0.0, float("inf"), True),
-            "aitken_threshold": (0.0, 1.0, False),
-            "position_iterations": (0, 2**31 - 1, True),
-            "position_factor": (0.0, 1.0, False),
-            "slop": (0.0, float("inf"), True),
-            "max_correction": (0.0, float("inf"), False),
-            "speculative": (0.0, float("inf"), True),
-            "speculative_max": (0.0, float("inf"), True),
-            "margin": (0.0, float("inf"), True),
-            "restitution_threshold": (0.0, float("inf"), True),
-        }
-        for name, (low, high, closed) in ranges.items():
-            value = getattr(self, name)
-            if not (low <= value <= high) or (value == low and not closed):
-                bracket = "[" if closed else "("
-                raise ValueError(f"SolverConfig.{name} is {value!r}; it must lie in {bracket}{low}, {high}]")
+    def check(self) -> None:
+        """Raise a ``ValueError`` for settings that do not go together."""
         if self.aitken_period_max < self.aitken_period:
             raise ValueError(
                 f"SolverConfig.aitken_period_max is {self.aitken_period_max}; "
@@ -149,9 +134,22 @@ class SolverConfig:
         return values
 
 
+@dataclass(frozen=True)
+class SimulationOptions(Settings):
+    """What a ``Simulation`` is made with beside its arrays; see there."""
+
+    config: SolverConfig | None = None
+    threads: Count = 1
+    schedule: Literal["world", "color"] = "world"
+    on_overflow: Literal["grow", "raise"] = "grow"
+    specialize: bool = True
+    pairs_per_shape: NotNegative = 4.0
+    contacts_per_body: NotNegative = 2.5
+
+
 def _config_table() -> dict[str, Field]:
-    kinds = {"int": "int32", "bool": "int32", "float": "real"}
-    table = {f.name: Field(f.name, "launch", kinds.get(str(f.type), "int32"), "1", "") for f in fields(SolverConfig)}
+    kinds = {name: "real" if plain_type(hint) is float else "int32" for name, hint in field_types(SolverConfig).items()}
+    table = {name: Field(name, "launch", kind, "1", "") for name, kind in kinds.items()}
     for name, meaning in (
         ("slack", "overlap within which two separating axes count as equal [length_scale]"),
         ("uniform_friction", "coefficient that all shapes have in common, -1 if they differ"),
@@ -161,5 +159,7 @@ def _config_table() -> dict[str, Field]:
     return table
 
 
+check_config = checker(SolverConfig)
+"""Returns settings of a solver, or raises a TypeError with the name."""
 CONFIG = _config_table()
 """Fields of the struct of settings that kernels take, by the names that ``SolverConfig`` has for them."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.model.fields import ITERATION, Field
+from dc_kernels.model.settings import shown
 
 FLOATS: dict[str, np.dtype] = {"float32": np.dtype(np.float32), "float64": np.dtype(np.float64)}
 _COMPONENTS = {"vec2": 2, "vec2d": 2, "vec3": 3, "vec3i": 3, "vec4": 4, "vec8": 8}
@@ -20,9 +21,12 @@ def float_dtype(dtype: Any) -> np.dtype:
     Raises:
         ValueError: for any other dtype.
     """
-    name = np.dtype(dtype).name
+    try:
+        name = None if dtype is None else np.dtype(dtype).name  # None would be float64
+    except (TypeError, ValueError, SyntaxError):  # what numpy knows no dtype of
+        name = None
     if name not in FLOATS:
-        raise ValueError(f"dtype is {name!r}; it must be one of {tuple(FLOATS)}")
+        raise ValueError(f"dtype is {shown(dtype) if name is None else repr(name)}; it must be one of {tuple(FLOATS)}")
     return FLOATS[name]
 
 

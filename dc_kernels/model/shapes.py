@@ -12,8 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dc_kernels.model.settings import numeric
+
 MAX_VERTICES = 8  # of a polygon: a feature id of 4 bits an edge or vertex fits the key with room to spare
 
+LARGEST = 1e60
+"""Largest magnitude of a number of a body or shape, in the number's unit; float64 holds its fourth power."""
 TOLERANCE = 1e-6
 """Relative tolerance of the checks: a distance to the polygon's size, an area to its square, a sine to 1."""
 
@@ -116,18 +120,17 @@ def points(values: Any, where: str, low: int = 1, high: int | None = None) -> np
         ValueError: naming ``where`` and the index: another shape, fewer than ``low`` or more than ``high`` points,
             NaN or inf.
     """
-    try:
-        array = np.asarray(values, np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{where}: not an array of numbers of shape (n, 2)") from error
+    array = numeric(where, values, "numbers of shape (n, 2)").astype(np.float64)
     if array.ndim != 2 or array.shape[1] != 2:
         raise ValueError(f"{where}: has shape {array.shape}; it must be (n, 2)")
     if len(array) < low or (high is not None and len(array) > high):
         limit = f"at least {low}" if high is None else f"{low} to {high}"
         raise ValueError(f"{where}: {len(array)} points; there must be {limit}")
-    if not np.isfinite(array).all():
-        i, j = (int(k) for k in np.argwhere(~np.isfinite(array))[0])
-        raise ValueError(f"{where}[{i}, {j}] is {array[i, j]}; it must be finite")
+    good = np.abs(array) <= LARGEST
+    if not good.all():
+        i, j = (int(k) for k in np.argwhere(~good)[0])
+        limit = f"within {LARGEST:g} of zero" if np.isfinite(array[i, j]) else "finite"
+        raise ValueError(f"{where}[{i}, {j}] is {array[i, j]}; it must be {limit}")
     return array
 
 

@@ -17,7 +17,9 @@ from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.fields import COLORS, CONTACTS, JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, STATE, Field
 from dc_kernels.model.geometry import check_geometry
 from dc_kernels.model.rules import Ascending, BrokenRule, Code, Index, Number, Start, Unit, refuse
+from dc_kernels.model.settings import checker
 
+_model, _state, _joints = checker(Model), checker(State), checker(Joints)
 Arrays = Mapping[str, np.ndarray]
 UNIT_TOLERANCE = 1e-3  # of the length of a unit vector: far above rounding, far below what moves a contact
 INVERSE_TOLERANCE = 1e-3  # of mass times inverse mass: inverses of large float32 numbers have few digits
@@ -108,13 +110,21 @@ def check_start(label: str, values: np.ndarray, length: int) -> None:
     refuse(label, values[last:], np.array(values[last:] != length), f"{length}, the length of its axis", last)
 
 
-def check_scene(model: Model, state: State, joints: Joints) -> None:
+def check_scene(model: Model, state: State, joints: Joints | None) -> Joints:
     """Hold a model, its state and joints to each other, to their memory as kernels need it, and to their rules.
 
+    Returns:
+        The joints; none for None.
+
     Raises:
+        TypeError: naming what is no group of arrays.
         ValueError: naming group, array, index, value and limit: arrays of another model, dtype, device or backend, or
             values out of range.
     """
+    _model("model", model)
+    _state("state", state)
+    joints = Joints({"joint": 0}, model.dtype, model.device, model.backend) if joints is None else joints
+    _joints("joints", joints)
     groups: dict[str, ArrayGroup] = {"model": model, "state": state, "joints": joints}
     for name in ("state", "joints"):
         for what in ("dtype", "device", "backend"):
@@ -132,6 +142,7 @@ def check_scene(model: Model, state: State, joints: Joints) -> None:
     check_model(arrays["model"])
     check_state(arrays["state"], arrays["model"])
     check_joints(arrays["joints"], arrays["model"])
+    return joints
 
 
 def check_model(model: Arrays, label: str = "model.") -> None:

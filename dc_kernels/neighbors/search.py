@@ -8,13 +8,15 @@ distance is the radius.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from dc_kernels.model.arrays import kernel_arrays
+from dc_kernels.model.settings import Limits, check_choice, checker
 from dc_kernels.neighbors.cells import Workspace, allowed, hash_lists, hash_pairs
 from dc_kernels.runtime.backends import bind, check_backend, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
@@ -22,6 +24,7 @@ from dc_kernels.runtime.inputs import check_count, check_points, check_start
 from dc_kernels.runtime.optional import require
 from dc_kernels.runtime.threads import map_threads
 
+_number = checker(Annotated[float, Limits(above=0.0, size=math.inf)])  # its square decides
 METHODS = ("hash", "kdtree", "tree", "all")
 BLOCK = 1 << 20  # distances at a time in the method "all"
 Found = tuple[np.ndarray, np.ndarray]  # one world's (queries, points), indices in the world
@@ -57,7 +60,7 @@ class NeighborSearch:
         Raises:
             ValueError: naming the argument and the limit.
         """
-        self.radius, self.backend = radius, backend
+        self.radius, self.backend = _number("radius", radius), backend
         self._search = _search(method, backend)
         self.threads = check_count("threads", threads)
         self._idle: list[Workspace] = []  # that no call uses
@@ -211,8 +214,7 @@ def _square(name: str, radius: Any, dtype: np.dtype) -> Any:
 
 def _search(method: str, backend: str) -> Search | None:
     """How a method searches one world; None for "hash", which takes all of them."""
-    if method not in METHODS:
-        raise ValueError(f"method is {method!r}; it must be one of {METHODS}")
+    check_choice("method", method, METHODS)
     if check_backend(backend) != "warp" and method != "hash":
         raise ValueError(f"backend is {backend!r} and method is {method!r}; only 'hash' has an oracle")
     return {"hash": None, "kdtree": _kdtree, "tree": _tree, "all": _all}[method]

@@ -13,7 +13,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from dc_kernels.runtime.building import building
+from dc_kernels.model.settings import WrongType, check_choice, shown
+from dc_kernels.runtime.building import building, start_warp
 from dc_kernels.runtime.capture import refuse_recording
 
 Launch = Callable[[], None]
@@ -42,9 +43,29 @@ def check_backend(backend: str) -> str:
     Raises:
         ValueError: for an unknown one.
     """
-    if backend not in BACKENDS:
-        raise ValueError(f"backend is {backend!r}; it must be one of {tuple(BACKENDS)}")
-    return backend
+    return check_choice("backend", backend, BACKENDS)
+
+
+def check_device(device: str, backend: str) -> str:
+    """Return the name of a device of a backend.
+
+    Raises:
+        TypeError, ValueError: for one that is not there.
+    """
+    if not isinstance(device, str):
+        raise WrongType(f"device is {shown(device)}; it must be a str, 'cpu' or 'cuda:0'")
+    if on_numpy(backend) and device != "cpu":
+        raise ValueError(f"device is {device!r}; the {backend} backend runs on 'cpu' only")
+    if device != "cpu":
+        import warp as wp
+
+        start_warp()
+        try:
+            wp.get_device(device)
+        except Exception as error:  # Warp raises different ones from version to version
+            found = tuple(str(one) for one in wp.get_devices())
+            raise ValueError(f"device is {device!r}; it must be one of {found}") from error
+    return device
 
 
 def on_numpy(backend: str) -> bool:

@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from dc_kernels.model.arrays import check_values
 from dc_kernels.model.dtypes import FLOATS
+from dc_kernels.model.settings import Count, Positive, Whole, WrongType, checker, numeric, shown
 from dc_kernels.runtime.interop import host_view
 
+check_count = checker(Count)
+"""Returns a number of threads or bins, at least 1, or raises an error with the name."""
+check_whole = checker(Whole)
+"""Returns a number of steps or worlds, at least 0, or raises an error with the name."""
+check_positive = checker(Positive)
+"""Returns a number > 0, or raises an error with the name."""
+check_truth = checker(bool)
+"""Returns True or False, or raises an error with the name."""
+check_callable = checker(Callable[..., Any])
+"""Returns what can be called, or raises an error with the name."""
 MAX_INDEX = 2**31 - 1  # of a point: kernels count in int32
+
+
+def check_simulation(name: str, sim: Any) -> None:
+    """Raise a TypeError for what has no groups and phases as a ``Simulation`` has."""
+    if isinstance(sim, type) or not all(hasattr(sim, part) for part in ("model", "state", "contacts", "phase")):
+        raise WrongType(f"{name} is {shown(sim)}; it must be a Simulation")
 
 
 def check_layout(
@@ -31,7 +48,7 @@ def check_layout(
     """
     array = host_view(name, array)
     if not isinstance(array, np.ndarray):
-        raise ValueError(f"{name} is a {type(array).__name__}; it must be a numpy array, wp.array or torch tensor")
+        raise WrongType(f"{name} is a {type(array).__name__}; it must be a numpy array, wp.array or torch tensor")
     if array.dtype not in FLOATS.values() if dtype is None else array.dtype != dtype:
         raise ValueError(f"{name} has dtype {array.dtype}; it must be {dtype or ' or '.join(FLOATS)}")
     if array.ndim != len(shape) or any(b not in (None, a) for a, b in zip(array.shape, shape)):
@@ -102,9 +119,9 @@ def check_start(name: str, start: Any, count: int) -> np.ndarray:
     """
     if start is None:
         return np.array([0, count])
-    array = np.asarray(start)
-    if array.ndim != 1 or len(array) < 1 or array.dtype.kind not in "iu":
-        raise ValueError(f"{name} has shape {array.shape}, dtype {array.dtype}; it must be (W + 1,) integers")
+    array = numeric(name, start, "(W + 1,) integers", "iu")
+    if array.ndim != 1 or len(array) < 1:
+        raise ValueError(f"{name} has shape {array.shape}; it must be (W + 1,) integers")
     if array[0] != 0:
         raise ValueError(f"{name}[0] is {array[0]}; it must be 0")
     if array[-1] != count:
@@ -122,7 +139,7 @@ def check_bins(bins: Any, point_bin: Any, count: int) -> np.ndarray:
     Raises:
         ValueError: for bins < 1, another shape, or a bin out of range.
     """
-    check_count("bins", bins)
+    bins = check_count("bins", bins)
     if point_bin is None:
         if bins > 1:
             raise ValueError(f"bins is {bins}, so point_bin must say which one each point belongs to")
@@ -134,17 +151,6 @@ def check_bins(bins: Any, point_bin: Any, count: int) -> np.ndarray:
     return array if bins > 1 else np.zeros(1, np.int32)
 
 
-def check_count(name: str, count: Any, least: int = 1) -> int:
-    """A number of threads, bins or steps.
-
-    Raises:
-        ValueError: naming it, for one that is not an integer of at least ``least``.
-    """
-    if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < least:
-        raise ValueError(f"{name} is {count!r}; it must be an integer of at least {least}")
-    return int(count)
-
-
 def check_time_step(dt: float | np.ndarray, worlds: int, dtype: np.dtype) -> None:
     """Raise ValueError for a time step [s] that is not finite and positive, or underflows a scalar type.
 
@@ -153,34 +159,12 @@ def check_time_step(dt: float | np.ndarray, worlds: int, dtype: np.dtype) -> Non
         worlds: how many there are.
         dtype: of the simulation.
     """
-    if isinstance(dt, str | bytes):
-        raise ValueError(f"dt is {dt!r}; it must be a number [s]")
-    value = np.asarray(dt, np.float64)
+    value = numeric("dt", dt, f"a number or have shape {(worlds,)}").astype(np.float64)
     if value.ndim and value.shape != (worlds,):
         raise ValueError(f"dt has shape {value.shape}; it must be a number or have shape {(worlds,)}")
     if not ((value > 0.0) & (value < float("inf"))).all():
-        raise ValueError(f"dt is {dt!r}; it must be finite and > 0 [s]")
-    with np.errstate(over="ignore"):
+        raise ValueError(f"dt is {shown(dt)}; it must be finite and > 0 [s]")
+    with np.errstate(over="ignore", under="ignore"):
         narrow = value.astype(dtype)
     if not (narrow.all() and np.isfinite(narrow).all()):
-        raise ValueError(f"dt is {dt!r}; it does not fit {dtype.name}")
-
-
-def check_choice(name: str, value: Any, allowed: Iterable[str]) -> None:
-    """Raise ValueError for a setting that is none of the allowed ones."""
-    allowed = tuple(allowed)
-    if value not in allowed:
-        raise ValueError(f"{name} is {value!r}; it must be one of {allowed}")
-
-
-def check_room(**room: float) -> None:
-    """Raise ValueError for room to reserve that is not finite or negative."""
-    for name, value in room.items():
-        if not 0.0 <= value < float("inf"):
-            raise ValueError(f"{name} is {value!r}; it must be finite and not negative")
-
-
-def check_type(name: str, value: Any, wanted: type) -> None:
-    """Raise TypeError for a value of another type."""
-    if not isinstance(value, wanted):
-        raise TypeError(f"{name} is a {type(value).__name__}; it must be a {wanted.__name__}")
+        raise ValueError(f"dt is {shown(dt)}; it does not fit {dtype.name}")

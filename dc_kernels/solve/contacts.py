@@ -10,12 +10,12 @@ import numpy as np
 
 from dc_kernels.binding import Binding
 from dc_kernels.model.arrays import ArrayGroup, Contacts, Joints, Model, State
-from dc_kernels.model.config import SolverConfig
+from dc_kernels.model.config import SimulationOptions, SolverConfig, check_config
 from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import JOINTS
 from dc_kernels.runtime.backends import Launch, bind, check_backend, make_kernels
 from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recording
-from dc_kernels.runtime.inputs import check_choice, check_count, check_type
+from dc_kernels.runtime.inputs import check_truth
 from dc_kernels.runtime.sequences import Rounds, Watch
 from dc_kernels.runtime.stepping import Shards
 from dc_kernels.solve.exchange import (
@@ -147,9 +147,8 @@ class ContactSolver:
         Raises:
             ValueError: naming argument, index and limit.
         """
-        check_choice("schedule", schedule, SCHEDULES)
-        config = config or SolverConfig()
-        check_type("config", config, SolverConfig)
+        options = SimulationOptions(config, threads, schedule)
+        discs, config = check_truth("discs", discs), options.config or SolverConfig()
         if (point is None) == (arm_a is None) or (arm_a is None) != (arm_b is None):
             raise ValueError("either point or both of arm_a and arm_b must be given")
         if point is not None and position is None:
@@ -167,7 +166,7 @@ class ContactSolver:
         }
         starts = offsets(lengths, {"body": body_start, "contact": contact_start, "joint": joint_start})
         worlds = len(starts["body"]) - 1
-        self._shards = Shards(worlds, lengths["body"], check_count("threads", threads))
+        self._shards = Shards(worlds, lengths["body"], options.threads)
         self.threads = self._shards.threads
         self.variant = "joints" if lengths["joint"] else "discs" if discs else "general"
         self._make_groups({**lengths, "world": worlds, "world+1": worlds + 1}, starts, length_scale, weight)
@@ -242,7 +241,7 @@ class ContactSolver:
 
     @config.setter
     def config(self, config: SolverConfig) -> None:
-        check_type("config", config, SolverConfig)
+        config = check_config("config", config)
         refuse_recording("a change of config", "make it before")
         with self._lock:
             before, self._config = self._config, config

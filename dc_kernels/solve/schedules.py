@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 
 from dc_kernels.model.arrays import State
-from dc_kernels.model.config import ACCELERATIONS, SolverConfig
+from dc_kernels.model.config import ACCELERATIONS, SolverConfig, check_config
+from dc_kernels.model.settings import Limits, checker
 from dc_kernels.runtime.backends import Launch, bind
 from dc_kernels.solve.iteration import NEVER
 from dc_kernels.solve.rows import COLORS, LANES, SERIAL_COLOR
 from dc_kernels.solve.storage import Rows, SolveStats
 
+_pause = checker(Annotated[int, Limits(least=0, below=NEVER)])
 SOLVES = 64  # settings of single solves whose launches are kept
 # settings of the iteration alone: rows, contacts and the room reserved do not depend on them
 ITERATION = (
@@ -68,14 +70,19 @@ def check_iteration(config: SolverConfig, own: SolverConfig) -> None:
         )
 
 
-def check_pause(pause: int | None, resume: bool, schedule: str) -> None:
-    """Raise ValueError for a solve that cannot pause, or a pause out of range."""
-    if pause is None and not resume:
-        return
-    if schedule != "world":
+def check_solve(
+    config: SolverConfig | None, pause: int | None, resume: bool, schedule: str
+) -> tuple[SolverConfig | None, int | None]:
+    """Return settings and pause of one solve.
+
+    Raises:
+        TypeError, ValueError: for others, or a solve that cannot pause.
+    """
+    config = None if config is None else check_config("config", config)
+    pause = None if pause is None else _pause("pause", pause)
+    if (pause is not None or resume) and schedule != "world":
         raise ValueError(f"schedule is {schedule!r}; only 'world' can pause a solve")
-    if pause is not None and not 0 <= pause < NEVER:
-        raise ValueError(f"pause is {pause}; it must lie in [0, {NEVER})")
+    return config, pause
 
 
 def settings_of_solve(config: SolverConfig, pause: int | None, resume: bool) -> dict[str, Any]:

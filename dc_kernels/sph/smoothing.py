@@ -30,6 +30,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dc_kernels.model.settings import check_choice, numeric
+from dc_kernels.runtime.inputs import check_positive
+
 KERNELS = {"poly6": 0, "spiky": 1, "gaussian": 2, "cubic": 3, "wendland": 4}
 STENCILS = {**KERNELS, "bilinear": 5, "bspline": 6}
 GAUSSIAN_CUT = 4.0  # a Gaussian of support h has sigma = h / GAUSSIAN_CUT
@@ -65,21 +68,8 @@ def check_kernel(kernel: str, dim: int) -> None:
     Raises:
         ValueError: for a name not in KERNELS, or a dimension other than 2 and 3.
     """
-    if kernel not in KERNELS:
-        raise ValueError(f"kernel is {kernel!r}; it must be one of {tuple(KERNELS)}")
-    if isinstance(dim, bool) or dim not in (2, 3):
-        raise ValueError(f"dim is {dim!r}; it must be 2 or 3")
-
-
-def check_support(h: Any) -> float:
-    """The support radius as a number.
-
-    Raises:
-        ValueError: unless it is finite and > 0 [m].
-    """
-    if isinstance(h, bool) or not isinstance(h, int | float | np.integer | np.floating) or not 0.0 < h < math.inf:
-        raise ValueError(f"h is {h!r}; it must be finite and > 0 [m]")
-    return float(h)
+    check_choice("kernel", kernel, KERNELS)
+    check_choice("dim", dim, (2, 3))
 
 
 def constant(kernel: str, dim: int) -> float:
@@ -99,7 +89,7 @@ def scale(kernel: str, h: Any, dim: int, order: int = 0, dtype: Any = np.float64
         ValueError: for an unknown kernel or dimension, or an h that is not finite and > 0 or whose factor leaves the
             range of the dtype.
     """
-    h, limits = check_support(h), np.finfo(dtype)
+    h, limits = check_positive("h", h), np.finfo(dtype)
     exponent = math.log2(constant(kernel, dim)) - (dim + order) * math.log2(h)
     if not limits.minexp < exponent < limits.maxexp - 1:
         raise ValueError(f"h is {h!r} m; derivatives of order {order} of {kernel} in {dim}D leave {limits.dtype} there")
@@ -221,7 +211,7 @@ def _finite(name: str, values: Any) -> np.ndarray:
     Raises:
         ValueError: naming the first that is not finite.
     """
-    array = np.asarray(values, np.float64)
+    array = numeric(name, values).astype(np.float64)
     bad = np.argwhere(~np.isfinite(array))
     if len(bad):
         index = ", ".join(str(int(i)) for i in bad[0])

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.model.arrays import kernel_arrays
+from dc_kernels.model.settings import check_choice
 from dc_kernels.neighbors.search import Neighbors, neighbor_lists
 from dc_kernels.runtime.backends import bind, check_backend, kernel_file, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
@@ -70,7 +71,7 @@ def sph_sum(
         ValueError: naming the argument, the index and the limit.
     """
     queries, points, values, mass, density = check_particles(queries, points, values, mass, density)
-    code = check_options(quantity, threads, backend)
+    code, threads = check_options(quantity, threads, backend)
     factor = scale(kernel, h, points.shape[1], code.order, points.dtype)
     weighted = values * volume(mass, density)[:, None]
     lists = neighbor_lists(
@@ -108,7 +109,7 @@ def sph_density(
     """
     points = check_points("points", points, (2, 3))
     mass = check_array("mass", mass, (len(points),), points.dtype, low=0.0)
-    check_options("value", threads, backend)
+    _, threads = check_options("value", threads, backend)
     factor = scale(kernel, h, points.shape[1], 0, points.dtype)
     lists = neighbor_lists(points, points, h, method=method, query_start=start, point_start=start, threads=threads)
     return sum_lists(lists, points, points, mass[:, None], h, factor, kernel, Quantity.VALUE, threads, backend)[:, 0]
@@ -235,14 +236,13 @@ def check_particles(queries: Any, points: Any, values: Any, mass: Any, density: 
     return queries, points, values, mass, density
 
 
-def check_options(quantity: str, threads: int, backend: str) -> Quantity:
-    """The code of a quantity.
+def check_options(quantity: str, threads: int, backend: str) -> tuple[Quantity, int]:
+    """The code of a quantity, and the threads.
 
     Raises:
         ValueError: for an unknown quantity or backend, or a number of threads below 1.
     """
-    if quantity not in PUBLIC:
-        raise ValueError(f"quantity is {quantity!r}; it must be one of {tuple(PUBLIC)}")
-    check_count("threads", threads)
+    check_choice("quantity", quantity, PUBLIC)
+    threads = check_count("threads", threads)
     check_backend(backend)
-    return PUBLIC[quantity]
+    return PUBLIC[quantity], threads

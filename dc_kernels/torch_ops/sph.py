@@ -18,12 +18,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.neighbors.search import Neighbors, NeighborSearch
-from dc_kernels.runtime.inputs import check_array
+from dc_kernels.model.settings import check_choice
+from dc_kernels.neighbors.search import METHODS, Neighbors, NeighborSearch
+from dc_kernels.runtime.inputs import check_array, check_positive
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.optional import require
 from dc_kernels.sph.quantities import PUBLIC, Quantity
-from dc_kernels.sph.smoothing import scale
+from dc_kernels.sph.smoothing import KERNELS, scale
 from dc_kernels.sph.sums import (
     check_options,
     check_particles,
@@ -33,6 +34,7 @@ from dc_kernels.sph.sums import (
     sum_lists,
     volume,
 )
+from dc_kernels.torch_ops.tensors import check_devices, check_tensors, given_tensor
 
 torch = require("torch", "pipeline")
 
@@ -79,7 +81,11 @@ def sph_sum_torch(
     Raises:
         ValueError: naming the argument: another dtype, device or memory layout (nothing is copied), or out of range.
     """
-    starts = [start if start is None else torch.as_tensor(start) for start in (query_start, point_start)]
+    starts = given_tensor("query_start", query_start), given_tensor("point_start", point_start)
+    check_tensors(queries=queries, points=points, values=values, mass=mass, density=density)
+    h, threads = check_positive("h", h), check_options(quantity, threads, "warp")[1]
+    check_choice("kernel", kernel, KERNELS)
+    check_choice("method", method, METHODS)
     return torch.ops.deep_contact.sph_sum(
         queries, points, values, mass, density, *starts, h, kernel, quantity, method, threads
     )
@@ -99,6 +105,7 @@ def sph_density_torch(
 
     Density of each particle by summation, itself included.
     """
+    check_tensors(points=points, mass=mass)
     one = torch.ones_like(mass)
     return sph_sum_torch(
         points,
@@ -151,6 +158,7 @@ def _sum(queries: Any, points: Any, values: Any, mass: Any, density: Any, *rest:
 
 @_sum.register_fake
 def _(queries: Any, points: Any, values: Any, *rest: Any) -> Any:
+    check_devices(queries=queries, points=points, values=values, mass=rest[0], density=rest[1])
     return queries.new_empty(out_shape(PUBLIC[rest[6]], queries.shape[0], values.shape[1], points.shape[1]))
 
 
@@ -165,7 +173,7 @@ def _sum_backward(cotangent: Any, *inputs: Any) -> tuple[Any, ...]:
     options, wanted = _Options(*inputs[5:-1]), inputs[-1]
     h, kernel, threads = options.h, options.kernel, options.threads
     check_particles(q, p, a, m, rho)
-    code = check_options(options.quantity, threads, "warp")
+    code = check_options(options.quantity, threads, "warp")[0]
     # autograd hands over expanded tensors, such as the ones of a sum
     y = tensor_array("cotangent", cotangent.contiguous())
     check_array("cotangent", y, out_shape(code, len(q), a.shape[1], p.shape[1]), p.dtype)

@@ -26,12 +26,13 @@ import numpy as np
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.layout import BAND
 from dc_kernels.grid.splat import TILED_BYTES, Splat, chunks_of, first_and_count, points_group, transfer_kernels
-from dc_kernels.grid.stencil import BILINEAR, POLY6, Stencil
+from dc_kernels.grid.stencil import BILINEAR, POLY6, Stencil, check_place
 from dc_kernels.model.arrays import kernel_array
-from dc_kernels.runtime.inputs import check_bins, check_count, check_points, check_start
+from dc_kernels.runtime.inputs import check_bins, check_count, check_points, check_start, check_truth
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.launches import Calls
 from dc_kernels.runtime.optional import require
+from dc_kernels.torch_ops.tensors import check_devices, check_tensors, given_tensor
 
 torch = require("torch", "pipeline")
 
@@ -71,6 +72,7 @@ def splat_torch(
         ValueError: naming the argument: another dtype, device or memory layout (nothing is copied), or out of range.
     """
     settings = _settings(grid, stencil, start, bins, point_bin, threads)
+    check_tensors(points=points, values=values)
     image = torch.ops.deep_contact.splat(points, values, *settings)
     return _share(image, _weights(points, settings), bins) if stencil.normalize == "shepard" else image
 
@@ -108,8 +110,10 @@ def gather_torch(
     Raises:
         ValueError: as for ``splat_torch``.
     """
-    stencil.check_gather(reverse)
+    check_place(grid, stencil)
+    stencil.check_gather(check_truth("reverse", reverse))
     settings = _settings(grid, stencil, start, bins, point_bin, threads)
+    check_tensors(image=image, points=points)
     if reverse:
         image = _share(image, _weights(points, settings), bins)
     return torch.ops.deep_contact.gather(image, points, *settings)
@@ -117,10 +121,11 @@ def gather_torch(
 
 def _settings(grid: Grid, stencil: Stencil, start: Any, bins: int, point_bin: Any, threads: int) -> tuple[Any, ...]:
     """The arguments of ``_COMMON``."""
+    check_place(grid, stencil)
     stencil.support(grid.spacing)
     return (
-        None if start is None else torch.as_tensor(start),
-        None if point_bin is None else torch.as_tensor(point_bin),
+        given_tensor("start", start),
+        given_tensor("point_bin", point_bin),
         grid.rows,
         grid.columns,
         grid.spacing,
@@ -197,12 +202,14 @@ def _gather_gradient(image: Any, points: Any, values: Any, *settings: Any) -> An
 
 @_splat.register_fake
 def _(points: Any, values: Any, start: Any, *settings: Any) -> Any:
+    check_devices(points=points, values=values)
     worlds = 1 if start is None else start.shape[0] - 1
     return values.new_empty((worlds, settings[-2] * values.shape[1], settings[1], settings[2]))
 
 
 @_gather.register_fake
 def _(image: Any, points: Any, *settings: Any) -> Any:
+    check_devices(image=image, points=points)
     return points.new_empty((points.shape[0], image.shape[1] // settings[-2]))
 
 

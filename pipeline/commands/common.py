@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+from dc_kernels.model.settings import Settings
+
 try:
     from tyro.conf import Positional as Positional
 except ImportError:  # cli.parse() says what is missing
@@ -12,7 +14,7 @@ except ImportError:  # cli.parse() says what is missing
 
 
 @dataclass(frozen=True, kw_only=True)
-class Common:
+class Common(Settings):
     """Options of every command."""
 
     json: bool = False

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from dc_kernels.grid.grid import Grid
+from dc_kernels.model.settings import Count
 from pipeline.commands.common import Common
 from pipeline.evaluate.comparison import evaluation, protocol, report
 from pipeline.evaluate.options import Acceleration, EvaluationOptions, ProtocolOptions
@@ -29,13 +30,13 @@ class Demo(Common):
 
     out: Path = Path("out/demo")
     """Folder of demo.png, protocol.png, protocol.json, grids.png and, in world/, the files of the world shown."""
-    worlds: int = 10
+    worlds: Count = 10
     """Worlds of the protocol [1]."""
-    bodies: int = 100
+    bodies: Count = 100
     """Discs in each world [1]."""
-    steps: int = 250
+    steps: Count = 250
     """Steps of each world [1]."""
-    threads: int = 1
+    threads: Count = 1
     """Threads that share the worlds [1]."""
 
     def __call__(self) -> dict[str, Any]:

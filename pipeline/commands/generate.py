@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dc_kernels.model.config import SolverConfig
+from dc_kernels.model.settings import Whole
 from pipeline.commands.common import Common
 from pipeline.data.generate import describe, generate
 from pipeline.data.recipe import GenerateOptions, Recipe
@@ -25,7 +26,7 @@ class Generate(Common):
     """TOML file of options, with tables scene, ranges and solver: its values take the place of the defaults here."""
     out: Path = Path("out/data")
     """Folder of the shards and of index.h5."""
-    threads: int = 0
+    threads: Whole = 0
     """Shards made at once; 0: one for each core [1]."""
     scheduler: str | None = None
     """Address of a Dask scheduler, tcp://..., whose workers make the shards instead."""

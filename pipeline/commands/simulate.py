@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from dc_kernels.model.settings import Whole
 from pipeline.commands.common import Common
 from pipeline.options import RunOptions, SolverOptions
 from pipeline.process import torch_threads
@@ -42,7 +43,7 @@ class Explain(Common):
     solver: SolverOptions = field(default_factory=SolverOptions)
     start: str = "builtin"
     """Start of the contact solver, as for simulate; a network says how often it is called, and why not."""
-    steps: int = 100
+    steps: Whole = 100
     """Steps that are run first where a network is the start: its calls depend on them [1]."""
 
     def __call__(self) -> dict[str, Any]:
@@ -59,8 +60,6 @@ def explain(scene: AnyScene, run: RunOptions, solver: SolverOptions, start: str,
         ValueError: for an option out of its range, or an unknown start.
         OSError: a network's file cannot be read.
     """
-    if steps < 0:
-        raise ValueError(f"steps is {steps}; it must be >= 0")
     make = maker(start, run.seed)
     sim = run.simulation(scene, solver.config())
     made = make(sim)

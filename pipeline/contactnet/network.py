@@ -11,11 +11,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
+from dc_kernels.model.settings import Positive, Settings
 from dc_kernels.runtime.optional import require
-from pipeline.networks.models import register
+from pipeline.networks.models import Channels, register
 
 torch = require("torch", "pipeline")
 nn = torch.nn
@@ -32,27 +33,25 @@ STEP, FREE, CARRIED = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactNetConfig:
+class ContactNetConfig(Settings):
     """Sizes of the layers of a ContactNet, and of the grid that it reads."""
 
-    spacing: float = 2.0
+    settings_prefix: ClassVar[str] = "ContactNetConfig."
+
+    spacing: Positive = 2.0
     """Distance of the grid's nodes; it need not be fine, as contacts bring exact features [typical diameters]."""
-    channels: tuple[int, ...] = (8, 16, 16)
+    channels: tuple[Channels, ...] = (8, 16, 16)
     """Channels of the trunk at each scale; each scale halves the grid [1]."""
-    near: int = 8
+    near: Channels = 8
     """Channels that are gathered at the contacts [1]."""
-    hidden: tuple[int, ...] = (48, 32)
+    hidden: tuple[Channels, ...] = (48, 32)
     """Widths of the head's hidden layers [1]."""
 
-    def __post_init__(self) -> None:
-        if not 0.0 < self.spacing < float("inf"):
-            raise ValueError(f"ContactNetConfig.spacing is {self.spacing!r}; it must be finite and > 0")
+    def check(self) -> None:
+        """Raise a ``ValueError`` where there is no layer."""
         for name in ("channels", "hidden"):
-            values = getattr(self, name)
-            if not values or min(values) < 1:
-                raise ValueError(f"ContactNetConfig.{name} is {values!r}; it must hold widths >= 1")
-        if self.near < 1:
-            raise ValueError(f"ContactNetConfig.near is {self.near!r}; it must be >= 1")
+            if not getattr(self, name):
+                raise ValueError(f"{self.settings_prefix}{name} is (); it must hold widths >= 1")
 
 
 @register("contactnet", ContactNetConfig)

@@ -74,7 +74,6 @@ def train_contactnet(options: ContactTrainOptions | None = None, progress: bool 
             finite, naming the step.
     """
     options = options or ContactTrainOptions()
-    options.check()
     torch.set_num_threads(options.threads)
     with processes() as group, interruptible() as stop:
         return ContactTraining(options, group).run(stop, progress and group.first)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 import dc_kernels as dc
+from dc_kernels.model.settings import Count, Settings
 from pipeline.contactnet.rollouts import THESES_SETTINGS
 from pipeline.options import RunOptions
 from pipeline.scenes import Thesis
@@ -25,18 +26,18 @@ GAINS = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.4)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Crowd:
+class Crowd(Settings):
     """Worlds of one kind, at several steps of their fall."""
 
-    bodies: int
+    bodies: Count
     """Discs in each world [1]."""
-    worlds: int
+    worlds: Count
     """Worlds at each step [1]."""
     acceleration: str
     """Acceleration of the solver."""
     steps: tuple[int, ...]
     """Steps at which a solve is repeated with each gain [1]."""
-    max_sweeps: int = 1000
+    max_sweeps: Count = 1000
     """Sweeps after which a solve ends unconverged [1]."""
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import dc_kernels as dc
+from dc_kernels.runtime.inputs import check_whole
 from dc_kernels.runtime.optional import require
 from pipeline.data.index import write_index
 from pipeline.data.layout import INDEX, shard_path
@@ -154,9 +155,7 @@ def generate(
         OSError: when a file cannot be written, or the scheduler is not there or lost.
         ImportError: naming the extra, without h5py, tqdm or distributed.
     """
-    recipe.check()
-    if threads < 0:
-        raise ValueError(f"threads is {threads}; it must be >= 0")
+    threads = check_whole("threads", threads)
     options, began = recipe.options, time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
     remove_partial(out)

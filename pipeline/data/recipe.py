@@ -13,10 +13,11 @@ import numpy as np
 
 import dc_kernels as dc
 from dc_kernels.grid.splat import TILED_BYTES
+from dc_kernels.model.settings import Count, Positive, Seed, Settings, WrongType, field_checks, shown
 from dc_kernels.runtime.optional import require
-from pipeline.checks import check_finite, check_least
 from pipeline.scenes import Scene, Thesis
 from pipeline.scenes import scene as named_scene
+from pipeline.seeds import check_seeds
 
 IMAGE_CHANNELS = 6
 """Channels of stored images, those that ``dc.Images`` has by default [1]."""
@@ -27,36 +28,35 @@ DRAW_STREAM = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class GenerateOptions:
+class GenerateOptions(Settings):
     """Options of a data set beside its scene and solver."""
 
-    worlds: int = 1000
+    worlds: Count = 1000
     """Worlds, of the seeds seed, seed + 1, ... [1]."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the first world; those from 100000 on are for tests only [1]."""
-    steps: int = 250
+    steps: Count = 250
     """Steps of each world [1]."""
-    dt: float = 0.01
+    dt: Positive = 0.01
     """Time step [s]."""
     ranges: tuple[tuple[str, float, float], ...] = ()
     """Parameters of the scene, or dt, drawn uniformly for each world from its own seed: name, low, high."""
-    label_tolerance: float = 1e-5
+    label_tolerance: Positive = 1e-5
     """Tolerance of the label, which is solved on from the solution; its kind is that of the solver's [N s or 1]."""
-    label_sweeps: int = 1000
+    label_sweeps: Count = 1000
     """Further sweeps after which a label is kept as it is, and marked [1]."""
-    shard_worlds: int = 25
+    shard_worlds: Count = 25
     """Worlds of a shard [1]."""
     grids: bool = False
     """Store images of the bodies and contacts, and of the label, too; else they are made when they are read."""
     grid_size: tuple[float, float] = (15.0, 15.0)
     """Width and height of the region that stored images show, from (0, 0) [m]."""
-    grid_spacing: float = 0.25
+    grid_spacing: Positive = 0.25
     """Distance of the nodes of stored images, of which the kernel reaches two [m]."""
 
     def check(self) -> None:
-        """Raise a ``ValueError`` that names the option which is out of its range."""
-        check_least(self, worlds=1, seed=0, steps=1, label_sweeps=1, shard_worlds=1)
-        check_finite(self, "dt", "label_tolerance")
+        """Raise a ``ValueError`` for seeds beyond those that files hold."""
+        check_seeds(self.seed, self.worlds)
 
     @property
     def shard_count(self) -> int:
@@ -75,7 +75,7 @@ class GenerateOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recipe:
+class Recipe(Settings):
     """All that a data set depends on."""
 
     scene: Scene = field(default_factory=Thesis)
@@ -98,8 +98,6 @@ class Recipe:
     def check(self) -> None:
         """Raise a ``ValueError`` that names the setting which is out of its range."""
         options, solver = self.options, self.solver
-        options.check()
-        self.scene.check()
         if solver.history:
             raise ValueError("solver.history is True; a data set does not keep the history")
         if options.label_tolerance > solver.tolerance:
@@ -119,8 +117,8 @@ class Recipe:
                 raise ValueError(f"ranges.{name} is ({low}, {high}); it must be integers")
         for end in (0, 1):  # both ends of each range
             ends: dict[str, Any] = {name: self._typed(name, limits[end]) for name, *limits in options.ranges}
-            replace(options, dt=ends.pop("dt", options.dt)).check()
-            replace(self.scene, **ends).check()
+            replace(options, dt=ends.pop("dt", options.dt))
+            replace(self.scene, **ends)
         if options.grids:
             rows, columns = options.grid.shape
             most = TILED_BYTES // (
@@ -174,20 +172,30 @@ def parse_recipe(config: Mapping[str, Any]) -> Recipe:
     Raises:
         ValueError: naming a setting that is unknown or of another type.
     """
-    options = {name: value for name, value in config.items() if name not in ("scene", "solver")}
-    parameters = dict(config.get("scene", {}))
-    scene = named_scene(str(parameters.pop("name", Thesis.name)))
-    ranges = options.pop("ranges", {})
+    options = {name: value for name, value in config.items() if name not in ("scene", "solver", "ranges")}
+    parameters, ranges, solver = (_table(config, name) for name in ("scene", "ranges", "solver"))
+    scene = named_scene(parameters.pop("name", Thesis.name))
     for name, limits in ranges.items():
         if not (isinstance(limits, list | tuple) and len(limits) == 2 and all(map(_is_number, limits))):
             raise ValueError(f"ranges.{name} is {limits!r}; it must be [low, high]")
     recipe = Recipe(
         scene=_updated(scene, parameters, "scene."),
-        options=_updated(GenerateOptions(ranges=tuple((n, *map(float, v)) for n, v in ranges.items())), options, ""),
-        solver=_updated(SOLVER, config.get("solver", {}), "solver."),
+        options=_updated(GenerateOptions(), {**options, "ranges": tuple((n, *v) for n, v in ranges.items())}, ""),
+        solver=_updated(SOLVER, solver, "solver."),
     )
-    recipe.check()
     return recipe
+
+
+def _table(config: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return a table of a configuration; an empty one where it is missing.
+
+    Raises:
+        TypeError: for what is no table.
+    """
+    table = config.get(name, {})
+    if not isinstance(table, Mapping):
+        raise WrongType(f"{name} is {shown(table)}; it must be a table")
+    return dict(table)
 
 
 def _updated(default: Any, values: Mapping[str, Any], prefix: str) -> Any:
@@ -197,14 +205,7 @@ def _updated(default: Any, values: Mapping[str, Any], prefix: str) -> Any:
     for name, value in values.items():
         if name not in known:
             raise ValueError(f"{prefix}{name} is unknown; there are {tuple(known)}")
-        old = known[name]
-        if isinstance(old, tuple) and isinstance(value, list) and len(value) == len(old):
-            value = tuple(value)
-        elif type(old) is float and _is_number(value):
-            value = float(value)
-        elif type(value) is not type(old):
-            raise ValueError(f"{prefix}{name} is {value!r}; it must be of type {type(old).__name__}")
-        changed[name] = value
+        changed[name] = field_checks(type(default))[name](f"{prefix}{name}", value)
     return replace(default, **changed)
 
 

@@ -79,7 +79,6 @@ def _build(recipe: Recipe, seeds: Sequence[int]) -> tuple[dc.ModelBuilder, list[
     builder = dc.ModelBuilder()
     for seed, world in zip(seeds, drawn):
         own = replace(recipe.scene, **{name: value for name, value in world.items() if name != "dt"})
-        own.check()
         own.add_worlds(builder, [np.random.Generator(np.random.PCG64(seed))])
     return builder, drawn, dt
 

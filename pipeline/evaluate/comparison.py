@@ -62,7 +62,6 @@ def _run_all(
     progress: bool,
 ) -> list[Run]:
     """Run each pair in each loop, after all that can fail has been tried."""
-    options.check()
     pairs = pairs or [(start, acceleration) for acceleration in options.accelerations for start in options.starts]
     makers = {}
     for start, _ in pairs:  # before anything is computed

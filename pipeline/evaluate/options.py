@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import dc_kernels as dc
-from pipeline.checks import check_least
+from dc_kernels.model.config import Tolerance
+from dc_kernels.model.settings import Count, NotNegative, Positive, Seed, Settings
 from pipeline.options import RunOptions, SolverOptions
 from pipeline.scenes import THESIS_BODIES, Thesis
 from pipeline.seeds import HELD_OUT_SEED
@@ -21,7 +22,7 @@ Loop = Literal["closed", "open"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProtocolOptions:
+class ProtocolOptions(Settings):
     """Options of the thesis protocol; the defaults are the theses'."""
 
     starts: tuple[str, ...] = ("none", "builtin", "copy")
@@ -32,25 +33,25 @@ class ProtocolOptions:
     """Accelerations of the solver; each runs with every start."""
     method: Literal["pgs", "jacobi"] = "pgs"
     """Gauss-Seidel in colour order, or Jacobi with mass splitting."""
-    worlds: int = 10
+    worlds: Count = 10
     """Worlds, of the seeds seed, seed + 1, ... [1]."""
-    seed: int = HELD_OUT_SEED
+    seed: Seed = HELD_OUT_SEED
     """Seed of the first world [1]."""
-    bodies: int = THESIS_BODIES
+    bodies: Count = THESIS_BODIES
     """Discs in each world; the box grows with them [1]."""
-    steps: int = 250
+    steps: Count = 250
     """Steps [1]."""
-    dt: float = 0.01
+    dt: Positive = 0.01
     """Time step [s]."""
-    tolerance: float = 1e-4
+    tolerance: Tolerance = 1e-4
     """Impulse change of a sweep at which a solve ends [N s]."""
-    max_sweeps: int = 1000
+    max_sweeps: Count = 1000
     """Sweeps after which a solve ends unconverged [1]."""
-    slop: float = 5e-3
+    slop: NotNegative = 5e-3
     """Overlap that is left alone [diameters]."""
-    speculative: float = 0.0
+    speculative: NotNegative = 0.0
     """Gap below which there is a contact though it does not close within the step [diameters]."""
-    threads: int = 1
+    threads: Count = 1
     """Threads that share the worlds [1]."""
     dtype: Literal["float32", "float64"] = "float32"
     """Scalar type of all arrays."""
@@ -58,10 +59,9 @@ class ProtocolOptions:
     """Also record the impulse change of every sweep, for its plot."""
 
     def check(self) -> None:
-        """Raise a ``ValueError`` that names the option which is out of its range."""
+        """Raise a ``ValueError`` where nothing is to be run."""
         if not self.starts or not self.accelerations:
             raise ValueError("starts and accelerations must each name at least one")
-        check_least(self, steps=1, max_sweeps=1)
 
     def simulation(self, acceleration: Acceleration) -> dc.Simulation:
         """Make the worlds, ready to step; their kernels are compiled."""
@@ -96,7 +96,7 @@ class EvaluationOptions(ProtocolOptions):
     """Whose trajectory the states are of: each start's own (closed), or that of Builtin (open)."""
 
     def check(self) -> None:
-        """Raise a ``ValueError`` that names the option which is out of its range."""
+        """Raise a ``ValueError`` where nothing is to be run."""
         super().check()
         if not self.loops:
             raise ValueError("loops must name at least one")

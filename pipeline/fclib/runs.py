@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dc_kernels.delassus import Method, from_world, read_impulses, solve, warmup
+from dc_kernels.model.settings import Positive, Settings, Whole
 from pipeline.fclib.files import FclibProblem, problem_files, read_fclib, write_fclib
 from pipeline.files import versions
 from pipeline.options import RunOptions, SolverOptions
@@ -19,12 +20,12 @@ SUFFIXES = (".hdf5", ".h5")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportOptions:
+class ExportOptions(Settings):
     """Options of an export: which contact problems are written, and where to."""
 
     step: tuple[str, ...] = ("100",)
     """Steps whose problems are written, counted from 1: numbers, or FIRST:LAST:STRIDE with both ends."""
-    world: tuple[int, ...] = (0,)
+    world: tuple[Whole, ...] = (0,)
     """Worlds among those of the run [1]."""
     out: str = "out/fclib/{scene}_{step:05d}_{world}.hdf5"
     """Files; {scene}, {step} and {world} are replaced, and needed where there are several."""
@@ -118,14 +119,14 @@ def export(
 
 
 @dataclass(frozen=True, kw_only=True)
-class SolveOptions:
+class SolveOptions(Settings):
     """Options of the solves of FCLIB problems."""
 
     method: Method = "auto"
     """Method: auto takes sweeps and, where they stall, pivots and Newton steps; or one of them."""
-    tolerance: float = 1e-8
+    tolerance: Positive = 1e-8
     """Relative natural map at which a solve ends [1]."""
-    max_sweeps: int = 100_000
+    max_sweeps: Whole = 100_000
     """Largest number of sweeps [1]."""
     scaled: bool = True
     """Hold the natural map of scaled impulses to the tolerance, too, so that units do not matter."""

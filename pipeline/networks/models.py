@@ -28,9 +28,11 @@ import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
+from dc_kernels.model.settings import Limits, Settings
 from dc_kernels.runtime.optional import require
+from pipeline.training.options import Share, Width
 
 torch = require("torch", "pipeline")
 nn, functional = torch.nn, torch.nn.functional
@@ -123,32 +125,28 @@ def parameter_count(network: Any) -> int:
     return sum(p.numel() for p in network.parameters() if p.requires_grad)
 
 
+Nodes = Annotated[int, Limits(least=8, below=2**16)]
+Channels = Annotated[int, Limits(least=1, below=2**16)]
+
+
 @dataclass(frozen=True, kw_only=True)
-class GridConfig:
+class GridConfig(Settings):
     """Sizes of a network of the theses; the defaults are Engedal's grid and channels."""
 
-    rows: int = 61
-    """Nodes along y [1]."""
-    columns: int = 61
-    """Nodes along x [1]."""
-    channels: int = 6
-    """Channels of the input [1]."""
-    outputs: int = 2
-    """Channels of the answer: normal and tangential impulse of each bin of normal directions [1]."""
-    width: float = 1.0
-    """Factor on the number of filters and hidden units [1]."""
-    dropout: float = 0.4
-    """Share of values that ConvFC and Peak drop in training [1]."""
+    settings_prefix: ClassVar[str] = "GridConfig."
 
-    def __post_init__(self) -> None:
-        for name, low in (("rows", 8), ("columns", 8), ("channels", 1), ("outputs", 1)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or not low <= value < 2**16:
-                raise ValueError(f"GridConfig.{name} is {value!r}; it must be an integer in [{low}, 65536)")
-        if not 0.0 < self.width <= 16.0:
-            raise ValueError(f"GridConfig.width is {self.width!r}; it must lie in (0, 16]")
-        if not 0.0 <= self.dropout < 1.0:
-            raise ValueError(f"GridConfig.dropout is {self.dropout!r}; it must lie in [0, 1)")
+    rows: Nodes = 61
+    """Nodes along y [1]."""
+    columns: Nodes = 61
+    """Nodes along x [1]."""
+    channels: Channels = 6
+    """Channels of the input [1]."""
+    outputs: Channels = 2
+    """Channels of the answer: normal and tangential impulse of each bin of normal directions [1]."""
+    width: Width = 1.0
+    """Factor on the number of filters and hidden units [1]."""
+    dropout: Share = 0.4
+    """Share of values that ConvFC and Peak drop in training [1]."""
 
     def filters(self, count: int) -> int:
         """Scale a number of filters or units by the width."""

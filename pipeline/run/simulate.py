@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import dc_kernels as dc
-from pipeline.checks import check_least
+from dc_kernels.model.settings import Count, Settings, Whole
 from pipeline.files import atomic_path, write_json
 from pipeline.options import RunOptions, SolverOptions
 from pipeline.plots.style import save_figure
@@ -28,10 +28,10 @@ TRAJECTORY, SUMMARY, PICTURE = "trajectory.h5", "summary.json", "summary.png"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Output:
+class Output(Settings):
     """Options of what a run does and writes."""
 
-    steps: int = 250
+    steps: Whole = 250
     """Steps of each world [1]."""
     start: str = "builtin"
     """Start of the contact solver: none, builtin, random, bad, copy, or copyN, rounded to N decimals; grid or
@@ -39,16 +39,12 @@ class Output:
     a trained one, .safetensors."""
     out: Path = Path("out/simulate")
     """Folder of the files, made if missing; files of an earlier run are replaced."""
-    record_every: int = 1
+    record_every: Count = 1
     """Steps between two records of the bodies [1]."""
     history: bool = False
     """Record the impulse change of every sweep."""
     video: Literal["none", "gif", "mp4"] = "none"
     """Also write an animation of world 0."""
-
-    def check(self) -> None:
-        """Raise a ``ValueError`` that names the option which is out of its range."""
-        check_least(self, steps=0, record_every=1)
 
 
 def simulate(
@@ -76,7 +72,6 @@ def simulate(
         ImportError: naming the extra, without h5py, tqdm or matplotlib.
     """
     run, solver, output = run or RunOptions(), solver or SolverOptions(), output or Output()
-    output.check()
     options = {**asdict(run), **asdict(solver), **asdict(output), "out": str(output.out)}
     config = {"scene": {"name": scene.name, **asdict(scene)}, "options": options}
     make = maker(output.start, run.seed)

@@ -5,24 +5,21 @@ from __future__ import annotations
 import ast
 import inspect
 import itertools
-import math
 import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar, cast
 
 import numpy as np
 
 import dc_kernels as dc
+from dc_kernels.model.settings import Limits, NotNegative, Positive, Seed, Settings, checker
+from dc_kernels.runtime.inputs import check_count
+from pipeline.seeds import check_seeds
 
-
-def check_above(scene: Any, low: float, names: Sequence[str], strict: bool = True) -> None:
-    """Raise a ``ValueError`` unless the named parameters are finite and above ``low``, or at it if not ``strict``."""
-    for name in names:
-        value = getattr(scene, name)
-        if not (math.isfinite(value) and (value > low or (value == low and not strict))):
-            raise ValueError(f"{scene.name}.{name} is {value!r}; it must be finite and {'>' if strict else '>='} {low}")
+check_seed = checker(Seed)
+"""Returns a seed, or raises an error with the name."""
 
 
 def parameter_docs(scene: type[Scene]) -> dict[str, tuple[str, str]]:
@@ -49,27 +46,23 @@ def parameter_docs(scene: type[Scene]) -> dict[str, tuple[str, str]]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class Scene(Settings):
     """Options that every scene has, and the worlds that it builds."""
 
     name: ClassVar[str]
 
-    friction: float = 0.5
+    def __init_subclass__(cls) -> None:
+        """Let errors name the scene."""
+        cls.settings_prefix = f"{cls.name}."
+
+    friction: NotNegative = 0.5
     """Coulomb coefficient of all shapes [1]."""
-    restitution: float = 0.0
+    restitution: Annotated[float, Limits(least=0.0, most=1.0)] = 0.0
     """Coefficient of restitution of all shapes, 0 to 1 [1]."""
-    density: float = 1.0
+    density: Positive = 1.0
     """Mass per area of all shapes [kg/m^2]."""
     gravity: float = 9.8
     """Downward acceleration [m/s^2]."""
-
-    def check(self) -> None:
-        """Raise a ``ValueError`` that names the parameter which is out of its range."""
-        check_above(self, 0.0, [f.name for f in fields(self) if f.name in ("bodies", "rows", "radius", "half_width")])
-        check_above(self, 0.0, ("density",))
-        check_above(self, 0.0, ("friction", "restitution"), strict=False)
-        if self.restitution > 1.0:
-            raise ValueError(f"{self.name}.restitution is {self.restitution!r}; it must be <= 1")
 
     @property
     def material(self) -> dict[str, Any]:
@@ -80,13 +73,10 @@ class Scene:
         """Build one world for each of the seeds ``seed .. seed + worlds - 1``.
 
         Raises:
-            ValueError: for ``worlds`` < 1, ``seed`` < 0, or a parameter out of its range.
+            TypeError, ValueError: for ``worlds`` < 1, or ``seed`` < 0.
         """
-        self.check()
-        if worlds < 1:
-            raise ValueError(f"worlds is {worlds}; it must be >= 1")
-        if seed < 0:
-            raise ValueError(f"seed is {seed}; it must be >= 0")
+        worlds, seed = check_count("worlds", worlds), check_seed("seed", seed)
+        check_seeds(seed, worlds)
         builder = dc.ModelBuilder()
         self.add_worlds(builder, [np.random.Generator(np.random.PCG64(seed + i)) for i in range(worlds)])
         return builder

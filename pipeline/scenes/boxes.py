@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 import dc_kernels as dc
+from dc_kernels.model.settings import Count, NotNegative, Positive
 from pipeline.scenes.base import Scene
 
 
@@ -17,11 +18,11 @@ class Stack(Scene):
 
     name: ClassVar[str] = "stack"
 
-    bodies: int = 10
+    bodies: Count = 10
     """Number of boxes [1]."""
-    half_width: float = 0.5
+    half_width: Positive = 0.5
     """Half of the boxes' side [m]."""
-    jitter: float = 0.005
+    jitter: NotNegative = 0.005
     """Largest sideways offset of a box, uniform [m]."""
 
     def add_bodies(self, builder: dc.ModelBuilder, stream: np.random.Generator) -> None:
@@ -39,13 +40,13 @@ class Pyramid(Scene):
 
     name: ClassVar[str] = "pyramid"
 
-    rows: int = 10
+    rows: Count = 10
     """Boxes in the lowest row [1]."""
-    half_width: float = 0.5
+    half_width: Positive = 0.5
     """Half of the boxes' side [m]."""
-    spacing: float = 0.1
+    spacing: NotNegative = 0.1
     """Free width between two boxes of a row [half_width]."""
-    jitter: float = 0.002
+    jitter: NotNegative = 0.002
     """Largest sideways offset of a box, uniform [m]."""
 
     def add_bodies(self, builder: dc.ModelBuilder, stream: np.random.Generator) -> None:

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 import dc_kernels as dc
-from pipeline.scenes.base import Scene, check_above
+from dc_kernels.model.settings import Count, NotNegative, Positive
+from pipeline.scenes.base import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,18 +18,19 @@ class Chain(Scene):
 
     name: ClassVar[str] = "chain"
 
-    bodies: int = 10
+    bodies: Count = 10
     """Number of discs [1]."""
-    radius: float = 0.2
+    radius: Positive = 0.2
     """Radius of the discs [m]."""
-    length: float = 1.0
+    length: Positive = 1.0
     """Length of a joint [m]."""
-    jitter: float = 0.01
+    jitter: NotNegative = 0.01
     """Largest vertical offset of a disc, uniform [m]."""
 
     def check(self) -> None:
-        super().check()
-        check_above(self, 2.0 * self.radius, ("length",))
+        """Raise a ``ValueError`` for discs that overlap."""
+        if not self.length > 2.0 * self.radius:
+            raise ValueError(f"chain.length is {self.length!r}; it must be > {2.0 * self.radius}, 2 radius")
 
     def add_bodies(self, builder: dc.ModelBuilder, stream: np.random.Generator) -> None:
         """Add the fixed point, the discs and the joints."""

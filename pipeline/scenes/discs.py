@@ -10,7 +10,8 @@ from typing import ClassVar
 import numpy as np
 
 import dc_kernels as dc
-from pipeline.scenes.base import Scene, check_above
+from dc_kernels.model.settings import Count, Positive
+from pipeline.scenes.base import Scene
 from pipeline.scenes.placement import CLEARANCE, Sampler, place_discs
 
 THESIS_BODIES = 100
@@ -34,9 +35,9 @@ class Thesis(Scene):
 
     name: ClassVar[str] = "thesis"
 
-    bodies: int = THESIS_BODIES
+    bodies: Count = THESIS_BODIES
     """Discs in each world [1]."""
-    radius: float = THESIS_RADIUS
+    radius: Positive = THESIS_RADIUS
     """Radius of the discs [m]."""
 
     @property
@@ -68,14 +69,10 @@ class ThesisClustered(Thesis):
 
     name: ClassVar[str] = "thesis-clustered"
 
-    clusters: int = 3
+    clusters: Count = 3
     """Number of clusters, whose centres are uniform in the middle half of the box [1]."""
-    spread: float = 0.12
+    spread: Positive = 0.12
     """Standard deviation of a cluster, which widens as it fills [side of the box]."""
-
-    def check(self) -> None:
-        super().check()
-        check_above(self, 0.0, ("clusters", "spread"))
 
     def sampler(self, stream: np.random.Generator, free: float) -> Sampler:
         """Make candidates that are normal around each centre in turn; their deviation grows, up to the box's side."""

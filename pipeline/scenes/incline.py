@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
 import dc_kernels as dc
-from pipeline.scenes.base import Scene, check_above
+from dc_kernels.model.settings import Limits, Positive
+from pipeline.scenes.base import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,18 +21,12 @@ class Incline(Scene):
 
     shape: Literal["box", "disc"] = "box"
     """What lies on the slope."""
-    angle: float = 0.4
+    angle: Annotated[float, Limits(least=0.0, below=0.5 * math.pi)] = 0.4
     """Angle of the slope; downhill is to the left [rad]."""
-    radius: float = 0.5
+    radius: Positive = 0.5
     """Radius of the disc, half of the box's side [m]."""
-    length: float = 200.0
+    length: Positive = 200.0
     """Length of the slope, in whose middle the body begins [m]."""
-
-    def check(self) -> None:
-        super().check()
-        check_above(self, 0.0, ("length",))
-        if not 0.0 <= self.angle < 0.5 * math.pi:
-            raise ValueError(f"{self.name}.angle is {self.angle!r}; it must lie in [0, pi / 2)")
 
     def add_bodies(self, builder: dc.ModelBuilder, stream: np.random.Generator) -> None:
         """Add the slope and the body."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 import dc_kernels as dc
+from dc_kernels.model.settings import Count, Limits, Positive
 from dc_kernels.model.shapes import MAX_VERTICES
-from pipeline.scenes.base import Scene, check_above
+from pipeline.scenes.base import Scene
 from pipeline.scenes.discs import box_side
 from pipeline.scenes.placement import CLEARANCE, place_discs
 
@@ -21,16 +22,12 @@ class Mixed(Scene):
 
     name: ClassVar[str] = "mixed"
 
-    bodies: int = 100
+    bodies: Count = 100
     """Bodies in each world [1]."""
-    radius: float = 0.5
+    radius: Positive = 0.5
     """Radius of the largest body [m]."""
-    size_ratio: float = 2.0
+    size_ratio: Annotated[float, Limits(least=1.0)] = 2.0
     """Ratio of the largest radius to the smallest [1]."""
-
-    def check(self) -> None:
-        super().check()
-        check_above(self, 1.0, ("size_ratio",), strict=False)
 
     @property
     def side(self) -> float:

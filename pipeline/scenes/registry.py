@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any, get_args
 
+from dc_kernels.model.settings import check_choice
 from pipeline.scenes.base import Scene
 from pipeline.scenes.boxes import Pyramid, Stack
 from pipeline.scenes.chain import Chain
@@ -22,8 +23,7 @@ def scene(name: str, **parameters: Any) -> Scene:
     Raises:
         ValueError: for an unknown name or parameter.
     """
-    if name not in SCENES:
-        raise ValueError(f"scene is {name!r}; it must be one of {tuple(SCENES)}")
+    check_choice("scene", name, SCENES)
     known = [f.name for f in fields(SCENES[name])]
     for parameter in parameters:
         if parameter not in known:

@@ -14,17 +14,18 @@ calls fail is left to the solver: from then on it is the plain one, on the impul
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 import dc_kernels as dc
 from dc_kernels.learn.channels import Scale
 from dc_kernels.learn.in_flight import SolveReader
+from dc_kernels.model.settings import MAX_INT, Limits, Settings, Whole
 from dc_kernels.runtime.optional import require
-from pipeline.checks import check_least
 from pipeline.starts.start import Clock, Report, Started
 
 TRUST = 4
@@ -38,24 +39,23 @@ COUNTS = ("solves", "empty", "early", "calls", "refused", "failed", "undone")
 
 
 @dataclass(frozen=True, kw_only=True)
-class CallOptions:
+class CallOptions(Settings):
     """When the network is called, and which of its corrections are taken."""
 
-    every: int | None = None
+    settings_prefix: ClassVar[str] = "CallOptions."
+
+    every: Annotated[int, Limits(least=2, most=MAX_INT)] | None = None
     """Sweeps between two calls; None: 12, or 15 where the solver extrapolates by itself [1]."""
     begin: bool = True
     """Call the network before the first sweep."""
     middle: bool = True
     """Call the network while the solve has not converged."""
-    most: int = 60
+    most: Whole = 60
     """Largest number of calls of a world in a solve [1]."""
-    harm: float = 3.0
+    harm: Annotated[float, Limits(least=1.0, size=math.inf)] = 3.0
     """Least ratio of the step of the sweep after a correction to the one before for which it is taken back [1]."""
-    limit: float = 10.0
+    limit: Annotated[float, Limits(least=0.0, size=math.inf)] = 10.0
     """Largest RMS of a correction that is taken, in units of what the last sweeps let expect [1]."""
-
-    def __post_init__(self) -> None:
-        check_least(self, "CallOptions.", every=2, most=0, harm=1.0, limit=0.0)
 
 
 @dataclass

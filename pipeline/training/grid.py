@@ -77,7 +77,6 @@ def train_grid_network(
         ImportError: naming the extra, without torch, h5py or matplotlib.
     """
     options = options or TrainOptions()
-    options.check()
     if network not in SETUPS:
         raise ValueError(f"network is {network!r}; it must be one of {tuple(SETUPS)}")
     torch.set_num_threads(options.threads)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pipeline.checks import check_finite, check_least
+from dc_kernels.model.settings import Count, Limits, NotNegative, Positive, Seed, Settings, Whole
 
+Width = Annotated[float, Limits(above=0.0, most=16.0)]
+Share = Annotated[float, Limits(least=0.0, below=1.0)]
 NetworkName = Literal["convfc", "pressure", "peak", "unet"]
 LossName = Literal["grid_mse", "grid_mae", "contact_mse", "energy", "sweeps"]
 OptimizerName = Literal["sgd", "adamw"]
@@ -20,14 +22,14 @@ CACHED = ("impulse_n", "impulse_t")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Setup:
+class Setup(Settings):
     """What a network of the theses reads and how it is trained, unless options say otherwise."""
 
     bodies: tuple[str, ...] = BODIES
     """Channels that show bodies."""
     contacts: tuple[str, ...] = NORMALS
     """Channels that show contacts."""
-    nodes: int = 61
+    nodes: Count = 61
     """Nodes along each side of the box [1]."""
     decode: DecodeName = "reverse"
     """Way back to the contacts: bilinear (Wu), or reverse SPH (Engedal)."""
@@ -35,7 +37,7 @@ class Setup:
     """SGD with Nesterov momentum, or AdamW."""
     schedule: ScheduleName = "onecycle"
     """How the learning rate goes over the steps."""
-    rate: float = 1e-3
+    rate: Positive = 1e-3
     """Learning rate, of "onecycle" the highest."""
 
 
@@ -48,7 +50,7 @@ SETUPS: dict[NetworkName, Setup] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainOptions:
+class TrainOptions(Settings):
     """Options of a training: the data, the network, the loss, the steps, and the files."""
 
     data: Path = Path("out/data")
@@ -57,27 +59,27 @@ class TrainOptions:
     """Folder of the files, made if missing; files of an earlier training are replaced."""
     resume: bool = False
     """Continue the training in that folder."""
-    epochs: int = 10
+    epochs: Count = 10
     """Times that all training states are seen [1]."""
-    batch_size: int = 32
+    batch_size: Count = 32
     """States of a step, of all processes together [1]."""
-    width: float = 1.0
+    width: Width = 1.0
     """Factor on the network's filters and hidden units [1]."""
-    dropout: float = 0.4
+    dropout: Share = 0.4
     """Share of values that ConvFC and Peak drop in training [1]."""
-    nodes: int | None = None
+    nodes: Annotated[int, Limits(least=8, below=2**16)] | None = None
     """Nodes along the longer side of the grid; None: as the thesis has it [1]."""
-    h: float | None = None
+    h: Positive | None = None
     """Support radius of the splat; None: 2 spacings [m]."""
-    bins: int = 1
+    bins: Count = 1
     """Parts of the half circle of normal directions that contacts are kept apart in [1]."""
-    walls: float = 100.0
+    walls: NotNegative = 100.0
     """Mass of the nodes that walls cover [kg]."""
     cached: bool = False
     """Let the network also read the impulses of the step before."""
     loss: LossName = "grid_mse"
     """What is minimized: at the nodes, at the contacts, as energy, or after sweeps of the solver."""
-    sweeps: int = 20
+    sweeps: Whole = 20
     """Sweeps of the loss "sweeps" [1]."""
     scaling: Literal["channel", "none"] = "channel"
     """Divide channels and answers by their RMS in the training states, or leave them in their units."""
@@ -87,39 +89,32 @@ class TrainOptions:
     """SGD with Nesterov momentum 0.9, or AdamW; None: SGD for convfc, else AdamW."""
     schedule: ScheduleName | None = None
     """The rate over the steps: constant, / (1 + decay steps), or one cycle; None: decay for convfc, else one cycle."""
-    rate: float | None = None
+    rate: Positive | None = None
     """Learning rate, of "onecycle" the highest; None: 0.01 for convfc, else 0.001."""
     find_rate: bool = False
     """Find the learning rate by a short training in which it grows (Smith 2017)."""
-    decay: float = 1e-6
+    decay: NotNegative = 1e-6
     """Rate at which the schedule "decay" falls [1/step]."""
-    weight_decay: float = 0.0
+    weight_decay: NotNegative = 0.0
     """Weight decay of the optimiser [1]."""
-    clip: float | None = None
+    clip: Positive | None = None
     """Longest gradient, to which longer ones are cut [1]."""
-    validation: float = 0.1
+    validation: Annotated[float, Limits(above=0.0, below=1.0)] = 0.1
     """Share of the worlds that is kept for validation [1]."""
-    stride: int = 1
+    stride: Count = 1
     """Steps of a world from one that is used to the next [1]."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the weights, the order of the states, and dropped values [1]."""
-    threads: int = 1
+    threads: Count = 1
     """Threads of torch and of the kernels; bits are the same from run to run on one [1]."""
-    workers: int = 0
+    workers: Whole = 0
     """Processes that read the data [1]."""
-    log_every: int = 20
+    log_every: Count = 20
     """Steps between two lines of the log [1]."""
-    save_every: int = 500
+    save_every: Count = 500
     """Steps between two saves, beside those at the end of each epoch [1]."""
 
     def check(self) -> None:
-        """Raise a ``ValueError`` that names the option which is out of its range."""
-        check_least(self, bins=1, epochs=1, batch_size=1, stride=1, threads=1, log_every=1, save_every=1, nodes=8)
-        check_least(self, seed=0, workers=0, sweeps=0)
-        check_finite(self, "decay", "weight_decay", "walls", above=False)
-        if self.clip is not None and not self.clip > 0.0:
-            raise ValueError(f"clip is {self.clip}; it must be > 0")
-        if not 0.0 < self.validation < 1.0:
-            raise ValueError(f"validation is {self.validation}; it must lie in (0, 1)")
+        """Raise a ``ValueError`` for options that exclude each other."""
         if self.find_rate and self.rate is not None:
             raise ValueError(f"rate is {self.rate}, and find_rate asks for another one; give one of the two")

@@ -13,7 +13,7 @@ from dc_kernels import delassus
 from dc_kernels.delassus import METHODS, DelassusProblem, from_world, refine, solve
 from dc_kernels.delassus.first_order import delassus_kernels
 from dc_kernels.delassus.lemke import PATCH, lemke, solve_patch
-from dc_kernels.delassus.search import Search
+from dc_kernels.delassus.search import Search, SolveOptions
 from dc_kernels.model.arrays import kernel_vectors, to_numpy
 from dc_kernels.runtime.backends import argument_names, bind
 from pipeline import scenes
@@ -313,7 +313,11 @@ def test_backends_agree(method, dtype, pile):
     sweeps = 90 if method == "hybrid" and dtype == "float64" else 25  # 60 and the sweeps without momentum
     ends = []
     for backend in ("warp", "numpy"):
-        search = Search(pile, np.zeros((pile.count, 2)), 1e-300, False, 10**6, 3, 1.4, dtype, backend)
+        search = Search(
+            pile,
+            np.zeros((pile.count, 2)),
+            SolveOptions(tolerance=1e-300, scaled=False, max_sweeps=10**6, every=3, dtype=dtype, backend=backend),
+        )
         search.tolerance = 1e-30
         ends.append((search.sweep(method, sweeps), search.rows[0], search.best))
     bound = 1e-9 if dtype == "float64" else 2e-3

@@ -281,7 +281,7 @@ def test_bad_settings_are_named():
     for options, message in (
         ({"body_channels": ("mass", "colour")}, r"body_channels\[1\] is 'colour'; it must be one of"),
         ({"contact_channels": ("gap", "gap")}, r"contact_channels\[1\] is 'gap', which is there already"),
-        ({"body_channels": "mass"}, "it must be a sequence of names"),
+        ({"body_channels": "mass"}, "it must be a tuple"),
         ({"body_channels": (), "contact_channels": ()}, "both empty"),
         ({"bins": 0}, "bins is 0"),
         ({"walls": np.nan}, "walls is nan"),
@@ -537,5 +537,5 @@ def test_an_image_is_read_at_the_bodies_too():
     place = sim.state.numpy("position")
     expected = np.column_stack([place[:, 0] + 2 * place[:, 1], 3 - place[:, 0]])
     assert images.gather(field, at="bodies").numpy() == pytest.approx(expected, abs=1e-4)
-    with pytest.raises(ValueError, match="at is 'joints'; it must be 'contacts' or 'bodies'"):
+    with pytest.raises(ValueError, match="at is 'joints'; it must be one of .'contacts', 'bodies'."):
         images.gather(field, at="joints")

@@ -184,7 +184,7 @@ STAR = [(math.cos(0.8 * math.pi * i), math.sin(0.8 * math.pi * i)) for i in rang
         ([(math.cos(i), math.sin(i)) for i in np.arange(9) * 0.69], "9 points; there must be 3 to 8"),
         ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], r"shape \(3, 3\)"),
         ([0, 1, 2], r"shape \(3,\)"),
-        ("abc", "not an array of numbers"),
+        ("abc", "it must be numbers"),
         ([(0, 0), (1, math.nan), (0, 1)], r"vertices\[1, 1\] is nan; it must be finite"),
         ([(0, 0), (1, 0), (-math.inf, 1)], r"vertices\[2, 0\] is -inf; it must be finite"),
         ([(0, 0), (1, 0), (1, 0), (0, 1)], r"vertices\[2\] .* repeats vertices\[1\]"),

@@ -168,10 +168,10 @@ def test_the_seeds_printed_formulas_fail():
     ("call", "message"),
     [
         (lambda: smoothing("poly", 0.1, H), r"kernel is 'poly'; it must be one of \('poly6', 'spiky'"),
-        (lambda: smoothing("poly6", 0.1, H, 1), "dim is 1; it must be 2 or 3"),
-        (lambda: smoothing("poly6", 0.1, 0.0), r"h is 0.0; it must be finite and > 0 \[m\]"),
+        (lambda: smoothing("poly6", 0.1, H, 1), "dim is 1; it must be one of .2, 3."),
+        (lambda: smoothing("poly6", 0.1, 0.0), r"h is 0.0; it must be finite and > 0"),
         (lambda: smoothing_laplacian("poly6", 0.1, math.inf), "h is inf; it must be finite"),
-        (lambda: smoothing("poly6", 0.1, "0.5"), "h is '0.5'; it must be finite"),
+        (lambda: smoothing("poly6", 0.1, "0.5"), "h is '0.5'; it must be a number, finite"),
         (lambda: smoothing("poly6", [0.1, math.nan], H), r"r\[1\] is nan; it must be finite"),
         (lambda: smoothing_gradient("poly6", [[0.1, math.inf]], H), r"offset\[0, 1\] is inf"),
         (lambda: smoothing_gradient("poly6", [0.1], H), r"offset has shape \(1,\); it must be \(..., 2\)"),
