@@ -537,5 +537,5 @@ def test_an_image_is_read_at_the_bodies_too():
     place = sim.state.numpy("position")
     expected = np.column_stack([place[:, 0] + 2 * place[:, 1], 3 - place[:, 0]])
     assert images.gather(field, at="bodies").numpy() == pytest.approx(expected, abs=1e-4)
-    with pytest.raises(ValueError, match="at is 'joints'; it must be one of .'contacts', 'bodies'."):
+    with pytest.raises(ValueError, match="at is 'joints'; it must be one of"):
         images.gather(field, at="joints")
