@@ -151,7 +151,7 @@ def test_nonsense_leaves_no_trace():
 
 
 def test_stretch_out_of_range_is_refused():
-    with pytest.raises(ValueError, match=r"SolverConfig.stretch is 9; it must lie in \[10,"):
+    with pytest.raises(ValueError, match=r"SolverConfig.stretch is 9; it must be an integer in \[10,"):
         dc.SolverConfig(stretch=9)
 
 

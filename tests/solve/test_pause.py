@@ -165,7 +165,7 @@ def test_what_cannot_be_is_refused():
     sim = colliding(Thesis(bodies=5), 1)
     with pytest.raises(ValueError, match="no solve is in flight"):
         sim.resume()
-    with pytest.raises(ValueError, match=r"pause is -1; it must lie in \[0"):
+    with pytest.raises(ValueError, match=r"pause is -1; it must be an integer in \[0"):
         sim.solve(pause=-1)
     with pytest.raises(ValueError, match=r"config.method is 'jacobi', the solver's is 'pgs'"):
         sim.solve(replace(sim.config, method="jacobi"))
