@@ -5,7 +5,9 @@ Its commands are the dataclasses of ``pipeline.commands``, whose fields tyro tur
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import io
 import itertools
 import json
 import operator
@@ -37,7 +39,25 @@ def parse(arguments: Sequence[str] | None = None) -> Any:
         conf.FlagCreatePairsOff,
     )
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    return tyro.cli(_commands(conf, arguments), prog="deep-contact", args=arguments, config=config)
+    shown = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(shown):
+            return tyro.cli(_commands(conf, arguments), prog="deep-contact", args=arguments, config=config)
+    except SystemExit as stop:
+        if refused := _refused(stop):
+            raise ValueError(refused) from None
+        sys.stderr.write(shown.getvalue())
+        raise
+
+
+def _refused(stop: SystemExit) -> str:
+    """Say what was wrong with a value, where tyro ended for one; empty where it ended for something else."""
+    error = stop.__context__
+    if type(error).__name__ != "InstantiationError":
+        return ""
+    message, argument = str(getattr(error, "message", error)), getattr(error, "arg", "")
+    flag = getattr(getattr(argument, "lowered", None), "name_or_flags", ())
+    return f"{', '.join(flag)}: {message}" if flag else message
 
 
 def _commands(conf: Any, arguments: Sequence[str]) -> Any:

@@ -15,8 +15,10 @@ then, whatever kind of scalar was given. A function checks an argument by the sa
 from __future__ import annotations
 
 import functools
+import inspect
 import math
 import os
+import sys
 import types
 import typing
 from collections.abc import Callable, Mapping, Sequence, Set
@@ -147,9 +149,24 @@ class Settings:
 
 
 def field_types(settings: type) -> dict[str, Any]:
-    """Return the annotation of each field of a dataclass, resolved, with its metadata."""
-    hints = typing.get_type_hints(settings, include_extras=True)
-    return {f.name: hints[f.name] for f in fields(settings) if f.init}
+    """Return the annotation of each field of a dataclass, resolved where its class was written, with its metadata.
+
+    Raises:
+        NameError: naming the field, for an annotation of names that its module does not have.
+    """
+    found = {}
+    for f in fields(settings):
+        if f.init and isinstance(f.type, str):
+            owner = next(one for one in settings.__mro__ if f.name in inspect.get_annotations(one))
+            names = {**vars(typing), **vars(sys.modules.get(owner.__module__, typing))}
+            try:
+                found[f.name] = eval(f.type, names)
+            except NameError as error:
+                raise NameError(f"{owner.__name__}.{f.name} is annotated {f.type!r}: {error}") from error
+        elif f.init:
+            found[f.name] = f.type
+    # a dataclass whose module is not loaded takes the name of a ClassVar for a field
+    return {name: hint for name, hint in found.items() if typing.get_origin(hint) is not ClassVar}
 
 
 def field_checks(settings: type) -> dict[str, Check]:

@@ -53,7 +53,7 @@ class Scene(Settings):
 
     def __init_subclass__(cls) -> None:
         """Let errors name the scene."""
-        cls.settings_prefix = f"{cls.name}."
+        cls.settings_prefix = f"{getattr(cls, 'name', cls.__name__)}."
 
     friction: NotNegative = 0.5
     """Coulomb coefficient of all shapes [1]."""

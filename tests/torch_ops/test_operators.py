@@ -262,7 +262,7 @@ def test_bad_tensors_are_refused_by_name():
             r"start\[1\] is 6; it must be the number of points, 7",
             lambda: splat_torch(points, values, GRID, start=[0, 6]),
         ),
-        (r"start has shape .* dtype float32; it must be", lambda: splat_torch(points, values, GRID, start=[0.0, 7.0])),
+        (r"start is .*; it must be integers", lambda: splat_torch(points, values, GRID, start=[0.0, 7.0])),
         (r"point_bin\[0\] is 2", lambda: splat_torch(points, values, GRID, bins=2, point_bin=[2] * 7)),
         (r"kernel is 'cone'", lambda: splat_torch(points, values, GRID, Stencil("cone"))),
         (r"h is -1", lambda: splat_torch(points, values, GRID, Stencil(h=-1))),

@@ -285,7 +285,7 @@ def test_bad_ranges_are_named(ranges, match, tmp_path):
 @pytest.mark.parametrize(
     "options, match",
     [
-        ({"worlds": 0}, "worlds is 0; it must be >= 1"),
+        ({"worlds": 0}, "worlds is 0; it must be an integer"),
         ({"seed": -1}, "seed is -1"),
         ({"label_tolerance": 1e-3}, "label_tolerance is 0.001; it must not exceed solver.tolerance"),
         ({"label_sweeps": 0}, "label_sweeps is 0"),
@@ -509,10 +509,10 @@ def test_a_toml_file_is_a_recipe(tmp_path):
     "text, match",
     [
         ("world = 3", r"recipe.toml: world is unknown; there are \('worlds'"),
-        ("worlds = 3.5", "worlds is 3.5; it must be of type int"),
+        ("worlds = 3.5", "worlds is 3.5; it must be an integer"),
         ("[scene]\nname = 'box'", "scene is 'box'"),
         ("[scene]\nweight = 1.0", "scene.weight is unknown"),
-        ("[solver]\nmethod = 'newton'", "SolverConfig.method is 'newton'"),
+        ("[solver]\nmethod = 'newton'", "solver.method is 'newton'"),
         ("[solver]\nhistory = true", "solver.history is True"),
         ("[ranges]\nradius = 0.5", r"ranges.radius is 0.5; it must be \[low, high\]"),
         ("worlds = ", "recipe.toml"),

@@ -131,8 +131,8 @@ def test_scales_out_of_range_are_refused(channels, outputs, bound, message):
         ("unet", {"depth": 3}, "config of unet has the field 'depth'; it has .*'rows'"),
         ("unet", {"rows": 7}, r"GridConfig.rows is 7; it must be an integer in \[8, 65536\)"),
         ("unet", {"columns": 61.0}, "GridConfig.columns is 61.0"),
-        ("unet", {"width": 0.0}, r"GridConfig.width is 0.0; it must lie in \(0, 16\]"),
-        ("peak", {"dropout": 1.0}, r"GridConfig.dropout is 1.0; it must lie in \[0, 1\)"),
+        ("unet", {"width": 0.0}, r"GridConfig.width is 0.0; it must be in \(0, 16\]"),
+        ("peak", {"dropout": 1.0}, r"GridConfig.dropout is 1.0; it must be in \[0, 1\)"),
         ("peak", models.Entry, "config of peak is a type; it must be a GridConfig"),
     ],
 )
