@@ -120,7 +120,7 @@ def test_command_explain_with_a_network(capsys, contactnet):
         ("simulate thesis --start none.safetensors", "none.safetensors"),
         ("explain thesis --start best", "start is 'best'"),
         ("explain thesis --steps -1", "steps is -1"),
-        ("simulate thesis --tolerance -1", "SolverConfig.tolerance is -1.0"),
+        ("simulate thesis --tolerance -1", "tolerance is -1.0"),
         ("simulate thesis --bodies 4 --steps 1 --out /dev/null/x", "Not a directory"),
         ("protocol --steps 0", "steps is 0"),
         ("explain incline --angle 2", "incline.angle is 2.0"),
