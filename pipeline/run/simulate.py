@@ -102,12 +102,12 @@ def record(start: Start, run: RunOptions, output: Output, config: dict[str, Any]
         OSError: the disk does not take the trajectory; the steps so far are in it.
     """
     sim, done, spent = start.sim, 0, 0.0
-    bar = progress_bar(total=output.steps, desc=f"simulate {config['scene']['name']}", unit="step", show=progress)
+    name = config["scene"]["name"]
     with (
         TrajectoryWriter(output.out / TRAJECTORY, sim, config) as writer,
         torch_threads(run.threads),
         interruptible() as stop,
-        bar,
+        progress_bar(total=output.steps, desc=f"simulate {name}", unit="step", show=progress) as bar,
     ):
         while done < output.steps and not stop.is_set():
             before = time.perf_counter()
