@@ -11,7 +11,7 @@ from dc_kernels.model.arrays import ArrayGroup, Contacts, Joints, Model, check_v
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import CACHE, CONTACTS
-from dc_kernels.model.room import Room, move_segments, used_slots
+from dc_kernels.model.room import Room, fill_segments, move_segments
 from dc_kernels.model.validate import check_contacts
 
 
@@ -106,12 +106,12 @@ class Narrowphase:
             joints: whose impulses the next step starts from.
             shown: put them into ``contacts`` too.
         """
-        slots = used_slots(self.contacts.numpy("contact_start"), given.counts)
+        start = self.contacts.numpy("contact_start")
         for group in (self.contacts, self.cache) if shown else (self.cache,):
             for name, values in given.arrays.items():
                 if name in group.table:
                     array = to_numpy(group.array(name))
-                    array[slots] = values
+                    fill_segments(array, values, start, given.counts)
                     if group.device != "cpu":
                         group.array(name).assign(array)
         if shown:

@@ -237,6 +237,8 @@ def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype
         raise ValueError(f"{name} has shape {array.shape}; it must be {shape}")
     if dtype.kind == "f":
         bad = np.argwhere(~np.isfinite(array)) if finite else np.zeros((0, array.ndim), np.int64)
+    elif array.dtype == dtype:
+        return np.ascontiguousarray(array)
     else:
         with np.errstate(invalid="ignore"):
             bad = np.argwhere(array.astype(dtype) != array)

@@ -14,6 +14,7 @@ from dc_kernels.model.shapes import MAX_VERTICES, TOLERANCE
 Arrays = Mapping[str, np.ndarray]
 SEGMENT_VERTICES = 4  # two ends and the chain's neighbours
 ROUNDINGS = 16  # of a coordinate, that an exact relation may be off by
+PART = 2**14  # shapes that are looked at together, within the processor's cache
 NEAR = 1e-4  # relative: what was computed from a shape's vertices may be off by this in any scalar
 
 
@@ -31,28 +32,38 @@ def check_geometry(model: Arrays, label: str) -> None:
     Raises:
         BrokenRule: naming array, index, value and limit.
     """
-    start, kind, radius = model["vertex_start"], model["shape_type"], model["shape_radius"]
-    count = np.diff(start)
-    segment = kind == ShapeType.SEGMENT
-    wrong = count != np.where(segment, SEGMENT_VERTICES, 1)
-    wrong &= (kind != ShapeType.POLYGON) | (count < 2) | (count > MAX_VERTICES)
-    if wrong.any():
-        i = int(wrong.argmax())
-        words = {ShapeType.DISC: "1", ShapeType.POLYGON: f"2 to {MAX_VERTICES}", ShapeType.SEGMENT: "4"}
-        shape = ShapeType(int(kind[i]))
-        limit = f"{words[shape]} above the one before it, for shape {i} is a {shape.name}"
-        refuse(f"{label}vertex_start", start[1:], wrong, limit, 1)
-    thin = (radius == 0) & ~segment & (count < 3)
-    refuse(f"{label}shape_radius", radius, thin, "> 0, for its shape is a disc or capsule")
+    start, kinds, radii = model["vertex_start"], model["shape_type"], model["shape_radius"]
+    counts = np.diff(start)
     # most scenes are nearly all discs, whose centre is their vertex and whose extent is their radius
-    vertex, center = model["vertices"][start[:-1]], model["shape_center"]
-    plain = (count == 1) & (vertex[:, 0] == center[:, 0]) & (vertex[:, 1] == center[:, 1])
-    plain &= model["shape_extent"] == radius
+    vertex, center = _as_complex(model["vertices"]), _as_complex(model["shape_center"])
+    plain = np.zeros(len(kinds), bool)
+    for first in range(0, len(kinds), PART):
+        part = slice(first, first + PART)
+        fine = (kinds[part] == ShapeType.DISC) & (counts[part] == 1) & (radii[part] > 0)
+        fine &= (model["shape_extent"][part] == radii[part]) & (vertex.take(start[:-1][part]) == center[part])
+        plain[part] = fine
     others = np.flatnonzero(~plain)
-    code = kind[others] * 16 + count[others]
+    kind, count, radius = kinds[others], counts[others], radii[others]
+    segment = kind == ShapeType.SEGMENT
+    polygon = kind == ShapeType.POLYGON
+    wrong = np.where(polygon, (count < 2) | (count > MAX_VERTICES), count != np.where(segment, SEGMENT_VERTICES, 1))
+    if wrong.any():
+        i = int(others[wrong.argmax()])
+        words = {ShapeType.DISC: "1", ShapeType.POLYGON: f"2 to {MAX_VERTICES}", ShapeType.SEGMENT: "4"}
+        shape = ShapeType(int(kinds[i]))
+        limit = f"{words[shape]} above the one before it, for shape {i} is a {shape.name}"
+        _refuse_first(label, "vertex_start", model, others + 1, wrong, limit)
+    thin = (radius == 0) & ~segment & (count < 3)
+    _refuse_first(label, "shape_radius", model, others, thin, "> 0, for its shape is a disc or capsule")
+    code = kind * 16 + count
     for found in np.flatnonzero(np.bincount(code)):
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             _check_kind(model, others[code == found], int(found) // 16, int(found) % 16, label)
+
+
+def _as_complex(points: np.ndarray) -> np.ndarray:
+    """Points (n, 2) as complex numbers, (n,), the same memory: they are compared in one go."""
+    return np.ascontiguousarray(points).view(f"c{2 * points.itemsize}")[:, 0]
 
 
 def _check_kind(model: Arrays, chosen: np.ndarray, kind: int, count: int, label: str) -> None:

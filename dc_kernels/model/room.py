@@ -9,6 +9,7 @@ import numpy as np
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.model.enums import Flag
 
+LONG = 200  # slots of a segment, from which it is copied by itself
 GROWTH = 1.25  # of what a step needed, so that a growing pile reallocates rarely
 
 
@@ -76,6 +77,16 @@ def used_slots(start: np.ndarray, count: np.ndarray) -> np.ndarray:
     """The slots in use, world after world, of worlds that begin at ``start`` (W + 1,) and use ``count`` (W,)."""
     before = np.cumsum(count) - count
     return np.arange(int(count.sum())) + np.repeat(start[:-1].astype(np.int64) - before, count)
+
+
+def fill_segments(array: np.ndarray, values: np.ndarray, start: np.ndarray, count: np.ndarray) -> None:
+    """Copy values, packed world after world, to the first slots of each world's segment."""
+    if len(values) > LONG * len(count):  # a copy of each segment is faster than a place for each value
+        source = np.concatenate(([0], np.cumsum(count)))
+        for w in np.flatnonzero(count):
+            array[start[w] : start[w] + count[w]] = values[source[w] : source[w + 1]]
+    else:
+        array[used_slots(start, count)] = values
 
 
 def move_segments(array: Any, target: Any, old: np.ndarray, new: np.ndarray, counts: np.ndarray) -> None:

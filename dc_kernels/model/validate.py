@@ -21,7 +21,7 @@ from dc_kernels.model.settings import checker
 
 _model, _state, _joints = checker(Model), checker(State), checker(Joints)
 Arrays = Mapping[str, np.ndarray]
-UNIT_TOLERANCE = 1e-3  # of the length of a unit vector: far above rounding, far below what moves a contact
+UNIT_TOLERANCE = 2e-3  # of the squared length of a unit vector: far above rounding, far below what moves a contact
 INVERSE_TOLERANCE = 1e-3  # of mass times inverse mass: inverses of large float32 numbers have few digits
 PART = 2**14  # contacts that are checked together
 _ELEMENTS = {"body": "bodies", "shape": "shapes", "joint": "joints", "contact": "contacts"}
@@ -45,7 +45,7 @@ class Layout:
         """World of each element of an axis, made once."""
         if axis not in self._world:
             start = self.start[axis]
-            self._world[axis] = np.repeat(np.arange(len(start) - 1, dtype=np.int32), np.diff(start))
+            self._world[axis] = np.repeat(np.arange(len(start) - 1), np.diff(start))
         return self._world[axis]
 
 
@@ -67,9 +67,7 @@ def check_field(label: str, field: Field, values: np.ndarray, layout: Layout, pa
     if not values.size:
         return
     if isinstance(rule, Number):
-        low, high = values.min(), values.max()  # NaN is neither the least nor the most of anything
-        within = low > rule.low if rule.open else low >= rule.low
-        if within and high <= rule.high and np.isfinite(low) and np.isfinite(high):
+        if _within(values, rule):
             return
         bad = ~np.isfinite(values) | (values < rule.low) | (values > rule.high)
         if rule.open:
@@ -89,13 +87,29 @@ def check_field(label: str, field: Field, values: np.ndarray, layout: Layout, pa
             within = f"{_ELEMENTS[rule.axis]} {start[w]} .. {start[w + 1] - 1}"
             refuse(label, values, bad, f"a {rule.axis} of its world {w} ({within})", first)
     elif isinstance(rule, Unit):
-        square = values[:, 0] * values[:, 0] + values[:, 1] * values[:, 1]
-        refuse(label, values, ~(np.abs(square - 1.0) <= 2.0 * UNIT_TOLERANCE), "a unit vector", first)
+        square = values * values
+        length = square[:, 0] + square[:, 1]
+        if not (length.min() >= 1.0 - UNIT_TOLERANCE and length.max() <= 1.0 + UNIT_TOLERANCE):
+            refuse(label, values, ~(np.abs(length - 1.0) <= UNIT_TOLERANCE), "a unit vector", first)
     elif isinstance(rule, Ascending):
-        refuse(label, values, values < 0, ">= 0", first)
-        world = layout.world(field.per)[part]
-        falls = (values[1:] <= values[:-1]) & (world[1:] == world[:-1])
+        if values.min() < 0:
+            refuse(label, values, values < 0, ">= 0", first)
+        falls = values[1:] <= values[:-1]
+        if falls.any():
+            world = layout.world(field.per)[part]
+            falls &= world[1:] == world[:-1]
         refuse(label, values[1:], falls, "larger than the one before it in its world", first + 1)
+
+
+def _within(values: np.ndarray, rule: Number) -> bool:
+    """Whether a glance shows that all values keep to a rule; it may miss that they do, but not that one does not."""
+    low = values.min() if rule.low > -np.inf else 0.0  # NaN is neither the least nor the most of anything
+    if not (low > rule.low if rule.open else low >= rule.low):
+        return False
+    if rule.high < np.inf:
+        return bool(values.max() <= rule.high)
+    flat = values.reshape(-1)
+    return values.dtype.kind != "f" or bool(np.isfinite(np.dot(flat, flat)))  # a finite sum has finite terms
 
 
 def check_start(label: str, values: np.ndarray, length: int) -> None:
@@ -162,33 +176,54 @@ def check_model(model: Arrays, label: str = "model.") -> None:
             check_start(f"{label}{name}", model[name], lengths[field.rule.axis])
     layout = Layout(model)
     for name, field in MODEL.items():
-        check_field(f"{label}{name}", field, model[name], layout)
-
-    def hold(name: str, bad: np.ndarray, limit: str) -> None:
-        refuse(f"{label}{name}", model[name], bad, limit)
+        if not isinstance(field.rule, Index):  # shape_body has a closer look below
+            check_field(f"{label}{name}", field, model[name], layout)
 
     owned = model["body_shape_start"][model["body_start"]]
-    hold("shape_start", model["shape_start"] != owned, "where its bodies' shapes begin (body_shape_start)")
-    owner = np.repeat(np.arange(lengths["body"], dtype=np.int32), np.diff(model["body_shape_start"]))
-    hold("shape_body", model["shape_body"] != owner, "the body whose shapes it stands among (body_shape_start)")
+    wrong = model["shape_start"] != owned
+    refuse(f"{label}shape_start", model["shape_start"], wrong, "where its bodies' shapes begin (body_shape_start)")
     shapes = np.diff(model["shape_start"])
     refuse(f"the number of shapes of {label}shape_start", shapes, shapes > 2**KEY_SHAPE_BITS, f"<= {2**KEY_SHAPE_BITS}")
-
-    dynamic = model["body_type"] == BodyType.DYNAMIC
-    for name, inverse in (("mass", "inv_mass"), ("inertia", "inv_inertia")):
-        given = model[name] != 0
-        for what, some in ((name, given), (inverse, model[inverse] != 0)):
-            hold(what, some & ~dynamic, "0, for its body is not DYNAMIC")
-        if name == "mass":
-            hold(name, dynamic & ~given, "> 0, for its body is DYNAMIC")
-        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-            one = np.abs(model[name] * model[inverse] - given) <= INVERSE_TOLERANCE
-        hold(inverse, ~one, f"1 / {name}")
-        hold(inverse, ~given & (model[inverse] != 0), f"0, as {name} is")
-    segment = model["shape_type"] == ShapeType.SEGMENT
-    moving = segment & (model["body_type"][model["shape_body"]] != BodyType.STATIC)
-    hold("shape_body", moving, "a STATIC body, for the shape is a SEGMENT")
+    for part in _parts(lengths["shape"]):
+        _check_owners(model, layout, part, label)
+    for part in _parts(lengths["body"]):
+        _check_masses(model, part, label)
     check_geometry(model, label)
+
+
+def _check_owners(model: Arrays, layout: Layout, part: slice, label: str) -> None:
+    """Hold bodies of shapes to the shapes of bodies, and segments to static bodies."""
+    body, start = model["shape_body"][part], model["body_shape_start"]
+    name, within = f"{label}shape_body", slice(part.start, None)
+    if body.min() < 0 or body.max() >= len(start) - 1:
+        check_field(name, MODEL["shape_body"], model["shape_body"], layout, within)
+    place = np.arange(part.start, part.start + len(body))
+    wrong = (start.take(body) > place) | (start.take(body + 1) <= place)
+    if wrong.any():
+        check_field(name, MODEL["shape_body"], model["shape_body"], layout, within)
+        refuse(name, body, wrong, "the body whose shapes it stands among (body_shape_start)", part.start)
+    segment = model["shape_type"][part] == ShapeType.SEGMENT
+    if segment.any():
+        moving = segment & (model["body_type"][body] != BodyType.STATIC)
+        refuse(name, body, moving, "a STATIC body, for the shape is a SEGMENT", part.start)
+
+
+def _check_masses(model: Arrays, part: slice, label: str) -> None:
+    """Hold masses and inertias to the types of bodies, and their inverses to them."""
+    names = ("mass", "inertia", "inv_mass", "inv_inertia")
+    mass, inertia, inverse_mass, inverse_inertia = (model[name][part] for name in names)
+    dynamic = model["body_type"][part] == BodyType.DYNAMIC
+    heavy, turns = mass != 0, inertia != 0
+    refuse(f"{label}mass", mass, heavy != dynamic, "> 0 if its body is DYNAMIC, 0 if not", part.start)
+    refuse(f"{label}inertia", inertia, turns & ~dynamic, "0, for its body is not DYNAMIC", part.start)
+    for name, given, inverse, some in (
+        ("mass", mass, inverse_mass, heavy),
+        ("inertia", inertia, inverse_inertia, turns),
+    ):
+        refuse(f"{label}inv_{name}", inverse, (inverse != 0) != some, f"0 if {name} is, else > 0", part.start)
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            wrong = ~(np.abs(given * inverse - some) <= INVERSE_TOLERANCE)
+        refuse(f"{label}inv_{name}", inverse, wrong, f"1 / {name}", part.start)
 
 
 def check_state(state: Arrays, model: Arrays, label: str = "state.", *, frozen: bool = False) -> None:
@@ -250,12 +285,17 @@ def check_contacts(contacts: Arrays, model: Arrays, label: str = "", flags: np.n
     arrays = _sane(CONTACTS, contacts, layout, flags)
     if "contact_dt" in contacts:
         check_field(f"{label}contact_dt", CONTACTS["contact_dt"], contacts["contact_dt"], layout)
+    closer = []  # what takes several passes
+    for name, values in arrays.items():
+        field = CONTACTS[name]
+        if isinstance(field.rule, Unit | Ascending):
+            closer.append((name, field, values))
+        elif field.per == "contact" and not isinstance(field.rule, Index):
+            check_field(f"{label}{name}", field, values, layout)
     colors = _Colors(f"{label}color", contacts["color"], model["body_type"]) if "color" in contacts else None
     for part in _parts(len(key)):
-        for name, values in arrays.items():
-            field = CONTACTS[name]
-            if field.per == "contact" and not isinstance(field.rule, Index):
-                check_field(f"{label}{name}", field, values, layout, part)
+        for name, field, values in closer:
+            check_field(f"{label}{name}", field, values, layout, part)
         bodies = _bodies_of_keys(contacts, model, layout, part, label)
         if colors is not None:
             colors.take(bodies, part)
@@ -287,13 +327,14 @@ def _bodies_of_keys(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Bodies A and B of contacts by their keys, whose shapes must be of their world; hold given bodies to them."""
     key, world = contacts["key"][part], layout.world("contact")[part]
-    first, last = model["shape_start"][:-1][world], model["shape_start"][1:][world]
+    first, last = model["shape_start"][:-1].take(world), model["shape_start"][1:].take(world)
     bodies = []
     for side, shift in (("a", KEY_SHAPE_BITS + KEY_FEATURE_BITS), ("b", KEY_FEATURE_BITS)):
-        shape = first + ((key >> shift) & (2**KEY_SHAPE_BITS - 1)).astype(np.int32)
+        shape = (key >> shift) & (2**KEY_SHAPE_BITS - 1)
+        shape += first
         limit = f"of shapes of its world; shape {side.upper()} is not"
         refuse(f"{label}key", key, shape >= last, limit, part.start)
-        bodies.append(model["shape_body"][shape])
+        bodies.append(model["shape_body"].take(shape))
         name = f"body_{side}"
         if name in contacts and not np.array_equal(contacts[name][part], bodies[-1]):
             check_field(f"{label}{name}", CONTACTS[name], contacts[name], layout, part)
@@ -307,39 +348,45 @@ class _Colors:
     """Looks for two contacts of one colour at a dynamic body: lanes would write to it at once."""
 
     def __init__(self, label: str, color: np.ndarray, body_type: np.ndarray) -> None:
-        self.label, self.color = label, color
-        self.dynamic = body_type == BodyType.DYNAMIC
-        self.used = min(max(int(color.max(initial=-1)) + 1, 0), COLORS - 1)  # the serial colour blocks nobody
-        self.marks = np.zeros(len(body_type) * self.used, bool)
+        """Take the colours, which must be in range, and the bodies' types."""
+        self.label = label
+        self.color = color if color.max(initial=-1) < COLORS - 1 else np.where(color < COLORS - 1, color, -1)
+        width = int(self.color.max(initial=-1)) + 2  # one place for -1; the serial colour, like it, blocks nobody
+        bodies = len(body_type)
+        self.first = np.arange(1, bodies * width + 1, width, dtype=np.int64)
+        self.first[body_type != BodyType.DYNAMIC] = bodies * width + 1
+        self.width, self.trash = width, bodies * width
+        self.marks = np.zeros((bodies + 1) * width, bool)
         self.bodies: list[tuple[np.ndarray, np.ndarray]] = []
         self.count = 0
-
-    def _places(self, bodies: np.ndarray, color: np.ndarray) -> np.ndarray:
-        """A number for each pair of dynamic body and colour; -1 for others."""
-        counts = self.dynamic[bodies] & (color >= 0) & (color < self.used)
-        return np.where(counts, bodies.astype(np.int64) * self.used + color, -1)
 
     def take(self, bodies: tuple[np.ndarray, np.ndarray], part: slice) -> None:
         """Note the colours of a part of the contacts."""
         skip = 1 if part.start else 0  # that one was in the part before
         color = self.color[part][skip:]
+        fresh = np.count_nonzero(color < 0) > 0
         self.bodies.append((bodies[0][skip:], bodies[1][skip:]))
         for side in self.bodies[-1]:
-            places = self._places(side, color)
-            places = places[places >= 0]
+            places = self.first.take(side)
+            blocked = places < self.trash
+            if fresh:
+                blocked &= color >= 0
+            self.count += int(np.count_nonzero(blocked))
+            places += color
             self.marks[places] = True
-            self.count += len(places)
 
     def check(self) -> None:
         """Refuse a colour that comes twice at a body."""
-        if np.count_nonzero(self.marks) == self.count:
+        marks = self.marks[: self.trash].reshape(-1, self.width)
+        marks[:, 0] = False
+        if np.count_nonzero(marks) == self.count:
             return
         sides = [np.concatenate(side) for side in zip(*self.bodies)]
-        places = np.concatenate([self._places(side, self.color) for side in sides])
+        places = np.concatenate([self.first[side] + self.color for side in sides])
         order = np.argsort(places, kind="stable")
-        order = order[places[order] >= 0]
+        order = order[(places[order] < self.trash) & (places[order] % self.width != 0)]
         twice = int(np.flatnonzero(np.diff(places[order]) == 0)[0])
         i, j = sorted(int(k) % len(self.color) for k in order[twice : twice + 2])
-        body = int(places[order[twice]] // self.used)
+        body = int(places[order[twice]] // self.width)
         text = f"is {self.color[j]}; it must be another than that of contact {i}, which acts on body {body} too"
         raise BrokenRule(f"{self.label}[{j}]", text)
