@@ -4,10 +4,14 @@ Groups ``model``, ``state``, ``joints`` and ``contacts`` hold the arrays of ``mo
 with its unit, meaning and axis as attributes; contacts are packed, world after world, without unused slots (where
 each world's began is in ``contact_start``). ``config`` carries the solver's settings as attributes. Saving and loading
 keep every bit, so a run that goes on from a snapshot on the same device equals one that never stopped.
+
+A step that was not finished, in a world that froze or after an OverflowError, leaves its contacts in ``contacts``,
+while the next step starts from those of the last finished one. Only then the group ``cache`` holds the latter.
 """
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -19,9 +23,10 @@ from dc_kernels.measure import contact_slots
 from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.dtypes import float_dtype, numpy_spec
-from dc_kernels.model.fields import CONTACTS, Field
+from dc_kernels.model.fields import CACHE, CONTACTS, Field
+from dc_kernels.model.room import used_slots
 from dc_kernels.model.rules import BrokenRule
-from dc_kernels.model.validate import check_state
+from dc_kernels.model.validate import check_joints, check_model, check_state
 from dc_kernels.runtime.files import write_whole
 from dc_kernels.runtime.hdf5 import image, reading
 from dc_kernels.runtime.optional import require
@@ -33,6 +38,7 @@ Group = TypeVar("Group", bound=ArrayGroup)
 
 SCHEMA = "deep-contact snapshot"
 SCHEMA_VERSION = 1
+CACHED = "cached contact"
 _AXES = ("world", "body", "shape", "vertex", "joint", "contact")
 
 
@@ -43,13 +49,18 @@ def save(sim: Simulation, path: str | os.PathLike[str]) -> None:
     so that a full disk or a kill never damages a file that was there before. Links are followed.
 
     Raises:
-        ValueError: in the middle of a step, between ``collide`` and ``advance``.
+        ValueError: in the middle of a step, between ``collide`` and ``advance``, or for values written to the arrays
+            that ``load`` would refuse: naming array, index, value and limit.
         OSError: naming the file, when it cannot be written, or there is a folder, a device or a FIFO of its name.
         ImportError: without h5py, naming the extra that installs it.
     """
     require("h5py", "pipeline")
     if sim.phase != "advance":
         raise ValueError("save() in the middle of a step: finish it with solve() and advance(), or take a step")
+    model, state = sim.model.views(), sim.state.views()
+    check_model(model)
+    check_state(state, model, frozen=True)
+    check_joints(sim.joints.views(), model)
     write_whole(path, image(lambda file: _write(file, sim)))
 
 
@@ -84,6 +95,7 @@ def load(
         header = _Header(file, path)
         tables = {"model": Model.table, "state": State.table, "joints": Joints.table, "contacts": CONTACTS}
         values = {name: _read(file, path, name, table, header) for name, table in tables.items()}
+        cache = _read(file, path, "cache", CACHE, header.cached()) if "cache" in file else None
     contacts = values["contacts"]
     del contacts["contact_start"]  # the simulation reserves its slots itself
     count, contact_dt = contacts.pop("contact_count"), contacts.pop("contact_dt")
@@ -99,10 +111,18 @@ def load(
     where = f"{path}: dataset "
     check_state(values["state"], values["model"], f"{where}state/", frozen=True)
     _filled(state, values["state"])  # afterwards: the constructor would refuse the force that froze a world
+    group = "cache"
     try:
+        if cache is not None:
+            cached = {name: cache[name] for name, field in CACHE.items() if field.per == "contact"}
+            sim.restore_contacts(cache["count"], cached, contact_dt)  # for the room that they need
+        group = "contacts"
         sim.restore_contacts(count, contacts, contact_dt)
+        if cache is not None:
+            group = "cache"
+            sim.storage.restore_cache(cache["count"], cached, contact_dt, cache["joint_impulse"])
     except ValueError as error:
-        raise ValueError(f"{where}contacts/{error}") from error
+        raise ValueError(f"{where}{group}/{error}") from error
     return sim
 
 
@@ -124,24 +144,41 @@ def _write(file: Any, sim: Simulation) -> None:
         }
     )
     slots, _ = contact_slots(sim.contacts)
-    sizes = {**model.sizes, "joint": model.joint_count, "contact": len(slots)}
-    file.create_group("sizes").attrs.update({name: sizes[name] for name in _AXES})
+    cached = used_slots(sim.contacts.numpy("contact_start"), sim.cache.numpy("count"))
+    sizes = {**model.sizes, "joint": model.joint_count, "contact": len(slots), CACHED: len(cached)}
+    groups = {"model": model, "state": sim.state, "joints": sim.joints, "contacts": sim.contacts}
+    if _unfinished(sim, slots, cached):
+        groups["cache"] = sim.cache
+    names = (*_AXES, CACHED) if "cache" in groups else _AXES
+    file.create_group("sizes").attrs.update({name: sizes[name] for name in names})
     file.create_group("config").attrs.update(sim.config.to_dict())
-    for name, group in (("model", model), ("state", sim.state), ("joints", sim.joints), ("contacts", sim.contacts)):
+    for name, group in groups.items():
         folder = file.create_group(name)
         for field in group.table.values():
             values = group.numpy(field.name)
             if field.per == "contact":
-                values = values[slots]
+                values = values[cached if name == "cache" else slots]
             # a checksum finds damage that HDF5 would not notice
             dataset = folder.create_dataset(field.name, data=values, fletcher32=True if values.size else None)
             dataset.attrs.update({"unit": field.unit, "meaning": field.meaning, "axis": field.per})
+
+
+def _unfinished(sim: Simulation, slots: np.ndarray, cached: np.ndarray) -> bool:
+    """Whether the contacts are others than those that the next step starts from, by any bit."""
+    contacts, cache = sim.contacts, sim.cache
+    pairs = [(contacts.numpy("contact_count"), cache.numpy("count"))]
+    pairs.append((sim.joints.numpy("joint_impulse"), cache.numpy("joint_impulse")))
+    if len(slots) == len(cached):
+        names = [name for name, field in CACHE.items() if field.per == "contact"]
+        pairs += [(contacts.numpy(name)[slots], cache.numpy(name)[cached]) for name in names]
+    return any(one.tobytes() != other.tobytes() for one, other in pairs)
 
 
 class _Header:
     """What a snapshot says about itself."""
 
     def __init__(self, file: Any, path: Path) -> None:
+        self.path = path
         schema, version = file.attrs.get("schema"), file.attrs.get("schema_version")
         if not isinstance(schema, str) or schema != SCHEMA:
             raise ValueError(f"{path} is not a {SCHEMA}: its attribute 'schema' is {schema!r}")
@@ -157,6 +194,7 @@ class _Header:
             self.options["specialize"] = bool(file.attrs["specialize"])
             sizes = {name: int(value) for name, value in file["sizes"].attrs.items()}
             self.sizes = {name: sizes[name] for name in _AXES}
+            self._cached = sizes.get(CACHED)
         except KeyError as error:
             raise ValueError(f"{path}: an attribute is missing: {error}") from error
         except (TypeError, ValueError) as error:
@@ -168,9 +206,21 @@ class _Header:
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: config: {error}") from error
 
+    def cached(self) -> _Header:
+        """The header of the group ``cache``, which has contacts of its own.
+
+        Raises:
+            ValueError: when it does not say how many.
+        """
+        if self._cached is None:
+            raise ValueError(f"{self.path}: an attribute is missing: {CACHED!r}")
+        other = copy.copy(self)
+        other.sizes = {**self.sizes, "contact": self._cached}
+        return other
+
 
 def _read(file: Any, path: Path, group: str, table: Mapping[str, Field], header: _Header) -> dict[str, np.ndarray]:
-    """The arrays of a group, checked."""
+    """The arrays of a group, of the shapes and dtypes that the header says."""
     arrays = {}
     for field in table.values():
         where = f"{path}: dataset {group}/{field.name}"

@@ -10,6 +10,8 @@ from dc_kernels.collide.broadphase import Broadphase
 from dc_kernels.collide.narrowphase import Narrowphase
 from dc_kernels.model.arrays import ArrayGroup, Joints, Model
 from dc_kernels.model.config import SolverConfig
+from dc_kernels.model.fields import CACHE
+from dc_kernels.model.validate import Layout, check_field
 from dc_kernels.solve.integrate import Integrator, typical_weight
 from dc_kernels.solve.storage import SolverStorage
 
@@ -106,7 +108,15 @@ class Storage:
         if (given.counts > self.contact_room).any():
             self.narrowphase.room.slots = np.maximum(self.contact_room, given.counts)
             self._relayout(config)
-        self.narrowphase.restore(given, self.joints)
+        self.narrowphase.restore(given, self.joints.numpy("joint_impulse"))
+
+    def restore_cache(
+        self, count: np.ndarray, arrays: Mapping[str, np.ndarray], contact_dt: np.ndarray, joint_impulse: np.ndarray
+    ) -> None:
+        """Start the next step from other contacts, for which there is room, than ``contacts`` holds."""
+        given = self.narrowphase.check_restored(self.model, count, arrays, contact_dt, np.zeros(len(count), np.int32))
+        check_field("joint_impulse", CACHE["joint_impulse"], joint_impulse, Layout(self.model.views()))
+        self.narrowphase.restore(given, joint_impulse, shown=False)
 
     def used(self) -> dict[str, np.ndarray]:
         """Pairs, contacts and blocks of each world at the last step."""

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup, Contacts, Joints, Model, check_values, to_numpy
+from dc_kernels.model.arrays import ArrayGroup, Contacts, Model, check_values, to_numpy
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import CACHE, CONTACTS
@@ -98,12 +98,12 @@ class Narrowphase:
         check_contacts({"contact_count": count, "contact_dt": contact_dt, **found}, model.views(), flags=flags)
         return Restored(count, found, contact_dt)
 
-    def restore(self, given: Restored, joints: Joints, *, shown: bool = True) -> None:
+    def restore(self, given: Restored, joint_impulse: np.ndarray, *, shown: bool = True) -> None:
         """Put contacts of an earlier run, checked and with room for them, where the next step looks for the last.
 
         Args:
             given: from ``check_restored``.
-            joints: whose impulses the next step starts from.
+            joint_impulse: what the next step starts from, of each joint [N s].
             shown: put them into ``contacts`` too.
         """
         start = self.contacts.numpy("contact_start")
@@ -118,7 +118,7 @@ class Narrowphase:
             self.contacts.assign("contact_count", given.counts)
         self.cache.assign("count", given.counts)
         self.contacts.assign("contact_dt", given.contact_dt)
-        self.cache.assign("joint_impulse", joints.numpy("joint_impulse"))
+        self.cache.assign("joint_impulse", joint_impulse)
 
     def check_start(self) -> None:
         """Raise ValueError, naming the contact, if a start impulse is NaN or inf."""

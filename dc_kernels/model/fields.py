@@ -35,6 +35,7 @@ KEY_SHAPE_BITS = 23  # contact key = shape A | shape B | feature, 23 + 23 + 16 b
 KEY_FEATURE_BITS = 16
 COLORS = 64  # colours of the contact graph: bits of a mask; the last one is the serial overflow colour
 COLOR = Number(-1, COLORS - 1)  # -1: none yet
+AGE = Number(0, 2**31 - 2)  # a step adds one
 ALL_FLAGS = int(~Flag.NONE)
 _INTEGERS = ("int32", "int64", "uint32", "uint64", "vec3i", "iteration")
 
@@ -63,7 +64,7 @@ class Field:
         """Whether a kernel goes by the values to places in memory, so that a wrong one crashes the process."""
         if isinstance(self.rule, Start | Index) or self.rule is COLOR or self.rule == Code(ShapeType):
             return True
-        return self.rule is COUNT and self.per == "world"
+        return self.rule is COUNT
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -133,7 +134,7 @@ CONTACTS = field_table(
     ("restitution", "contact", "real", "1", "coefficient of restitution of the pair", SHARE),
     ("impulse", "contact", "vec2", "N s", "normal and tangential impulse: before the solve its start, then its result"),
     ("color", "contact", "int32", "1", "colour in the contact graph, kept while the contact lives", COLOR),
-    ("age", "contact", "int32", "1", "steps since the contact began, 0 when new", COUNT),
+    ("age", "contact", "int32", "1", "steps since the contact began, 0 when new", AGE),
 )
 
 JOINTS = field_table(
@@ -152,7 +153,7 @@ CACHE = field_table(
     ("key", "contact", "int64", "1", "their keys, sorted", Ascending()),
     ("impulse", "contact", "vec2", "N s", "their solved impulses"),
     ("color", "contact", "int32", "1", "their colours", COLOR),
-    ("age", "contact", "int32", "1", "their ages", COUNT),
+    ("age", "contact", "int32", "1", "their ages", AGE),
     ("joint_impulse", "joint", "real", "N s", "solved impulses of the joints in the last finished step"),
 )
 

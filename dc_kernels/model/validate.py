@@ -170,6 +170,8 @@ def check_model(model: Arrays, label: str = "model.") -> None:
         BrokenRule: naming array, index, value and limit.
     """
     lengths = {field.per: len(model[name]) for name, field in MODEL.items()}
+    if lengths["world"] < 1:
+        raise BrokenRule(label.rstrip("./"), "has no world; it must have one at least")
     lengths["joint"] = int(model["joint_start"][-1])  # check_joints holds the joints to it
     for name, field in MODEL.items():
         if isinstance(field.rule, Start):

@@ -213,8 +213,8 @@ def one_color(groups):
             r"model\.mass\[2\] is .*; it must be > 0 if its body is DYNAMIC, 0 if not",
         ),
         (
-            set_value("model", "vertex_normals", 1, (1, 0)),
-            r"model\.vertex_normals\[1\] is \(1\.0, 0\.0\); .* unit normal",
+            set_value("model", "vertex_normals", 1, (0, 1)),
+            r"model\.vertex_normals\[1\] is \(0\.0, 1\.0\); .* unit normal",
         ),
         (
             set_value("model", "vertex_normals", 1, (0, 0)),

@@ -137,6 +137,70 @@ def test_a_frozen_world_stays_frozen(tmp_path):
     assert contents(dc.Simulation.load(tmp_path / "snapshot.h5")) == contents(sim)
 
 
+def crowded(on_overflow="raise", room=4.0):
+    """Two worlds in which discs come to touch: with little room a step overflows."""
+    builder = dc.ModelBuilder()
+    for _ in range(2):
+        builder.add_world()
+        builder.add_chain(builder.add_body(type=dc.BodyType.STATIC), ((-2, 3), (-2, 0), (2, 0), (2, 3)))
+        x, y = np.meshgrid(np.arange(-3, 4) * 0.21, np.arange(5) * 0.215 + 0.12)
+        builder.add_discs(np.stack((x.ravel(), y.ravel()), axis=1), 0.1)
+    config = dc.SolverConfig(max_sweeps=60)
+    return dc.Simulation(*builder.finalize(), config=config, on_overflow=on_overflow, contacts_per_body=room)
+
+
+def test_after_an_overflow_the_last_finished_step_is_kept(tmp_path):
+    """The failed step leaves its contacts behind; what is saved goes on from those of the step before, bit for bit."""
+    sim, other = crowded(room=0.6), crowded("grow")
+    with pytest.raises(OverflowError, match=r"world \d needs \d+ contacts"):
+        for _ in range(200):
+            sim.step(DT)
+            other.step(DT)
+    done = sim.state.numpy("time")[0]
+    assert done > 0.0
+    assert not np.array_equal(sim.contacts.numpy("contact_count"), sim.cache.numpy("count"))
+    sim.save(tmp_path / "snapshot.h5")
+    with h5py.File(tmp_path / "snapshot.h5") as file:
+        assert set(file["cache"]) == set(sim.cache.table)
+    loaded = dc.Simulation.load(tmp_path / "snapshot.h5", on_overflow="grow")
+    assert contents(loaded) == contents(sim)
+    assert np.array_equal(loaded.cache.numpy("count"), sim.cache.numpy("count"))
+    for one in (loaded, other):
+        one.run(20, DT)
+    assert contents(loaded) == contents(other)
+    assert loaded.state.numpy("time")[0] > done
+    loaded.save(tmp_path / "later.h5")
+    with h5py.File(tmp_path / "later.h5") as file:
+        assert "cache" not in file
+
+
+def test_a_world_that_froze_in_a_step_goes_on_as_if_it_had_not_been_saved(tmp_path):
+    """Its contacts are those of the failed step, with numbers that are not finite; the next step starts before it."""
+    sim = simulation()
+    sim.run(20, DT)
+    sim.collide(DT)
+    sim.contacts.numpy("impulse")[:] = np.inf
+    sim.solve()
+    sim.advance()
+    assert sim.state.numpy("flags")[0] == dc.Flag.NONFINITE
+    sim.save(tmp_path / "snapshot.h5")
+    loaded = dc.Simulation.load(tmp_path / "snapshot.h5")
+    assert contents(loaded) == contents(sim)
+    for one in (sim, loaded):
+        one.state.numpy("flags")[:] = 0
+        one.run(5, DT)
+    assert contents(loaded) == contents(sim)
+
+
+def test_what_could_not_be_loaded_is_not_saved(copy):
+    before = copy.read_bytes()
+    sim = simulation()
+    sim.model.numpy("inv_mass")[3] = 5.0
+    with pytest.raises(ValueError, match=r"model\.inv_mass\[3\] is 5\.0; it must be 1 / mass"):
+        sim.save(copy)
+    assert copy.read_bytes() == before
+
+
 def test_datasets_say_what_they_are(saved):
     with h5py.File(saved) as file:
         assert file.attrs["schema"] == "deep-contact snapshot"
@@ -266,20 +330,16 @@ def test_no_such_folder(tmp_path):
         simulation().save(tmp_path / "none" / "snapshot.h5")
 
 
-# A process of its own that saves to argv[1]; what a snapshot needs of a simulation is made by hand.
+# A process of its own that saves to argv[1].
 SAVE = """
-import sys, types
+import sys
 import numpy as np
 import dc_kernels as dc
 from dc_kernels import snapshot
 builder = dc.ModelBuilder()
 builder.add_world()
 builder.add_discs(np.zeros((2000, 2)), 1.0)
-model, state, joints = builder.finalize(backend="numpy")
-contacts = dc.Contacts({"world": 1, "world+1": 2, "contact": 0}, "float32", backend="numpy")
-sim = types.SimpleNamespace(model=model, state=state, joints=joints, contacts=contacts)
-sim.config, sim.schedule, sim.on_overflow = dc.SolverConfig(), "world", "grow"
-sim.specialize, sim.phase = True, "advance"
+sim = dc.Simulation(*builder.finalize(backend="numpy"))
 """
 needs_posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
 
