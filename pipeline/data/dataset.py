@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -20,8 +19,8 @@ import numpy as np
 from dc_kernels.model.enums import BodyType
 from dc_kernels.runtime.optional import require
 from pipeline.data.batch import BODY, CONTACT, SHAPE, Batch, World
-from pipeline.data.layout import INDEX, MOTION, offsets
-from pipeline.data.shards import config_of, opened
+from pipeline.data.folders import Folders, Paths, row_counts
+from pipeline.data.layout import MOTION, offsets
 from pipeline.seeds import HELD_OUT_SEED
 
 torch = require("torch", "pipeline")
@@ -43,7 +42,7 @@ class States(Dataset):
 
     def __init__(
         self,
-        path: str | Path,
+        path: Paths,
         split: Split | None = None,
         validation: float = 0.1,
         split_seed: int = 0,
@@ -54,7 +53,7 @@ class States(Dataset):
         """Read the index.
 
         Args:
-            path: folder of the data set, or its index.
+            path: folder of the data set, or its index; or several that differ in worlds, seed and shard_worlds alone.
             split: "train" or "validation": whole worlds, drawn by ``split_seed``; None: all.
             validation: share of the worlds that validate, at least one.
             split_seed: of the draw.
@@ -63,11 +62,10 @@ class States(Dataset):
             cache_bytes: of the worlds that each process keeps, about; at least two are.
 
         Raises:
-            ValueError: for an argument out of its range, a foreign or damaged index, a data set that is not finished,
-                or one of held-out seeds asked for with a split: those are for tests only.
+            ValueError: for an argument out of its range, a foreign or damaged index, a data set that is not finished or
+                lacks a shard, folders that do not belong together or share a world, or held-out seeds asked for with a
+                split: those are for tests only.
         """
-        index = _index(path)
-        self.folder = index.parent
         if split not in (None, "train", "validation"):
             raise ValueError(f"split is {split!r}; it must be None, 'train' or 'validation'")
         if not 0.0 <= validation < 1.0:
@@ -79,18 +77,19 @@ class States(Dataset):
         ):
             if value < low:
                 raise ValueError(f"{name} is {value}; it must be >= {low}")
-        with opened(index) as file:
-            self.config = config_of(file)
-            self.seeds = file["world/seed"][...]
-            self.step_start = file["world/step_start"][...]
-            self.contact_count = np.diff(file["step/contact_start"][...])
-            step, flags = file["step/step"][...], file["step/flags"][...]
-            self.shard_start = file["shard/world_start"][...]
-            self.shard_names = [name.decode() for name in file["shard/name"][...]]
-            rows = {
-                axis: file[axis][name].shape[lead]
-                for axis, name, lead in (("motion", "angle", 0), ("contact", "gap", 0))
-            }
+        self.folders = Folders(path)
+        self.folder, self.config = self.folders.folder, self.folders.config
+        found, rows = self.folders.gather(
+            "world/seed", "world/step_start", "step/step", "step/flags", "step/contact_start"
+        )
+        self.seeds, self.step_start = found["world/seed"], found["world/step_start"]
+        self.contact_count = np.diff(found["step/contact_start"])
+        step, flags = found["step/step"], found["step/flags"]
+        seeds, times = np.unique(self.seeds, return_counts=True)
+        if (times > 1).any():
+            raise ValueError(
+                f"seed {seeds[np.argmax(times > 1)]} is there twice: one world must not be two of a data set"
+            )
         if split is not None and (self.seeds >= HELD_OUT_SEED).any():
             raise ValueError(
                 f"{self.folder} has worlds of seeds from {HELD_OUT_SEED} on: for tests, never for training"
@@ -104,12 +103,11 @@ class States(Dataset):
 
     def _forget(self) -> None:
         """Begin with nothing open and nothing read."""
-        self._files: dict[int, Any] = {}
         self._known: OrderedDict[int, World] = OrderedDict()
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what workers are given: nothing that is open or read."""
-        return {**self.__dict__, "_files": {}, "_known": OrderedDict()}
+        return {**self.__dict__, "_known": OrderedDict()}
 
     def __len__(self) -> int:
         """Count the states."""
@@ -136,11 +134,11 @@ class States(Dataset):
         if number in self._known:
             self._known.move_to_end(number)
             return self._known[number]
-        shard = int(np.searchsorted(self.shard_start, number, "right") - 1)
-        with opened(self.folder / self.shard_names[shard]) as file:
-            world = World(file, number - int(self.shard_start[shard]))
+        shard = int(np.searchsorted(self.folders.first_world, number, "right") - 1)
+        with self.folders.shard(shard) as file:
+            world = World(file, number - int(self.folders.first_world[shard]))
         if world.seed != self.seeds[number]:
-            raise ValueError(f"{self.folder / self.shard_names[shard]} is not that of the index: make the index anew")
+            raise ValueError(f"{self.folders.parts[shard].path} is not what it was: another world is in its place")
         self._known[number] = world
         while len(self._known) > self.pool:
             self._known.popitem(last=False)
@@ -186,14 +184,6 @@ class States(Dataset):
             **{name: whole(name) for name in (*BODY, *SHAPE, "vertices")},
         }
         return Batch(**{name: torch.from_numpy(values) for name, values in arrays.items()})
-
-
-def _index(path: str | Path) -> Path:
-    """Return the path of an index, given it or its folder."""
-    index = Path(path) if Path(path).name == INDEX else Path(path) / INDEX
-    if not index.exists():
-        raise ValueError(f"{index.parent} has no {index.name}: it is no data set, or one that is not finished")
-    return index
 
 
 def _split(worlds: int, split: Split | None, validation: float, seed: int) -> np.ndarray:
@@ -277,7 +267,7 @@ class Loader(DataLoader):
 
 
 def loader(
-    path: str | Path,
+    path: Paths,
     *,
     batch_size: int,
     split: Split | None = "train",
@@ -292,7 +282,7 @@ def loader(
     """Make a ``DataLoader`` of batches; its ``set_epoch(n)`` chooses the order of each pass.
 
     Args:
-        path: folder of the data set, or its index.
+        path: folder of the data set, or its index; or several.
         batch_size: states in a batch.
         split: as of ``States``.
         shuffle: across the worlds of a pool, pools across all worlds; else worlds and steps in turn.
@@ -314,45 +304,57 @@ def loader(
     return Loader(states, batch_sampler=order, collate_fn=_identity, num_workers=workers, **more)
 
 
-def describe(path: str | Path) -> dict[str, Any]:
+def describe(path: Paths) -> dict[str, Any]:
     """Describe what a data set holds, without its states.
 
     Args:
-        path: folder of the data set, or its index.
+        path: folder of the data set, or its index; or several.
 
     Returns:
-        ``config``; ``seeds``, the first and one past the last; ``worlds``, ``states``; ``box``, which holds all static
-        shapes: low x, low y, high x, high y [m]; ``slop``, overlap that the solver left alone, mean of the worlds [m].
+        ``config``, of the first folder; ``seeds``, the first and one past the last; ``worlds``, ``states``; ``box``,
+        which holds all static shapes: low x, low y, high x, high y [m]; ``slop``, overlap that the solver left alone,
+        mean of the worlds [m].
 
     Raises:
         ValueError, OSError: see ``States``.
     """
-    with opened(_index(path)) as file:
-        config = config_of(file)
-        seeds, step_start = file["world/seed"][...], file["world/step_start"][...]
-        body_start, shape_start = file["world/body_start"][...], file["world/shape_start"][...]
-        # of each shape, then of each vertex, the body's row in motion at its world's first step
-        first = file["step/motion_start"][...][step_start[:-1]] - body_start[:-1]
-        world = np.repeat(np.arange(len(seeds)), np.diff(shape_start))
-        body = file["shape/shape_body"][...] + body_start[world]
-        static = file["body/body_type"][...][body] == BodyType.STATIC
-        count = np.diff(file["shape/vertex_start"][...])
-        rows = np.repeat((body + first[world])[static], count[static])
-        vertices = file["vertex/vertices"][...][np.repeat(static, count)]
-        low, high = np.zeros(2), np.zeros(2)
-        if len(rows):
-            kept, place = np.unique(rows, return_inverse=True)
-            angle, position = file["motion/angle"][kept][place], file["motion/position"][kept][place]
-            radius = np.repeat(file["shape/shape_radius"][...][static], count[static])[:, None]
-            c, s = np.cos(angle), np.sin(angle)
-            x, y = vertices.T
-            corners = position + np.stack([c * x - s * y, s * x + c * y], axis=1)
-            low, high = (corners - radius).min(axis=0), (corners + radius).max(axis=0)
-        return {
-            "config": config,
-            "seeds": (int(seeds[0]), int(seeds[-1]) + 1),
-            "worlds": len(seeds),
-            "states": int(step_start[-1]),
-            "box": (float(low[0]), float(low[1]), float(high[0]), float(high[1])),
-            "slop": config["solver"]["slop"] * float(file["world/length_scale"][...].mean()),
-        }
+    folders = Folders(path)
+    found, rows = folders.gather("world/seed", "world/length_scale")
+    boxes = [box for file, part in folders.files() if (box := _static_box(file, part.worlds)) is not None]
+    low, high = np.zeros(2), np.zeros(2)
+    if boxes:
+        low, high = np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
+    seeds = found["world/seed"]
+    return {
+        "config": folders.config,
+        "seeds": (int(seeds.min()), int(seeds.max()) + 1),
+        "worlds": len(seeds),
+        "states": rows["step"],
+        "box": (float(low[0]), float(low[1]), float(high[0]), float(high[1])),
+        "slop": folders.config["solver"]["slop"] * float(found["world/length_scale"].mean()),
+    }
+
+
+def _static_box(file: Any, worlds: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the lower and upper corner of what holds the static shapes of a shard's first worlds; None without any."""
+    rows = row_counts(file, worlds)
+    step_start, body_start, shape_start = (
+        file[f"world/{name}"][: worlds + 1] for name in ("step_start", "body_start", "shape_start")
+    )
+    # of each shape, then of each vertex, the body's row in motion at its world's first step
+    first = file["step/motion_start"][...][step_start[:-1]] - body_start[:-1]
+    world = np.repeat(np.arange(worlds), np.diff(shape_start))
+    body = file["shape/shape_body"][: rows["shape"]] + body_start[world]
+    static = file["body/body_type"][...][body] == BodyType.STATIC
+    count = np.diff(file["shape/vertex_start"][: rows["shape"] + 1])
+    place_of = np.repeat((body + first[world])[static], count[static])
+    if not len(place_of):
+        return None
+    vertices = file["vertex/vertices"][: rows["vertex"]][np.repeat(static, count)]
+    kept, place = np.unique(place_of, return_inverse=True)
+    angle, position = file["motion/angle"][kept][place], file["motion/position"][kept][place]
+    radius = np.repeat(file["shape/shape_radius"][: rows["shape"]][static], count[static])[:, None]
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = vertices.T
+    corners = position + np.stack([c * x - s * y, s * x + c * y], axis=1)
+    return (corners - radius).min(axis=0), (corners + radius).max(axis=0)

@@ -23,7 +23,7 @@ from pipeline.data.layout import INDEX, shard_path
 from pipeline.data.recipe import Recipe
 from pipeline.data.recorder import make_shard
 from pipeline.data.shards import check_shard, opened, remove_partial
-from pipeline.files import write_bytes
+from pipeline.files import sole_writer, write_bytes
 from pipeline.process import cores, interruptible, progress_bar
 
 TICK = 0.2
@@ -35,17 +35,25 @@ CONNECT = 10
 def finished_shards(recipe: Recipe, folder: Path) -> list[int]:
     """Return the numbers of the shards that are there, each of them checked.
 
+    One that holds fewer worlds than it is to, as the data set has grown since, is not among them: it is made again.
+
     Raises:
-        ValueError: for a damaged or foreign one, or one of another recipe.
+        ValueError: for a damaged or foreign one, one of another recipe, or worlds that the recipe has not.
     """
-    found = []
+    options, found = recipe.options, []
     for path in sorted(folder.glob("shard-*.h5")):
         number = path.stem.removeprefix("shard-")
         if not number.isdecimal() or path != shard_path(folder, int(number)):
             raise ValueError(f"{path} is no shard's name; take it out of the folder")
-        seeds = recipe.options.seeds(int(number))
-        check_shard(path, recipe.config(), seeds.start, len(seeds))
-        found.append(int(number))
+        first, wanted = options.seed + int(number) * options.shard_worlds, len(options.seeds(int(number)))
+        worlds = check_shard(path, recipe.config(), first, options.shard_worlds)
+        if worlds > wanted:
+            raise ValueError(
+                f"{path} holds worlds up to seed {first + worlds - 1}, but worlds is {options.worlds}: a data set may "
+                "grow, not shrink"
+            )
+        if worlds == wanted:
+            found.append(int(number))
     return found
 
 
@@ -56,8 +64,10 @@ class Progress:
         """Begin with so many worlds done."""
         self.options, self.bar, self.done = recipe.options, bar, done
         self.steps: dict[int, int] = {}
+        self.begun = False
         bar.update(done)
         bar.initial = done  # worlds per second are those of this run
+        bar.set_postfix_str("loading kernels; new ones are compiled first, which may take a minute")
 
     def of(self, number: int) -> Callable[[int], None]:
         """Return what notes the steps done of a shard, which any thread may call."""
@@ -71,6 +81,9 @@ class Progress:
 
     def show(self) -> None:
         """Bring the bar up to date."""
+        if not self.begun and (self.steps or self.bar.n < self.done):
+            self.begun = True
+            self.bar.set_postfix_str("")
         share = sum(n * len(self.options.seeds(i)) for i, n in list(self.steps.items())) / self.options.steps
         self.bar.update(max(self.done + int(share) - self.bar.n, 0))
 
@@ -137,7 +150,8 @@ def generate(
 ) -> dict[str, Any]:
     """Make a data set, or go on with one that was cut short: whole shards are checked and kept, the others made.
 
-    Ctrl-C ends it early; what is finished stays.
+    A data set grows with more worlds in the recipe; its index shows the old ones until all new ones are there. Ctrl-C
+    ends it early; what is finished stays.
 
     Args:
         recipe: what it holds.
@@ -152,34 +166,43 @@ def generate(
     Raises:
         ValueError: for a recipe out of its range, another one than that of the shards that are there, or a damaged or
             foreign shard, which is left as it is.
-        OSError: when a file cannot be written, or the scheduler is not there or lost.
+        OSError: when a file cannot be written, another process is writing into the folder, or the scheduler is not
+            there or lost.
         ImportError: naming the extra, without h5py, tqdm or distributed.
     """
     threads = check_whole("threads", threads)
     options, began = recipe.options, time.perf_counter()
-    out.mkdir(parents=True, exist_ok=True)
-    remove_partial(out)
-    kept = finished_shards(recipe, out)
-    missing = [number for number in range(options.shard_count) if number not in kept]
-    made = 0
-    with (
-        interruptible() as stop,
-        progress_bar(total=options.worlds, desc=f"generate {recipe.scene.name}", unit="world", show=progress) as bar,
-    ):
-        state = Progress(recipe, bar, sum(len(options.seeds(number)) for number in kept))
-        source = (
-            on_cluster(scheduler, recipe, missing, stop, state)
-            if scheduler
-            else on_threads(threads or cores(), recipe, missing, stop, state)
-        )
-        for number, image in source:
-            write_bytes(shard_path(out, number), image)
-            made += len(options.seeds(number))
+    with sole_writer(out) as alone:
+        if alone:
+            remove_partial(out)
+        kept = finished_shards(recipe, out)
+        missing = [number for number in range(options.shard_count) if number not in kept]
+        made = 0
+        with (
+            interruptible() as stop,
+            progress_bar(
+                total=options.worlds, desc=f"generate {recipe.scene.name}", unit="world", show=progress
+            ) as bar,
+        ):
+            state = Progress(recipe, bar, sum(len(options.seeds(number)) for number in kept))
+            source = (
+                on_cluster(scheduler, recipe, missing, stop, state)
+                if scheduler
+                else on_threads(threads or cores(), recipe, missing, stop, state)
+            )
+            for number, image in source:
+                write_bytes(shard_path(out, number), image)
+                missing.remove(number)
+                made += len(options.seeds(number))
+        if not missing:
+            write_index(out, [shard_path(out, number) for number in range(options.shard_count)])
+    return _summary(recipe, out, len(kept), made, not missing, time.perf_counter() - began)
+
+
+def _summary(recipe: Recipe, out: Path, kept: int, made: int, complete: bool, seconds: float) -> dict[str, Any]:
+    """Say what there is: shards kept and worlds made in so many seconds, and whether that is all."""
+    options = recipe.options
     paths = [shard_path(out, number) for number in range(options.shard_count)]
-    complete = all(path.exists() for path in paths)
-    if complete:
-        write_index(out, paths)
-    seconds = time.perf_counter() - began
     files = [path for path in (*paths, out / INDEX) if path.exists()]
     summary: dict[str, Any] = {
         "scene": recipe.scene.name,
@@ -189,7 +212,7 @@ def generate(
         "seconds": seconds,
         "worlds_per_s": made / seconds,
         "shards": len(paths),
-        "shards_kept": len(kept),
+        "shards_kept": kept,
         "bytes": sum(path.stat().st_size for path in files),
         "out": str(out),
         "config": recipe.config(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -58,6 +59,7 @@ def write_index(folder: Path, shards: Sequence[Path]) -> None:
             reached += float(file.attrs["label_reached"]) * row_count(file, "step")
             states += row_count(file, "step")
     attributes.update(kind="index", worlds=worlds, flags=flags, label_reached=reached / max(states, 1))
+    attributes["config"] = json.dumps({**json.loads(attributes["config"]), "worlds": worlds})
     specs = described()
     packed = {name: pack(np.concatenate(parts)) for name, parts in starts.items()}
     names = np.array([path.name for path in shards], "S")

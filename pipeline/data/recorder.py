@@ -49,11 +49,13 @@ def make_shard(
         recorder.step(dt)
         if progress is not None:
             progress(step + 1)
+    config = recipe.config()
+    del config["worlds"]  # so that a data set can grow
     own = {"world/seed": np.array(seeds), "world/dt": dt}
     own |= {f"drawn/{name}": np.array([world[name] for world in drawn]) for name in drawn[0]}
     extra = {f"drawn/{name}": _drawn_spec(recipe, name) for name in drawn[0]}
     attributes = {
-        "config": json.dumps(recipe.config()),
+        "config": json.dumps(config),
         "seed": seeds[0],
         "worlds": len(seeds),
         "steps": recipe.options.steps,

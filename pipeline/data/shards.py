@@ -45,7 +45,10 @@ def shard_image(
 
 
 def remove_partial(folder: Path) -> int:
-    """Remove the files that killed runs left under temporary names; returns how many there were."""
+    """Remove the files that killed runs left under temporary names; returns how many there were.
+
+    No other process must be writing into the folder (``files.sole_writer``): these may be its files.
+    """
     left = [path for stem in ("shard-*", "index") for path in folder.glob(f".{stem}.*.partial.h5")]
     for path in left:
         path.unlink(missing_ok=True)
@@ -92,29 +95,31 @@ def difference(found: Mapping[str, Any], wanted: Mapping[str, Any], prefix: str 
     return None
 
 
-def check_shard(path: Path, config: Mapping[str, Any], seed: int, worlds: int) -> None:
-    """Raise ``ValueError`` unless a shard is whole and holds these worlds of this configuration.
+def check_shard(path: Path, config: Mapping[str, Any], seed: int, most: int) -> int:
+    """Count the worlds of a shard, which must be whole and hold worlds of this configuration.
 
     Every chunk's checksum is computed anew, and every ``*_start`` looked at; nothing is decompressed but these.
+
+    Args:
+        path: of the shard.
+        config: that of the recipe; of how many worlds there are in all a shard knows nothing.
+        seed: of its first world.
+        most: worlds that it may hold.
+
+    Raises:
+        ValueError: naming the file, for a damaged or foreign one, or one of another recipe.
     """
     with opened(path) as file:
-        text = difference(config_of(file), config)
+        made, wanted = ({k: v for k, v in one.items() if k != "worlds"} for one in (config_of(file), config))
+        text = difference(made, wanted)
         if text:
             raise ValueError(f"{path} was made with {text}; go on with the same configuration, or in another folder")
-        found = file.attrs["kind"], int(file.attrs["seed"]), int(file.attrs["worlds"])
-        if found != ("shard", seed, worlds):
-            raise ValueError(
-                f"{path} is {found[0]} of {found[2]} worlds from seed {found[1]}, not {worlds} from {seed}"
-            )
+        kind, first, worlds = file.attrs["kind"], int(file.attrs["seed"]), int(file.attrs["worlds"])
+        if (kind, first) != ("shard", seed) or not 0 < worlds <= most:
+            raise ValueError(f"{path} is {kind} of {worlds} worlds from seed {first}, not {most} from {seed}")
         if not np.array_equal(file["world/seed"][...], np.arange(seed, seed + worlds)):
             raise ValueError(f"{path} is damaged: world/seed does not count from {seed} to {seed + worlds - 1}")
-        sizes = {axis: row_count(file, axis) for axis in LAYOUT}
-        for name, spec in described().items():
-            axis = name.split("/")[0]
-            shape = (*spec.lead, sizes[axis] + (name in STARTS), *spec.shape)
-            data = file[name]
-            if (data.shape, data.dtype) != (shape, spec.dtype):
-                raise ValueError(f"{path} is damaged: {name} is {data.shape}, {data.dtype}; not {shape}, {spec.dtype}")
+        sizes = check_shapes(file, path)
         for name, rows in STARTS.items():
             start = file[name][...]
             if start[0] != 0 or start[-1] != sizes[rows] or (np.diff(start) < 0).any():
@@ -123,6 +128,23 @@ def check_shard(path: Path, config: Mapping[str, Any], seed: int, worlds: int) -
             row = damaged_row(data)
             if row is not None:
                 raise ValueError(f"{path} is damaged: {name} has another checksum from row {row} on")
+        return worlds
+
+
+def check_shapes(file: Any, path: Path) -> dict[str, int]:
+    """Count the rows of each axis of a shard, all of whose datasets must be there, of their shape and dtype.
+
+    Raises:
+        ValueError: naming the file and the dataset.
+    """
+    sizes = {axis: row_count(file, axis) for axis in LAYOUT}
+    for name, spec in described().items():
+        axis = name.split("/")[0]
+        shape = (*spec.lead, sizes[axis] + (name in STARTS), *spec.shape)
+        data = file[name]
+        if (data.shape, data.dtype) != (shape, spec.dtype):
+            raise ValueError(f"{path} is damaged: {name} is {data.shape}, {data.dtype}; not {shape}, {spec.dtype}")
+    return sizes
 
 
 def datasets(file: Any) -> Iterator[tuple[str, Any]]:
