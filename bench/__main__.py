@@ -28,6 +28,7 @@ MODULES = {
     "error_time": "error_time.error_time",
     "fc2d": "error_time.fc2d",
     "stability": "stability.stability",
+    "faults": "faults.faults",
     "house": "house",
 }
 NAMES = tuple(MODULES)
