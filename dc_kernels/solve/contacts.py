@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -13,11 +12,13 @@ from dc_kernels.model.arrays import ArrayGroup, Contacts, Joints, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig, check_config
 from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import JOINTS
+from dc_kernels.model.validate import Layout, check_field
 from dc_kernels.runtime.backends import Launch, bind, check_backend, make_kernels
 from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recording
 from dc_kernels.runtime.inputs import check_truth
 from dc_kernels.runtime.sequences import Rounds, Watch
 from dc_kernels.runtime.stepping import Shards
+from dc_kernels.runtime.threads import OneCaller
 from dc_kernels.solve.exchange import (
     BEFORE,
     VELOCITIES,
@@ -26,7 +27,7 @@ from dc_kernels.solve.exchange import (
     length_of,
     make_exchange,
     offsets,
-    refuse_values,
+    refuse_same,
     scalar_of,
     share_all,
     view_of,
@@ -60,6 +61,7 @@ class ContactSolver:
     Attributes:
         contacts, joints, motion, rows, stats, state, model: what kernels work on (``model.fields``); ``contacts.color``
             holds the colours, ``stats`` what the last solve did.
+        calls: what each call holds while it works; a call during that of another thread raises RuntimeError.
     """
 
     def __init__(
@@ -182,7 +184,7 @@ class ContactSolver:
         given |= {"velocity_before": velocity_before, "angular_velocity_before": angular_velocity_before}
         self._given = {name: array for name, array in given.items() if array is not None}
         self.exchange = make_exchange(self.contacts, lengths["body"], self._given)
-        self._lock = threading.RLock()
+        self.calls = OneCaller(f"the solver of {lengths['contact']} contacts and {lengths['body']} bodies")
         self._packed = False
         self._bind_all()
 
@@ -243,7 +245,7 @@ class ContactSolver:
     def config(self, config: SolverConfig) -> None:
         config = check_config("config", config)
         refuse_recording("a change of config", "make it before")
-        with self._lock:
+        with self.calls:
             before, self._config = self._config, config
             if (config.history, config.max_sweeps) != (before.history, before.max_sweeps):
                 self._storage.keep_history(config)
@@ -281,7 +283,7 @@ class ContactSolver:
         Arguments and errors are those of ``solve``.
         """
         given = (velocity, angular_velocity, impulse, velocity_before, angular_velocity_before)
-        with self._lock:
+        with self.calls:
             refuse_hosted(self.backend, self.schedule, self.device)
             self._integrator.set_time_step(dt)
             self._run("pack", None, given)
@@ -324,7 +326,7 @@ class ContactSolver:
                 of several worlds others may have been solved. Or for a solve that ran off to infinity.
         """
         given = (velocity, angular_velocity, impulse, velocity_before, angular_velocity_before)
-        with self._lock:
+        with self.calls:
             refuse_hosted(self.backend, self.schedule, self.device)
             if kept:
                 if dt is not None:
@@ -403,31 +405,37 @@ class ContactSolver:
     def _explain(self, call: Call) -> None:
         """Raise ValueError that names the first value out of range of the first world that has one."""
         w = int(np.flatnonzero(self._flags & STOPS)[0])
-        start, count = self.contacts.numpy("contact_start"), int(self.exchange.numpy("count")[w])
-        room = int(start[w + 1] - start[w])
+        layout = Layout(self.model.views())
+        layout.start["contact"] = start = self.contacts.numpy("contact_start")
+        given = {name: view_of(self.exchange, name, array) for name, array in self._given.items()}
+        count, room = int(self.exchange.numpy("count")[w]), int(start[w + 1] - start[w])
         if self._flags[w] & Flag.CONTACT_OVERFLOW:
             raise ValueError(f"count[{w}] is {count}; it must lie in [0, {room}], the room of world {w}")
-        bodies = slice(*map(int, self.model.numpy("body_start")[w : w + 2]))
-        contacts = slice(int(start[w]), int(start[w]) + count)
-        lines = slice(*map(int, self.model.numpy("joint_start")[w : w + 2]))
-        views = {name: view_of(self.exchange, name, array) for name, array in self._given.items()}
-        looks: list[tuple[slice, Mapping[str, np.ndarray]]] = []
+        parts = {axis: slice(int(at[w]), int(at[w + 1])) for axis, at in layout.start.items()}
+        parts["contact"] = slice(int(start[w]), int(start[w]) + count)
+
+        def check(group: ArrayGroup, *names: str, lent: Mapping[str, np.ndarray] | None = None) -> None:
+            for name in names:
+                field = group.table[name]
+                values = group.numpy(name) if lent is None else lent[name]
+                check_field(name, field, values, layout, parts[field.per.split()[0]])
+
         if call != "solve kept":
-            positions = ("position",) if self._has_positions else ()
-            looks.append((bodies, {name: self.model.numpy(name) for name in ("inv_mass", "inv_inertia")}))
-            looks.append((bodies, {name: self.state.numpy(name) for name in positions}))
-            looks.append((contacts, {name: self.contacts.numpy(name) for name in ("body_a", "body_b")}))
-            looks.append((contacts, {name: views[name] for name in ("point",) if name in views}))
-            names = ("normal", "gap", "friction", "restitution", *(() if "point" in views else ("arm_a", "arm_b")))
-            looks.append((contacts, {name: self.contacts.numpy(name) for name in names}))
-            if lines.stop > lines.start:
-                looks.append((bodies, {"angle": self.state.numpy("angle")}))
-                looks.append((lines, {name: self.joints.numpy(name) for name in JOINTS if name != "joint_color"}))
-        looks.append((bodies, {name: views[name] for name in (*VELOCITIES, *BEFORE) if name in views}))
-        looks.append((contacts, {"impulse": views.get("impulse", self.exchange.numpy("impulse"))}))
-        looks.append((lines, {"joint_impulse": self.joints.numpy("joint_impulse")}))
-        for own, arrays in looks:
-            refuse_values(arrays, own, bodies)
+            arms = () if "point" in given else ("arm_a", "arm_b")
+            check(self.model, "inv_mass", "inv_inertia")
+            check(self.state, *(("position",) if self._has_positions else ()))
+            check(self.contacts, "body_a", "body_b")
+            refuse_same("body_b", self.contacts.numpy("body_a"), self.contacts.numpy("body_b"), parts["contact"])
+            check(self.exchange, *(("point",) if "point" in given else ()), lent=given)
+            check(self.contacts, "normal", "gap", "friction", "restitution", *arms)
+            if parts["joint"].stop > parts["joint"].start:
+                check(self.state, "angle")
+                check(self.joints, *(name for name in JOINTS if name not in ("joint_color", "joint_impulse")))
+                ends = (self.joints.numpy(f"joint_body_{side}") for side in "ab")
+                refuse_same("joint_body_b", *ends, parts["joint"])
+        check(self.exchange, *(name for name in (*VELOCITIES, *BEFORE) if name in given), lent=given)
+        check(self.exchange, "impulse", lent={"impulse": self.exchange.numpy("impulse"), **given})
+        check(self.joints, "joint_impulse")
         if call != "solve kept" and self.discs and self._flags[w] & Flag.INVALID:
             raise ValueError(
                 f"discs is True, but a contact of world {w} has an arm that is not along its normal; "

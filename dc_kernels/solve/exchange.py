@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Mapping
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,14 @@ import numpy as np
 from dc_kernels.model.arrays import ArrayGroup
 from dc_kernels.model.dtypes import FLOATS, numpy_spec
 from dc_kernels.model.fields import field_table
+from dc_kernels.model.rules import refuse
+from dc_kernels.model.validate import UNIT_TOLERANCE
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
 from dc_kernels.runtime.inputs import check_layout, check_start
 from dc_kernels.runtime.interop import host_view
 
-UNIT = 2e-3  # of a squared length: what a unit vector may be off by, far above rounding
+UNIT = 2.0 * UNIT_TOLERANCE  # of a squared length
 ARM = 1e-3  # of an arm: what may lie beside the normal where all that moves is discs
 
 # axes: world, body, contact (capacity), "contact point" and "contact color" (capacity, or 0), "body before" (or 0)
@@ -93,7 +96,7 @@ def share_all(group: ArrayGroup, arrays: Mapping[str, Any], writes: Container[st
             raise ValueError(f"{name} is unknown; it must be one of {tuple(group.table)}")
         if array is None:
             continue
-        if isinstance(array, int | float):
+        if isinstance(array, Real):
             group.numpy(name)[...] = array  # the kernels look at it
             continue
         view = view_of(group, name, array, writes=name in writes)
@@ -169,35 +172,13 @@ def for_each(name: str, values: Any, worlds: int, positive: bool = False) -> np.
     return array
 
 
-def refuse_values(arrays: Mapping[str, np.ndarray], own: slice, bodies: slice) -> None:
-    """Raise ValueError, naming field, index and limit, for the first value of a world that is out of range.
+def refuse_same(name: str, a: np.ndarray, b: np.ndarray, part: slice) -> None:
+    """Raise ValueError, naming the index, where body B is body A.
 
     Args:
-        arrays: by their names as fields.
-        own: elements of the world.
-        bodies: of the world.
+        name: of the array of bodies B.
+        a: bodies A.
+        b: bodies B.
+        part: what is looked at.
     """
-    for name, array in arrays.items():
-        values = array[own]
-        if "body_" in name:
-            good = (values >= bodies.start) & (values < bodies.stop)
-            limit = f"a body of its world, in [{bodies.start}, {bodies.stop - 1}]"
-            other = name.replace("body_b", "body_a")
-            if name != other and good.all():
-                good, limit = values != arrays[other][own], "another body than body A"
-        else:
-            good, limit = np.isfinite(values), "finite"
-            if name in ("inv_mass", "inv_inertia", "friction", "joint_length"):
-                good, limit = good & (values >= 0), "finite and >= 0"
-            elif name == "restitution":
-                good, limit = good & (values >= 0) & (values <= 1), "in [0, 1]"
-            elif name == "normal":
-                good, limit = np.abs((values * values).sum(axis=1, keepdims=True) - 1) <= UNIT, "a unit vector"
-        if not good.all():
-            i = tuple(int(k) for k in np.argwhere(~good)[0])
-            place, shown = f"{i[0] + own.start}", values[i]
-            if name == "normal":
-                shown = tuple(map(float, values[i[0]]))
-            elif len(i) > 1:
-                place += f", {i[1]}"
-            raise ValueError(f"{name}[{place}] is {shown}; it must be {limit}")
+    refuse(name, b[part], a[part] == b[part], "another body than body A", part.start)

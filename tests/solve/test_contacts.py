@@ -465,7 +465,7 @@ def test_a_graph_takes_the_arrays_of_its_call():
 @pytest.mark.parametrize(
     ("name", "index", "value", "message"),
     [
-        ("body_a", 0, 9, r"body_a\[0\] is 9; it must be a body of its world, in \[0, 1\]"),
+        ("body_a", 0, 9, r"body_a\[0\] is 9; it must be a body of its world 0 \(bodies 0 .. 1\)"),
         ("body_b", 0, -1, r"body_b\[0\] is -1; it must be a body of its world"),
         ("body_b", 0, 0, r"body_b\[0\] is 0; it must be another body than body A"),
         ("normal", (0, 1), 2.0, r"normal\[0\] is \(0.0, 2.0\); it must be a unit vector"),

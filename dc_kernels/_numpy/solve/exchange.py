@@ -42,7 +42,7 @@ def receive_contacts(
     if lines.stop > lines.start:
         finite = (joints.joint_anchor_a[lines], joints.joint_anchor_b[lines], joints.joint_length[lines])
         good += [np.isfinite(x) for x in (*finite, state.position[bodies], state.angle[bodies])]
-        good.append(joints.joint_length[lines] >= 0)
+        good.append(joints.joint_length[lines] > 0)
     a, b, n = contacts.body_a[own], contacts.body_b[own], contacts.normal[own]
     if len(exchange.point):
         contacts.arm_a[own] = exchange.point[own] - state.position[a]

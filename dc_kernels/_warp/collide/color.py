@@ -14,13 +14,17 @@ DYNAMIC = wp.constant(int(BodyType.DYNAMIC))
 SERIAL = wp.constant(SERIAL_COLOR)
 
 
-@wp.func
-def lowest_free(mask: wp.uint64):
-    """Lowest colour that no bit of the mask takes; the serial one when all others are taken."""
-    color = int(0)
-    while color < SERIAL and ((mask >> wp.uint64(color)) & wp.uint64(1)) != wp.uint64(0):
-        color += 1
-    return color
+@wp.func_native("""
+const unsigned long long open = ~mask & ((1ull << 63) - 1);
+#if defined(__CUDA_ARCH__)
+return open ? __ffsll(open) - 1 : 63;
+#else
+return open ? __builtin_ctzll(open) : 63;
+#endif
+""")
+def lowest_free(mask: wp.uint64) -> wp.int32:
+    """Lowest colour that no bit of the mask takes; the serial one, 63, when all others are taken."""
+    ...
 
 
 @wp.func

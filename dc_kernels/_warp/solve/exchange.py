@@ -74,7 +74,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             rb = joints.joint_anchor_b[j]
             length = joints.joint_length[j]
             check += (ra[0] - ra[0]) + (ra[1] - ra[1]) + (rb[0] - rb[0]) + (rb[1] - rb[1]) + (length - length)
-            if length < real(0.0):
+            if length <= real(0.0):
                 bad = 1
         if model.joint_start[w] < model.joint_start[w + 1]:
             for b in range(first, last):
