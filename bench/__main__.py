@@ -24,6 +24,7 @@ MODULES = {
     "train": "speed.train",
     "startup": "speed.startup",
     "overhead": "speed.overhead",
+    "foreign": "speed.foreign",
     "accuracy": "accuracy.accuracy",
     "error_time": "error_time.error_time",
     "fc2d": "error_time.fc2d",

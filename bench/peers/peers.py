@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -75,25 +76,33 @@ def run_pymunk(world: DiscWorld, steps: int, dt: float, iterations: int) -> np.n
     return np.array([body.position for body in bodies], np.float64).reshape(-1, 2)
 
 
-def run_pybox2d(world: DiscWorld, steps: int, dt: float, velocity_iterations: int, position_iterations: int):
-    """One world in Box2D 2.3, which mixes friction by the root of the product: each shape has the pair's coefficient.
+def build_pybox2d(world: DiscWorld) -> tuple[Any, list[Any]]:
+    """One world in Box2D 2.3 and its discs; the ground's ``userData`` is 0, that of disc i is i + 1.
 
-    Its edges carry a skin of 1 cm, which is taken away here: the discs rest on the same walls in every engine.
+    Box2D mixes friction by the root of the product: each shape has the pair's coefficient. Its edges carry a skin of
+    1 cm, which is taken away here: the discs rest on the same walls in every engine. Each body is told not to sleep:
+    the world's ``doSleep=False`` alone lets piles at rest fall asleep.
     """
     box2d = require("Box2D")
     space = box2d.b2World(gravity=world.gravity, doSleep=False)
     space.warmStarting = True
-    ground = space.CreateStaticBody()
+    ground = space.CreateStaticBody(userData=0)
     for start, end in world.walls.tolist():
         edge = box2d.b2EdgeShape(vertices=[tuple(start), tuple(end)])
         edge.radius = 0.0
         ground.CreateFixture(shape=edge, friction=world.friction, restitution=0.0)
     bodies = []
     for (x, y), radius in zip(world.positions.tolist(), world.radii.tolist(), strict=True):
-        body = space.CreateDynamicBody(position=(x, y))
+        body = space.CreateDynamicBody(position=(x, y), userData=len(bodies) + 1, allowSleep=False)
         shape = box2d.b2CircleShape(radius=radius)
         body.CreateFixture(shape=shape, density=world.density, friction=world.friction, restitution=0.0)
         bodies.append(body)
+    return space, bodies
+
+
+def run_pybox2d(world: DiscWorld, steps: int, dt: float, velocity_iterations: int, position_iterations: int):
+    """One world in Box2D 2.3 (see ``build_pybox2d``)."""
+    space, bodies = build_pybox2d(world)
     for _ in range(steps):
         space.Step(dt, velocity_iterations, position_iterations)
     return np.array([tuple(body.position) for body in bodies], np.float64).reshape(-1, 2)

@@ -39,6 +39,7 @@ from dc_kernels.solve.storage import SolverStorage, SolveStats
 STOPS = int(Flag.CONTACT_OVERFLOW | Flag.ROW_OVERFLOW | Flag.NONFINITE | Flag.INVALID)
 PER_CALL = (*VELOCITIES, "impulse", *BEFORE)
 GROUPS_TAKEN = ("model", "state", "joints", "contacts", "rows", "motion", "stats", "exchange")
+FILES = (("solve.exchange",), ("collide.color",), ("solve.pack", "variant"), ("solve.schedules", "variant"))
 Call = Literal["pack", "solve", "solve kept"]
 
 
@@ -172,8 +173,7 @@ class ContactSolver:
         self.threads = self._shards.threads
         self.variant = "joints" if lengths["joint"] else "discs" if discs else "general"
         self._make_groups({**lengths, "world": worlds, "world+1": worlds + 1}, starts, length_scale, weight)
-        scene = {"inv_mass": inv_mass, "inv_inertia": inv_inertia}
-        share_all(self.model, scene)
+        share_all(self.model, {"inv_mass": inv_mass, "inv_inertia": inv_inertia})
         share_all(self.state, {"position": position, "angle": angle})
         share_all(self.contacts, {"body_a": body_a, "body_b": body_b, "normal": normal, "gap": gap})
         share_all(self.contacts, {"arm_a": arm_a, "arm_b": arm_b, "friction": friction, "restitution": restitution})
@@ -185,7 +185,7 @@ class ContactSolver:
         self._given = {name: array for name, array in given.items() if array is not None}
         self.exchange = make_exchange(self.contacts, lengths["body"], self._given)
         self.calls = OneCaller(f"the solver of {lengths['contact']} contacts and {lengths['body']} bodies")
-        self._packed = False
+        self._packed = self._complete = False
         self._bind_all()
 
     def _make_groups(
@@ -214,10 +214,9 @@ class ContactSolver:
             any_colors=True,
         )
         self.rows, self.stats = self._storage.rows, self._storage.stats
-        options = {"solve.exchange": (), "collide.color": (), "solve.pack": (self.variant,)}
-        options["solve.schedules"] = (self.variant,)
         self.kernels: dict[str, Any] = {}
-        for file, chosen in options.items():
+        for file, *options in FILES:
+            chosen = (getattr(self, option) for option in options)
             self.kernels |= make_kernels(self.backend, file, self.dtype.name, *chosen)
         self._binding = Binding(self.kernels, self.model, self._shards.ranges)
 
@@ -345,11 +344,8 @@ class ContactSolver:
         for name, array in zip(PER_CALL, given):
             if array is not None and array is not self._given.get(name):
                 self._take(name, array)
-        for name in VELOCITIES:
-            if name not in self._given:
-                raise ValueError(f"{name} is missing; it must be given here or to the constructor")
-        if (BEFORE[0] in self._given) != (BEFORE[1] in self._given):
-            raise ValueError(f"{' and '.join(BEFORE)} go together")
+        if not self._complete:
+            self._check_complete()
         if self._moved and recording():
             self._bind_all()
         key = (call, config)
@@ -360,8 +356,18 @@ class ContactSolver:
             self._explain(call)
         self._packed = True
 
+    def _check_complete(self) -> None:
+        """Raise ValueError, naming what is missing, unless all is given that a call needs."""
+        for name in VELOCITIES:
+            if name not in self._given:
+                raise ValueError(f"{name} is missing; it must be given here or to the constructor")
+        if (BEFORE[0] in self._given) != (BEFORE[1] in self._given):
+            raise ValueError(f"{' and '.join(BEFORE)} go together")
+        self._complete = True
+
     def _take(self, name: str, array: Any) -> None:
         """Let bound launches work on another array, which errors name."""
+        self._complete = False
         if name in BEFORE:
             self.exchange.sizes["body before"] = self.exchange.sizes["body"]
         view = view_of(self.exchange, name, array, writes=name in WRITTEN)

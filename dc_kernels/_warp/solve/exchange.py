@@ -5,8 +5,9 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels._warp.common import cross, kernel_module
-from dc_kernels._warp.groups import contiguous_groups, group_types, struct_type
+from dc_kernels._warp.common import kernel_module
+from dc_kernels._warp.groups import contiguity, contiguous_groups, group_types, struct_type
+from dc_kernels._warp.native import native_code
 from dc_kernels.model.enums import BodyType, Flag
 from dc_kernels.solve.exchange import ARM, EXCHANGE, UNIT
 
@@ -33,7 +34,24 @@ def kernels(dtype: str) -> dict[str, Any]:
     Exchange = struct_type("exchange", dtype, EXCHANGE)
     module = kernel_module("exchange", dtype)
     contiguous = contiguous_groups(dtype)
-    unit, straight = real(UNIT), real(ARM)
+    code = native_code("solve/receive.h", dtype=dtype, UNIT=UNIT, ARM=ARM)
+
+    @wp.func_native(code)
+    def look_at(
+        contacts: t.Contacts,
+        point: wp.array(dtype=vec2),
+        kept: wp.array(dtype=wp.int32),
+        position: wp.array(dtype=vec2),
+        inv_inertia: wp.array(dtype=real),
+        discs: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+        b0: wp.int32,
+        b1: wp.int32,
+    ) -> wp.int32: ...
+
+    @wp.func_native(contiguity(EXCHANGE))
+    def contiguous_exchange(group: Exchange): ...
 
     @wp.func(module=module)
     def receive_bodies(first: int, last: int, model: t.Model):
@@ -52,13 +70,6 @@ def kernels(dtype: str) -> dict[str, Any]:
         if check != real(0.0):
             bad = 1
         return bad
-
-    @wp.func(module=module)
-    def is_bent(n: vec2, arm: vec2, inv_inertia: real):
-        """1 where an arm that is not along the normal turns a body."""
-        if inv_inertia > real(0.0) and wp.abs(cross(arm, n)) > straight * wp.length(arm):
-            return 1
-        return 0
 
     @wp.func(module=module)
     def receive_joints(w: int, first: int, last: int, model: t.Model, state: t.State, joints: t.Joints):
@@ -104,6 +115,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         contiguous(state)
         contiguous(joints)
         contiguous(contacts)
+        contiguous_exchange(exchange)
         first = model.body_start[w]
         last = model.body_start[w + 1]
         start = contacts.contact_start[w]
@@ -115,36 +127,11 @@ def kernels(dtype: str) -> dict[str, Any]:
             return
         bad = receive_bodies(first, last, model)
         bad += receive_joints(w, first, last, model, state, joints)
-        points = exchange.point.shape[0] > 0
-        kept = exchange.color.shape[0] > 0
-        check = real(0.0)
-        for c in range(start, start + n_contacts):
-            a = contacts.body_a[c]
-            b = contacts.body_b[c]
-            if a == b or is_body(a, first, last) == 0 or is_body(b, first, last) == 0:
-                bad += 1
-                continue
-            if points:
-                contacts.arm_a[c] = exchange.point[c] - state.position[a]
-                contacts.arm_b[c] = exchange.point[c] - state.position[b]
-            n = contacts.normal[c]
-            ra = contacts.arm_a[c]
-            rb = contacts.arm_b[c]
-            gap = contacts.gap[c]
-            mu = contacts.friction[c]
-            e = contacts.restitution[c]
-            check += (ra[0] - ra[0]) + (ra[1] - ra[1]) + (rb[0] - rb[0]) + (rb[1] - rb[1])
-            check += (gap - gap) + (mu - mu)
-            if not (wp.abs(n[0] * n[0] + n[1] * n[1] - real(1.0)) <= unit):
-                bad += 1
-            if mu < real(0.0) or not (e >= real(0.0) and e <= real(1.0)):
-                bad += 1
-            if discs == 1:
-                bad += is_bent(n, ra, model.inv_inertia[a]) + is_bent(n, rb, model.inv_inertia[b])
-            contacts.color[c] = -1
-            if kept:
-                contacts.color[c] = exchange.color[c]
-        if bad > 0 or check != real(0.0):
+        end = start + n_contacts
+        bad += look_at(
+            contacts, exchange.point, exchange.color, state.position, model.inv_inertia, discs, start, end, first, last
+        )
+        if bad > 0:
             state.flags[w] = INVALID
             return
         contacts.contact_count[w] = n_contacts
@@ -170,6 +157,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         contiguous(joints)
         contiguous(motion)
         contiguous(contacts)
+        contiguous_exchange(exchange)
         if (state.flags[w] & ~NONFINITE) != 0:
             return
         state.flags[w] = 0
@@ -217,6 +205,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         contiguous(state)
         contiguous(motion)
         contiguous(contacts)
+        contiguous_exchange(exchange)
         if state.flags[w] != 0:
             return
         check = real(0.0)
