@@ -182,13 +182,13 @@ class Simulation(Phases):
     @config.setter
     def config(self, config: SolverConfig) -> None:
         config = check_config("config", config)
-        if config == (before := self._config):
+        if config == self._config:
             return
         refuse_recording("a change of config", "make it before")
         with self.calls:
             with uninterrupted():
                 self._config = config
-                self.storage.adapt(config, before)
+                self.storage.adapt(config)
                 self._bind_all()
             if self._turn.ran != "advance":
                 # rows depend on the settings too: those of the step in flight are made anew

@@ -67,10 +67,9 @@ class Storage:
         """Contacts reserved for each world, (W,)."""
         return self.narrowphase.room.slots
 
-    def adapt(self, config: SolverConfig, before: SolverConfig) -> None:
+    def adapt(self, config: SolverConfig) -> None:
         """Allocate what a new configuration needs."""
-        if (config.history, config.max_sweeps) != (before.history, before.max_sweeps):
-            self.solver.keep_history(config)
+        self.solver.keep_history(config)
         self.provide(config)
 
     def provide(self, config: SolverConfig) -> bool:

@@ -91,7 +91,7 @@ def build_pybox2d(world: DiscWorld) -> tuple[Any, list[Any]]:
         edge = box2d.b2EdgeShape(vertices=[tuple(start), tuple(end)])
         edge.radius = 0.0
         ground.CreateFixture(shape=edge, friction=world.friction, restitution=0.0)
-    bodies = []
+    bodies: list[Any] = []
     for (x, y), radius in zip(world.positions.tolist(), world.radii.tolist(), strict=True):
         body = space.CreateDynamicBody(position=(x, y), userData=len(bodies) + 1, allowSleep=False)
         shape = box2d.b2CircleShape(radius=radius)

@@ -140,7 +140,7 @@ def measure_pile(discs: int, rounds: int) -> dict[str, Any]:
     given = read(space, bodies, world)
     start = {name: array.copy() for name, array in given.items()}
     radius = float(world.radii[0])
-    options = {"length_scale": 2.0 * radius}
+    options: dict[str, Any] = {"length_scale": 2.0 * radius}
     # any shapes, for Box2D counts what rounding puts beside the normal of a disc
     dc.ContactSolver(**given, **options).solve(cases.DT)
     moved, turned = write_back(space, bodies, given["impulse"])

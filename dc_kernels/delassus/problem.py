@@ -262,12 +262,21 @@ def assemble_blocks(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Add up entries (i, j) of blocks (row, column) of W.
 
+    Args:
+        n: contacts.
+        row: of the blocks, (p,).
+        column: of the blocks, (p,).
+        i: rows of the entries within their blocks; with j of the shape of ``values``, or to be broadcast to it.
+        j: columns of the entries within their blocks.
+        values: of the entries, (p,), or of whole blocks, (p, 2, 2).
+
     Returns:
         row_start (n + 1,), column (blocks,) and block (blocks, 2, 2) of a ``DelassusProblem``.
     """
     key = row.astype(np.int64) * max(n, 1) + column
     found, inverse = np.unique(key, return_inverse=True)
-    flat = np.bincount(inverse * 4 + i * 2 + j, values, 4 * len(found))
+    place = inverse.reshape(-1, *(1,) * (values.ndim - 1)) * 4 + i * 2 + j
+    flat = np.bincount(place.ravel(), values.ravel(), 4 * len(found))
     start = np.concatenate([[0], np.cumsum(np.bincount(found // max(n, 1), minlength=n))])
     return start, found % max(n, 1), flat.reshape(-1, 2, 2)
 

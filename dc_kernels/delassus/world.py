@@ -150,11 +150,10 @@ def _delassus(jacobian: np.ndarray, body: np.ndarray, inverse: np.ndarray) -> tu
     base = np.repeat(first, pairs)
     left, right = place[base + i], place[base + j]
     flat = jacobian.reshape(-1, 2, 3)
-    products = np.einsum("pav,pv,pbv->pab", flat[left], inverse.reshape(-1, 3)[left], flat[right])
-    rows = np.repeat(left // 2, 4)
-    columns = np.repeat(right // 2, 4)
-    entry = np.tile(np.arange(4), len(left))
-    return assemble_blocks(n, rows, columns, entry // 2, entry % 2, products.ravel())
+    scaled = flat * inverse.reshape(-1, 1, 3)
+    products = np.matmul(scaled[left], flat.transpose(0, 2, 1)[right])
+    side = np.arange(2)
+    return assemble_blocks(n, left // 2, right // 2, side[:, None], side, products)
 
 
 def refine(sim: Simulation, tolerance: float, *, max_sweeps: int = 100_000) -> dict[int, DelassusSolution]:

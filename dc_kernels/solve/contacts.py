@@ -33,7 +33,7 @@ from dc_kernels.solve.exchange import (
     view_of,
 )
 from dc_kernels.solve.integrate import Integrator
-from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration
+from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration, check_solve
 from dc_kernels.solve.storage import SolverStorage, SolveStats
 
 STOPS = int(Flag.CONTACT_OVERFLOW | Flag.ROW_OVERFLOW | Flag.NONFINITE | Flag.INVALID)
@@ -126,7 +126,7 @@ class ContactSolver:
                 the contacts; it is then written to. One that another contact of a body has too is chosen anew. None:
                 each call colours all contacts anew, in their order.
             velocity: of the centres of mass, with the forces of the step applied, (N, 2) [m/s]; then the solution.
-                This and the next five may also be given with each call.
+                This and the next four may also be given with each call.
             angular_velocity: counter-clockwise, (N,) [rad/s]; then the solution.
             velocity_before: before the forces of the step, (N, 2) [m/s], which bounces and joints go by; None: as
                 ``velocity``.
@@ -159,8 +159,7 @@ class ContactSolver:
         if joints is not None and (position is None or angle is None):
             raise ValueError("joints need position and angle: anchors turn with the bodies")
         self.dtype, self.device = scalar_of("normal", normal), "cpu"
-        self.backend, self.schedule, self._config = check_backend(backend), schedule, config
-        self.discs = int(discs)
+        self.backend, self.schedule, self._config, self.discs = check_backend(backend), schedule, config, int(discs)
         lines = dict(joints or {})
         lengths = {
             "body": length_of("inv_mass", inv_mass),
@@ -245,9 +244,8 @@ class ContactSolver:
         config = check_config("config", config)
         refuse_recording("a change of config", "make it before")
         with self.calls:
-            before, self._config = self._config, config
-            if (config.history, config.max_sweeps) != (before.history, before.max_sweeps):
-                self._storage.keep_history(config)
+            self._config = config
+            self._storage.keep_history(config)
             self._provide(config)
             self._packed = False
             self._bind_all()
@@ -325,6 +323,7 @@ class ContactSolver:
                 of several worlds others may have been solved. Or for a solve that ran off to infinity.
         """
         given = (velocity, angular_velocity, impulse, velocity_before, angular_velocity_before)
+        config, _ = check_solve(config, None, False, self.schedule)
         with self.calls:
             refuse_hosted(self.backend, self.schedule, self.device)
             if kept:
@@ -373,7 +372,7 @@ class ContactSolver:
         view = view_of(self.exchange, name, array, writes=name in WRITTEN)
         self._given[name] = array
         if self.backend == "warp":
-            for launch in self._exchanges:
+            for launch in self._exchanges if view.size else ():
                 launch.point(f"exchange.{name}", view.ctypes.data, view.shape)  # type: ignore[attr-defined]
             self._moved = True
         else:
@@ -437,8 +436,8 @@ class ContactSolver:
             if parts["joint"].stop > parts["joint"].start:
                 check(self.state, "angle")
                 check(self.joints, *(name for name in JOINTS if name not in ("joint_color", "joint_impulse")))
-                ends = (self.joints.numpy(f"joint_body_{side}") for side in "ab")
-                refuse_same("joint_body_b", *ends, parts["joint"])
+                ends = self.joints.numpy("joint_body_a"), self.joints.numpy("joint_body_b")
+                refuse_same("joint_body_b", ends[0], ends[1], parts["joint"])
         check(self.exchange, *(name for name in (*VELOCITIES, *BEFORE) if name in given), lent=given)
         check(self.exchange, "impulse", lent={"impulse": self.exchange.numpy("impulse"), **given})
         check(self.joints, "joint_impulse")

@@ -147,7 +147,7 @@ def offsets(lengths: Mapping[str, int], starts: Mapping[str, Any]) -> dict[str, 
     found = {}
     for axis, length in lengths.items():
         name, start = f"{axis}_start", starts[axis]
-        if start is None and worlds > 1 and not length:
+        if start is None and not length:
             start = np.zeros(worlds + 1, np.int64)
         found[axis] = check_start(name, start, length)
         if len(found[axis]) != len(found["body"]):

@@ -115,8 +115,10 @@ class SolverStorage:
         return self.rows.numpy("block_needed")
 
     def keep_history(self, config: SolverConfig) -> None:
-        """Allocate the history of sweeps as the settings want it."""
-        self.stats.reallocate(("history",), sweep=config.max_sweeps if config.history else 0)
+        """Allocate the history of sweeps as the settings want it, unless it is so already."""
+        sweeps = config.max_sweeps if config.history else 0
+        if sweeps != self.stats.sizes["sweep"]:
+            self.stats.reallocate(("history",), sweep=sweeps)
 
     def provide(self, config: SolverConfig) -> bool:
         """Allocate what an iteration needs and has not got yet; whether there was any."""

@@ -411,8 +411,10 @@ def test_settings_of_one_solve_and_of_all():
     with pytest.raises(ValueError, match="kept needs the rows"):
         solver.solve(kept=True)
     assert solver.solve(DT).numpy("sweeps")[0] == 7 and solver.stats.history.shape == (1, 7)
-    with pytest.raises(TypeError, match="config is a int"):
+    with pytest.raises(TypeError, match="config is"):
         solver.config = 3
+    with pytest.raises(TypeError, match="config is"):
+        solver.solve(DT, config=3)
 
 
 def test_a_call_becomes_part_of_a_graph():
@@ -548,6 +550,9 @@ def test_no_contacts_and_no_worlds():
     solver = dc.ContactSolver(**(given | empty))
     assert solver.solve(DT).numpy("sweeps")[0] == 0
     np.testing.assert_array_equal(given["velocity"][1], (1.5, -2.0))
+    nothing = {name: array[:0].copy() for name, array in given.items()} | empty
+    none = dc.ContactSolver(**nothing, body_start=[0], contact_start=[0])
+    assert len(none.solve(DT, np.zeros((0, 2))).numpy("sweeps")) == 0
 
 
 CONTACTS_ONLY = ("body_a", "body_b", "point", "normal", "gap", "impulse")

@@ -1,7 +1,8 @@
 // The contacts i0 .. i1 of a world with the bodies b0 .. b1, as its owner gives them: arms from points, where there are
-// some, colours that are kept, and how many contacts are out of range. A loop of Warp's would load pointers and strides
-// anew for each value. Parameters: contacts, point, kept, position, inv_inertia, discs, i0, i1, b0, b1. Macros: REAL,
-// UNIT, ARM.
+// some, colours that are kept, and how many contacts are out of range. In one loop of native code: Warp would load
+// pointers and strides anew for each value.
+// Parameters: contacts, point, kept, position, inv_inertia, discs, i0, i1, b0, b1.
+// Macros: REAL, UNIT, ARM.
 const bool points = point.shape[0] > 0;
 if (kept.shape[0] > 0) {
     for (int i = i0; i < i1; ++i) contacts.color.data[i] = kept.data[i];
