@@ -24,7 +24,11 @@ from typing import TYPE_CHECKING
 from dc_kernels.runtime.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from dc_kernels import delassus, func
+    from dc_kernels.collide.broadphase import Broadphase
     from dc_kernels.collide.color import color
+    from dc_kernels.collide.narrowphase import Narrowphase
+    from dc_kernels.collide.shapes import ShapeBoxes
     from dc_kernels.grid.grid import Grid, GridChoice, choose_grid, shared_cells
     from dc_kernels.grid.image_spec import ImageSpec
     from dc_kernels.grid.images import Images
@@ -35,7 +39,8 @@ if TYPE_CHECKING:
     from dc_kernels.model.builder import ModelBuilder
     from dc_kernels.model.config import SolverConfig
     from dc_kernels.model.enums import BodyType, Flag, ShapeType
-    from dc_kernels.neighbors.search import Neighbors, NeighborSearch, neighbor_lists, neighbor_pairs
+    from dc_kernels.neighbors.search import Neighbors, neighbor_lists, neighbor_pairs
+    from dc_kernels.neighbors.stage import NeighborSearch
     from dc_kernels.simulation import Simulation
     from dc_kernels.solve.contacts import ContactSolver
     from dc_kernels.solve.rows import LANES
@@ -47,6 +52,7 @@ __version__ = "0.1.0"
 __all__ = [
     "LANES",
     "BodyType",
+    "Broadphase",
     "ContactSolver",
     "Contacts",
     "Flag",
@@ -57,8 +63,10 @@ __all__ = [
     "Joints",
     "Model",
     "ModelBuilder",
+    "Narrowphase",
     "NeighborSearch",
     "Neighbors",
+    "ShapeBoxes",
     "ShapeType",
     "Simulation",
     "SolveStats",
@@ -68,6 +76,8 @@ __all__ = [
     "Transfer",
     "choose_grid",
     "color",
+    "delassus",
+    "func",
     "gather",
     "kinetic_energy",
     "neighbor_lists",
@@ -84,7 +94,11 @@ __all__ = [
 
 # public names by the module that defines them
 _MODULES = {
+    "": ("delassus", "func"),
+    "collide.broadphase": ("Broadphase",),
     "collide.color": ("color",),
+    "collide.narrowphase": ("Narrowphase",),
+    "collide.shapes": ("ShapeBoxes",),
     "grid.grid": ("Grid", "GridChoice", "choose_grid", "shared_cells"),
     "grid.image_spec": ("ImageSpec",),
     "grid.images": ("Images",),
@@ -95,7 +109,8 @@ _MODULES = {
     "model.builder": ("ModelBuilder",),
     "model.config": ("SolverConfig",),
     "model.enums": ("BodyType", "Flag", "ShapeType"),
-    "neighbors.search": ("NeighborSearch", "Neighbors", "neighbor_lists", "neighbor_pairs"),
+    "neighbors.search": ("Neighbors", "neighbor_lists", "neighbor_pairs"),
+    "neighbors.stage": ("NeighborSearch",),
     "simulation": ("Simulation",),
     "solve.contacts": ("ContactSolver",),
     "solve.rows": ("LANES",),

@@ -11,7 +11,7 @@ import numpy as np
 from dc_kernels import snapshot
 from dc_kernels.binding import Binding
 from dc_kernels.collide.broadphase import Pairs
-from dc_kernels.collide.narrowphase import Cache
+from dc_kernels.collide.contacts import Cache
 from dc_kernels.explain import explain
 from dc_kernels.model.arrays import Contacts, Joints, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig, check_config

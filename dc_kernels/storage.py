@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dc_kernels.collide.broadphase import Broadphase
-from dc_kernels.collide.narrowphase import Narrowphase
+from dc_kernels.collide.broadphase import CandidatePairs
+from dc_kernels.collide.contacts import StepContacts
 from dc_kernels.model.arrays import ArrayGroup, Joints, Model
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.fields import CACHE
@@ -34,8 +34,8 @@ class Storage:
                 and worlds ``at_once`` whose solves may be in flight together.
         """
         self.model, self.joints = model, joints
-        self.broadphase = Broadphase(model, float(room["pairs"]))
-        self.narrowphase = Narrowphase(model, float(room["contacts"]))
+        self.broadphase = CandidatePairs.of_model(model, float(room["pairs"]))
+        self.narrowphase = StepContacts(model, float(room["contacts"]))
         self.integrator = Integrator(model, int(room["shards"]), config.method, typical_weight(model))
         self.solver = SolverStorage(
             model,

@@ -1,13 +1,30 @@
-"""Broadphase: candidate pairs of shapes, kept while no shape leaves its box, else found anew by a sorted cell list."""
+"""Broadphase: candidate pairs of boxes, kept while no box leaves its larger one, else found anew by sorted cells."""
 
 from __future__ import annotations
 
+import threading
+from typing import Any
+
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup, Model
-from dc_kernels.model.enums import Flag
-from dc_kernels.model.fields import PAIRS
+from dc_kernels.collide.fields import BOXES
+from dc_kernels.model.arrays import ArrayGroup, Model, to_numpy
+from dc_kernels.model.enums import BodyType, Flag
+from dc_kernels.model.fields import LAUNCH, MODEL, PAIRS, STATE
 from dc_kernels.model.room import Room, starts
+from dc_kernels.runtime.backends import bind, check_backend, kernel_file, make_kernels
+from dc_kernels.runtime.capture import recording
+from dc_kernels.runtime.inputs import (
+    check_count,
+    check_index,
+    check_layout,
+    check_not_negative,
+    check_slots,
+    check_start,
+)
+from dc_kernels.runtime.threads import run_shards, shard_worlds
+
+PAIRS_PER_BOX = 4.0  # reserved at first
 
 
 class Pairs(ArrayGroup):
@@ -16,24 +33,39 @@ class Pairs(ArrayGroup):
     table = PAIRS
 
 
-class Broadphase:
-    """The arrays of the broadphase and the room that they have; its kernel is ``update_pairs``.
+class CandidatePairs:
+    """The arrays of a broadphase and the room that they have.
 
     Attributes:
         pairs: the pairs, sorted by (A, B) in each world.
         room: pairs reserved for each world.
     """
 
-    def __init__(self, model: Model, pairs_per_shape: float) -> None:
-        """Reserve so many pairs for each shape."""
-        shapes = np.diff(model.numpy("shape_start")).astype(np.int64)
-        self.room = Room("pairs", Flag.PAIR_OVERFLOW, np.ceil(pairs_per_shape * shapes))
+    def __init__(self, shapes: np.ndarray, slots: np.ndarray, dtype: Any, device: str, backend: str) -> None:
+        """Reserve.
+
+        Args:
+            shapes: of each world, (W,).
+            slots: pairs to reserve for each world, (W,).
+            dtype: float32 or float64.
+            device: of the arrays.
+            backend: of the arrays.
+        """
+        shapes = np.asarray(shapes, np.int64)
+        self.room = Room("pairs", Flag.PAIR_OVERFLOW, slots)
         # buckets of the cell list: a power of two that is not below a world's shapes, and one more
         buckets = 2 ** np.ceil(np.log2(np.maximum(shapes, 2))).astype(np.int64) + 1
-        sizes = {**model.sizes, "pair": self.room.total, "bucket": int(buckets.sum())}
-        self.pairs = Pairs(sizes, model.dtype, model.device, model.backend)
+        sizes = {"world": len(shapes), "world+1": len(shapes) + 1, "shape": int(shapes.sum())}
+        sizes |= {"pair": self.room.total, "bucket": int(buckets.sum())}
+        self.pairs = Pairs(sizes, dtype, device, backend)
         self.pairs.assign("bucket_start", starts(buckets))
         self.pairs.assign("start", self.room.starts())
+
+    @classmethod
+    def of_model(cls, model: Model, pairs_per_shape: float) -> CandidatePairs:
+        """Reserve so many pairs for each shape of a model."""
+        shapes = np.diff(model.numpy("shape_start")).astype(np.int64)
+        return cls(shapes, np.ceil(pairs_per_shape * shapes), model.dtype, model.device, model.backend)
 
     @property
     def used(self) -> np.ndarray:
@@ -51,3 +83,188 @@ class Broadphase:
         pairs.renew(pair=self.room.total)
         pairs.assign("valid", np.zeros(pairs.sizes["world"], np.int32))
         pairs.assign("start", self.room.starts())
+
+
+class Broadphase:
+    """Pairs of boxes that overlap, of anybody's boxes, whose sizes may differ by any ratio.
+
+        broadphase = dc.Broadphase(lower, upper, margin=0.1)  # numpy, torch, wp.array: read where they lie
+        broadphase()                                          # again and again, as the boxes move
+        for a, b in broadphase.numpy(): ...                   # or broadphase.shape_a, .shape_b, .count for kernels
+
+    Each world has room of its own: its pairs lie from ``pair_start[w]`` on, ``count[w]`` of them, sorted by (A, B).
+    A is the box of the static body, else the one with the lower index. With a margin the pairs are those of boxes
+    that are larger by it on each side; they are kept, at the cost of one look at each box, until a box leaves the
+    larger one that was made for it or a filter changes. So every pair of boxes that overlap is there, and beside them
+    some that are up to about two margins apart. Without a margin the pairs are exactly those that overlap.
+
+    A call within ``wp.ScopedCapture`` becomes part of the graph, which cannot grow: after a replay ``check`` tells
+    whether all pairs had room. A world that ran out of it has no pairs. Several Python threads may call one
+    broadphase; they take turns.
+
+    Boxes are sorted into cells on levels whose cells double in size (``_warp/collide/broadphase.py``).
+
+    Attributes:
+        shape_a, shape_b: boxes of the pairs, (room,) int32, numbered over all worlds.
+        count: pairs of each world, (W,) int32.
+        pair_start: where the room of each world begins, (W + 1,) int32.
+        flags: ``Flag`` bits of each world in the last call, (W,) int32: PAIR_OVERFLOW, or INVALID.
+        rebuilds: how often each world's pairs were found anew, (W,) int32.
+        start: first box of each world and the number of boxes, (W + 1,) int64.
+        layout_version: changes whenever arrays are allocated anew.
+    """
+
+    def __init__(
+        self,
+        lower: Any,
+        upper: Any,
+        start: Any = None,
+        *,
+        margin: float = 0.0,
+        max_pairs: Any = None,
+        shape_body: Any = None,
+        body_type: Any = None,
+        category: Any = None,
+        mask: Any = None,
+        threads: int = 1,
+        backend: str = "warp",
+    ) -> None:
+        """Check and allocate everything. All arrays are kept, and read at each call.
+
+        Args:
+            lower: lower corners, (n, 2), float32 or float64, contiguous on the CPU [m].
+            upper: upper corners, (n, 2), of the same dtype [m].
+            start: first box of each world and the number of boxes, (W + 1,); None for one world.
+            margin: by which boxes are larger on each side while pairs are kept, >= 0 [m].
+            max_pairs: pairs of each world that there is room for, a number or one for each, (W,): more are an error;
+                None: room grows.
+            shape_body: body of each box, (n,) int32: boxes of one body are no pair; None: each has a body of its own.
+            body_type: ``BodyType`` of each body, (bodies,) int32: a pair has a dynamic one; None: all are.
+            category: bits of what each box is, (n,) uint32; None: all bits.
+            mask: bits of what each box meets, (n,) uint32, both of a pair must accept each other; None: all bits.
+            threads: Python threads that the worlds are shared among; the pairs do not depend on it.
+            backend: "warp", or "numpy" for the oracle, which tests every pair.
+
+        Raises:
+            ValueError: naming the argument, the index and the limit.
+        """
+        self.backend = check_backend(backend)
+        self._kept = (lower, upper, shape_body, body_type, category, mask)  # whose memory the kernels read
+        self.lower = check_layout("lower", lower, (None, 2))
+        self.dtype, n = self.lower.dtype, len(self.lower)
+        self.upper = check_layout("upper", upper, (n, 2), self.dtype)
+        self.start = check_start("start", start, n)
+        self.margin = check_not_negative("margin", margin)
+        self.threads = check_count("threads", threads)
+        self.shape_body = np.arange(n, dtype=np.int32) if shape_body is None else _filter(shape_body, "shape_body", n)
+        bodies = int(self.shape_body.max(initial=-1)) + 1
+        if body_type is None:
+            self.body_type = np.full(bodies, BodyType.DYNAMIC, np.int32)
+        else:
+            self.body_type = _filter(body_type, "body_type", None)
+        check_index("shape_body", self.shape_body, len(self.body_type))
+        check_index("body_type", self.body_type, len(BodyType))
+        everything = np.full(n, 0xFFFFFFFF, np.uint32)
+        self.category = everything if category is None else _filter(category, "category", n, np.uint32)
+        self.mask = everything if mask is None else _filter(mask, "mask", n, np.uint32)
+        counts = np.diff(self.start)
+        self.fixed = max_pairs is not None
+        slots = check_slots("max_pairs", max_pairs, len(counts)) if self.fixed else np.ceil(PAIRS_PER_BOX * counts)
+        self._candidates = CandidatePairs(counts, slots, self.dtype, "cpu", backend)
+        self._flags = np.zeros(len(counts), np.int32)
+        self._filters = np.zeros(len(counts), np.int64)
+        self.check_boxes()
+        self._lock = threading.Lock()
+        self._bind()
+
+    def _bind(self) -> None:
+        """Bind the launches to the present arrays."""
+        pairs, dtype = self._candidates.pairs, self.dtype.name
+        groups = kernel_file(self.backend, "groups")
+        start = self.start.astype(np.int32)
+        filters = {"shape_body": self.shape_body, "body_type": self.body_type}
+        filters |= {"shape_category": self.category, "shape_mask": self.mask}
+        boxes = {"lower": self.lower, "upper": self.upper, "margin": self.margin, "filters": self._filters}
+        values = {
+            "model": groups.group("model", dtype, MODEL, {"shape_start": start, **filters}),
+            "state": groups.group("state", dtype, STATE, {"flags": self._flags}),
+            "boxes": groups.group("boxes", dtype, BOXES, boxes),
+            "pairs": groups.array_group(pairs, "pairs"),
+        }
+        self.shape_a, self.shape_b = pairs.shape_a, pairs.shape_b
+        self.count, self.pair_start, self.rebuilds = pairs.count, pairs.start, pairs.rebuilds
+        self.flags = values["state"].flags
+        kernel = make_kernels(self.backend, "collide.broadphase", dtype, factory="box_kernels")["update_box_pairs"]
+        self._shards = [
+            bind(kernel, n, {**values, "launch": groups.group("launch", dtype, LAUNCH, {"world_offset": w})}, "cpu")
+            for w, n in shard_worlds(len(start) - 1, self.threads)
+        ]
+
+    @property
+    def layout_version(self) -> int:
+        """A number that changes whenever arrays are allocated anew."""
+        return self._candidates.pairs.version
+
+    @property
+    def pairs(self) -> ArrayGroup:
+        """The pairs as other stages take them (``model.fields.PAIRS``)."""
+        return self._candidates.pairs
+
+    def __call__(self) -> Any:
+        """Find the pairs of the boxes as they are now; returns ``count``.
+
+        Raises:
+            OverflowError: naming the world, for more pairs than ``max_pairs``.
+            ValueError: naming the box, for one that is not finite or whose lower corner is not the lower one.
+        """
+        run_shards(self._shards, self.threads)
+        if not recording() and self._flags.any():
+            with self._lock:
+                while self._flags.any():
+                    self.check(room=self.fixed)
+                    self._candidates.room.grow(self._flags, self._candidates.needed, error=False)
+                    self._candidates.relayout()
+                    self._bind()
+                    run_shards(self._shards, self.threads)
+        return self.count
+
+    def check_boxes(self) -> None:
+        """Raise ValueError, naming the first box that is not finite or whose lower corner is not the lower one."""
+        for name, corner in (("lower", self.lower), ("upper", self.upper)):
+            bad = np.argwhere(~np.isfinite(corner))
+            if len(bad):
+                i, k = (int(index) for index in bad[0])
+                raise ValueError(f"{name}[{i}, {k}] is {corner[i, k]}; it must be finite")
+        bad = np.argwhere(self.lower > self.upper)
+        if len(bad):
+            i, k = (int(index) for index in bad[0])
+            raise ValueError(f"lower[{i}, {k}] is {self.lower[i, k]}; it must not exceed upper, {self.upper[i, k]}")
+
+    def check(self, room: bool = True) -> None:
+        """Raise for what went wrong in the last call or replay, which a graph cannot tell itself.
+
+        Args:
+            room: whether pairs without room are an error.
+
+        Raises:
+            OverflowError, ValueError: see ``__call__``.
+        """
+        if (self._flags & Flag.INVALID).any():
+            self.check_boxes()
+            check_index("shape_body", self.shape_body, len(self.body_type))
+        full = np.flatnonzero(self._flags & Flag.PAIR_OVERFLOW)
+        if room and len(full):
+            w = int(full[0])
+            reserved = int(self._candidates.room.slots[w])
+            raise OverflowError(f"world {w} has {int(self._candidates.needed[w])} pairs; max_pairs is {reserved}")
+
+    def numpy(self) -> np.ndarray:
+        """The pairs of all worlds, one world after the other, (m, 2) int32: a copy."""
+        both = np.stack([to_numpy(self.shape_a), to_numpy(self.shape_b)], axis=1)
+        first = to_numpy(self.pair_start)
+        return np.concatenate([both[:0], *(both[a : a + n] for a, n in zip(first, to_numpy(self.count)))])
+
+
+def _filter(array: Any, name: str, count: int | None, dtype: Any = np.int32) -> np.ndarray:
+    """Integers of boxes or bodies, read where they lie."""
+    return check_layout(name, array, (count,), np.dtype(dtype))

@@ -1,135 +1,264 @@
-"""Narrowphase: contact points of candidate pairs, and what they keep from step to step."""
+"""Narrowphase: contact points of pairs of anybody's shapes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+import threading
+from typing import Any
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup, Contacts, Model, check_values, to_numpy
-from dc_kernels.model.dtypes import numpy_spec
-from dc_kernels.model.enums import Flag
-from dc_kernels.model.fields import CACHE, CONTACTS
-from dc_kernels.model.room import Room, fill_segments, move_segments
-from dc_kernels.model.validate import check_contacts
+from dc_kernels.collide.broadphase import Broadphase, Pairs
+from dc_kernels.collide.contacts import FoundContacts
+from dc_kernels.collide.shapes import Shapes, whole_group
+from dc_kernels.model.arrays import kernel_array, kernel_vectors, to_numpy
+from dc_kernels.model.config import CONFIG, SLACK, SolverConfig
+from dc_kernels.model.enums import Flag, ShapeType
+from dc_kernels.model.fields import LAUNCH, MOTION, ROWS
+from dc_kernels.model.room import starts
+from dc_kernels.runtime.backends import Launch, bind, kernel_file, make_kernels
+from dc_kernels.runtime.capture import recording
+from dc_kernels.runtime.inputs import (
+    MAX_INDEX,
+    check_array,
+    check_count,
+    check_finite,
+    check_index,
+    check_layout,
+    check_slots,
+    check_start,
+)
+from dc_kernels.runtime.sequences import as_one
+from dc_kernels.runtime.threads import run_shards, shard_worlds
 
-
-class Cache(ArrayGroup):
-    """Contacts of the last finished step, by key (``model.fields.CACHE``)."""
-
-    table = CACHE
-
-
-class Restored(NamedTuple):
-    """Contacts of an earlier run, checked."""
-
-    counts: np.ndarray
-    """Contacts of each world, (W,) int64."""
-    arrays: Mapping[str, np.ndarray]
-    """Fields of ``CONTACTS`` by name, world after world."""
-    contact_dt: np.ndarray
-    """Time step of the impulses, (W,) [s]."""
+CONTACTS_PER_BODY = 2.5  # reserved at first
+FOUND = ("key", "body_a", "body_b", "normal", "arm_a", "arm_b", "gap", "friction", "restitution")
 
 
 class Narrowphase:
-    """The contacts of a step, those of the step before, and their room.
+    """Contact points of pairs of shapes: discs, capsules, polygons with or without rounding, segments of chains.
 
-    Its kernels are ``narrowphase``, ``match_contacts`` and ``color_constraints``.
+        narrowphase = dc.Narrowphase(model, position, angle, broadphase)
+        narrowphase()
+        gaps = narrowphase.numpy("gap")  # or narrowphase.gap, .normal, .point ..., .count for kernels
+
+    Each world has room of its own: its contacts lie from ``contact_start[w]`` on, ``count[w]`` of them, in the order of
+    the pairs, which is that of the keys where pairs are sorted. A contact has the conventions of ``model.fields``: the
+    normal points from body A, static or of the lower index, to body B; the gap is negative where surfaces overlap.
+
+    Discs meet discs and hulls in closed form, hulls meet hulls by separating axes and clipping
+    (``_warp/collide/manifold.py``, as in Box2D v3): up to two points a pair.
+
+    A call within ``wp.ScopedCapture`` becomes part of the graph, which cannot grow: after a replay ``check`` tells
+    whether all contacts had room. A world that ran out of it has no contacts. Several Python threads may call one
+    narrowphase; they take turns.
 
     Attributes:
-        contacts: the contacts, sorted by key in each world.
-        cache: what persists of those of the last finished step, in slots of the same numbers.
-        room: contacts reserved for each world.
+        count: contacts of each world, (W,) int32.
+        contact_start: where the room of each world begins, (W + 1,) int32.
+        key: shape A, shape B (numbered in their world) and feature, (room,) int64: a contact that lasts keeps its key.
+        body_a, body_b: bodies, (room,) int32.
+        normal: unit vectors from A to B, (room,) vectors.
+        point: midway between the surfaces, (room,) vectors [m].
+        arm_a, arm_b: from the bodies' centres of mass to the point, (room,) vectors [m].
+        gap: distance of the surfaces, (room,) [m].
+        friction, restitution: of the pair, (room,) [1].
+        flags: ``Flag`` bits of each world in the last call, (W,) int32: CONTACT_OVERFLOW, or INVALID.
+        layout_version: changes whenever arrays are allocated anew.
     """
 
-    def __init__(self, model: Model, contacts_per_body: float) -> None:
-        """Reserve so many contacts for each body."""
-        bodies = np.diff(model.numpy("body_start"))
-        self.room = Room("contacts", Flag.CONTACT_OVERFLOW, np.ceil(contacts_per_body * bodies))
-        sizes = {**model.sizes, "contact": self.room.total, "joint": model.joint_count}
-        self.contacts = Contacts(sizes, model.dtype, model.device, model.backend)
-        self.cache = Cache(sizes, model.dtype, model.device, model.backend)
-        self.contacts.assign("contact_start", self.room.starts())
-
-    @property
-    def used(self) -> np.ndarray:
-        """Contacts of each world at the last step, (W,)."""
-        return self.contacts.numpy("contact_count")
-
-    def relayout(self) -> None:
-        """Allocate the room anew and move the contacts to their new places."""
-        old, new = self.contacts.numpy("contact_start").copy(), self.room.starts()
-        for group, count in ((self.contacts, "contact_count"), (self.cache, "count")):
-            before = group.renew(contact=self.room.total)
-            for name, field in group.table.items():
-                if field.per == "contact":
-                    move_segments(before[name], group.array(name), old, new, group.numpy(count))
-        self.contacts.assign("contact_start", new)
-
-    def check_restored(
-        self, model: Model, count: Any, arrays: Mapping[str, Any], contact_dt: Any, flags: np.ndarray
-    ) -> Restored:
-        """Check contacts of an earlier run against the rules of their fields and a model.
+    def __init__(
+        self,
+        shapes: Any,
+        position: Any,
+        angle: Any,
+        pairs: Any,
+        *,
+        pair_start: Any = None,
+        pair_count: Any = None,
+        reach: float = 0.0,
+        max_contacts: Any = None,
+        threads: int = 1,
+        backend: str | None = None,
+    ) -> None:
+        """Check and allocate everything. All arrays are kept, and read at each call.
 
         Args:
-            model: of the contacts.
-            count: contacts of each world, (W,).
-            arrays: fields of ``CONTACTS`` by name, world after world.
-            contact_dt: time step of the impulses, (W,) [s].
-            flags: of the worlds; numbers of the contacts of a world with flags may be NaN or inf.
+            shapes: a model of ``ModelBuilder.finalize``; or arrays by name (see ``collide.shapes.Shapes``). Their
+                kinds, and whether all are discs about the centre of their body, are looked at here alone.
+            position: centres of mass of the bodies, (bodies, 2), contiguous on the CPU, of the shapes' dtype [m].
+            angle: of the bodies, (bodies,) [rad].
+            pairs: a ``Broadphase`` of these shapes' boxes; or pairs of shapes, (room, 2) int32, those of each world
+                from ``pair_start`` on; a pair counts whatever its order.
+            pair_start: first row of each world and the number of rows, (W + 1,); None for one world.
+            pair_count: rows of each world that are pairs, (W,) int32; None: all.
+            reach: contacts are made of gaps up to this [m].
+            max_contacts: contacts of each world that there is room for, a number or one for each, (W,): more are an
+                error; None: room grows.
+            threads: Python threads that the worlds are shared among; the contacts do not depend on it.
+            backend: "warp", or "numpy" for the oracle; None: that of the model.
 
         Raises:
-            ValueError: naming what is missing, of a wrong shape or dtype, or out of its range.
+            ValueError, TypeError: naming the argument, the index and the limit.
         """
-        worlds, real = self.contacts.sizes["world"], self.contacts.dtype
-        count = check_values("contact_count", count, (worlds,), np.dtype(np.int64))
-        contact_dt = check_values("contact_dt", contact_dt, (worlds,), real, finite=False)
-        for name in ("key", "impulse", "color", "age"):
-            if name not in arrays:
-                raise ValueError(f"{name} is missing; the contact cache needs key, impulse, color and age")
-        found, total = {}, np.size(arrays["key"])
-        for name, values in arrays.items():
-            field = CONTACTS.get(name)
-            if field is None or field.per != "contact":
-                raise ValueError(f"{name} is no field of a contact")
-            dtype, inner = numpy_spec(field, real)
-            found[name] = check_values(name, values, (total, *inner), dtype, finite=False)
-        check_contacts({"contact_count": count, "contact_dt": contact_dt, **found}, model.views(), flags=flags)
-        return Restored(count, found, contact_dt)
+        self.shapes = Shapes(shapes, backend)
+        self.backend, self.dtype = self.shapes.backend, self.shapes.dtype
+        self._kept = (position, angle, pairs, pair_count)  # whose memory the kernels read
+        worlds = self.shapes.worlds
+        self._flags = np.zeros(worlds, np.int32)
+        self.position, self.angle = position, angle
+        self._state = self.shapes.state(position, angle, flags=self._flags)
+        self.flags = self._state.flags
+        self.threads = check_count("threads", threads)
+        self.reach = check_finite("reach", reach)
+        self._take(pairs, pair_start, pair_count)
+        bodies = np.diff(self.shapes.arrays["body_start"]).astype(np.int64)
+        self.fixed = max_contacts is not None
+        slots = check_slots("max_contacts", max_contacts, worlds) if self.fixed else np.ceil(CONTACTS_PER_BODY * bodies)
+        sizes = {"world": worlds, "world+1": worlds + 1}
+        self._found = FoundContacts(sizes, slots, self.dtype, "cpu", self.backend)
+        self._needed = np.zeros(worlds, np.int32)
+        self._lock = threading.Lock()
+        self._bind()
 
-    def restore(self, given: Restored, joint_impulse: np.ndarray, *, shown: bool = True) -> None:
-        """Put contacts of an earlier run, checked and with room for them, where the next step looks for the last.
+    def _take(self, pairs: Any, pair_start: Any, pair_count: Any) -> None:
+        """Check pairs, of a broadphase or in rows."""
+        worlds, count = self.shapes.worlds, len(self.shapes.arrays["shape_type"])
+        self._broadphase = pairs if isinstance(pairs, Broadphase) else None
+        if self._broadphase is not None:
+            if (pairs.backend, pairs.dtype) != (self.backend, self.dtype):
+                raise ValueError(
+                    f"pairs is a Broadphase of backend {pairs.backend!r} and dtype {pairs.dtype}; "
+                    f"the shapes have {self.backend!r} and {self.dtype}"
+                )
+            if not np.array_equal(pairs.start, self.shapes.arrays["shape_start"]):
+                raise ValueError(f"pairs.start is {pairs.start}; that of the shapes, shape_start, differs")
+            self._pair, self._pair_count = np.zeros((0, 2), np.int32), np.zeros(0, np.int32)
+            return
+        self._pair = check_layout("pairs", pairs, (None, 2), np.dtype(np.int32))
+        rows = check_start("pair_start", pair_start, len(self._pair))
+        if len(rows) != worlds + 1:
+            raise ValueError(f"pair_start has {len(rows) - 1} worlds; the shapes have {worlds}")
+        if pair_count is None:
+            self._pair_count = np.diff(rows).astype(np.int32)
+        else:
+            self._pair_count = check_layout("pair_count", pair_count, (worlds,), np.dtype(np.int32))
+        sizes = {"world": worlds, "world+1": worlds + 1, "pair": len(self._pair), "shape": 0, "bucket": 0}
+        self._pairs = Pairs(sizes, self.dtype, "cpu", self.backend)
+        self._pairs.assign("start", starts(np.diff(rows)))
+        if count:
+            self._check_pairs()
+
+    def _bind(self) -> None:
+        """Bind the launches to the present arrays."""
+        contacts, dtype, backend = self._found.contacts, self.dtype, self.backend
+        groups = kernel_file(backend, "groups")
+        arrays, worlds = self.shapes.arrays, self.shapes.worlds
+        pairs = self._broadphase.pairs if self._broadphase is not None else self._pairs
+        self._version = pairs.version
+        for name in FOUND:
+            setattr(self, name, contacts.array(name))
+        self.count, self.contact_start = contacts.contact_count, contacts.contact_start
+        point = np.zeros((contacts.sizes["contact"], 2), dtype)
+        motion = {
+            "step_dt": np.zeros(worlds, dtype),
+            "reach": np.full(worlds, self.reach, dtype),
+            "predicted": np.zeros((self.shapes.bodies, 4), dtype),
+        }
+        settings = {"slack": SLACK * SolverConfig().slop, "uniform_friction": -1.0, "uniform_restitution": -1.0}
+        values = {
+            "model": self.shapes.group(),
+            "state": self._state,
+            "motion": whole_group("motion", dtype, MOTION, motion, backend),
+            "rows": whole_group("rows", dtype, ROWS, {"contact_needed": self._needed}, backend),
+            "config": groups.group("config", dtype.name, CONFIG, settings),
+            "pairs": groups.array_group(pairs, "pairs"),
+            "contacts": groups.array_group(contacts, "contacts"),
+            "pair": kernel_array(self._pair, backend),
+            "pair_count": kernel_array(self._pair_count, backend),
+            "point": kernel_vectors(point, backend),
+        }
+        self.point = values["point"]
+        table = dict(make_kernels(backend, "collide.narrowphase", dtype.name, factory="stage_kernels"))
+        only_discs = bool((arrays["shape_type"] == ShapeType.DISC).all() and not arrays["shape_center"].any())
+        table |= make_kernels(backend, "collide.narrowphase", dtype.name, only_discs)
+        names = ("take_pairs", "narrowphase", "place_contacts")
+
+        def shard(first: int, count: int) -> Launch:
+            launch = groups.group("launch", dtype.name, LAUNCH, {"world_offset": first})
+            return as_one([bind(table[name], count, {**values, "launch": launch}, "cpu") for name in names])
+
+        self._shards = [shard(*part) for part in shard_worlds(worlds, self.threads)] if worlds else []
+
+    @property
+    def layout_version(self) -> int:
+        """A number that changes whenever arrays are allocated anew."""
+        return self._found.contacts.version
+
+    def __call__(self) -> Any:
+        """Make the contacts of the pairs as they are now; returns ``count``.
+
+        Raises:
+            OverflowError: naming the world, for more contacts than ``max_contacts``.
+            ValueError: naming argument and index, for a body that is not finite, or a pair that is not of two shapes of
+                a world.
+        """
+        if self._broadphase is not None and self._broadphase.layout_version != self._version:
+            with self._lock:
+                self._bind()
+        run_shards(self._shards, self.threads)
+        if not recording() and self._flags.any():
+            with self._lock:
+                while self._flags.any():
+                    self.check(room=self.fixed)
+                    self._found.room.grow(self._flags, self._needed, error=False)
+                    self._found.relayout()
+                    self._bind()
+                    run_shards(self._shards, self.threads)
+        return self.count
+
+    def check(self, room: bool = True) -> None:
+        """Raise for what went wrong in the last call or replay, which a graph cannot tell itself.
 
         Args:
-            given: from ``check_restored``.
-            joint_impulse: what the next step starts from, of each joint [N s].
-            shown: put them into ``contacts`` too.
-        """
-        start = self.contacts.numpy("contact_start")
-        for group in (self.contacts, self.cache) if shown else (self.cache,):
-            for name, values in given.arrays.items():
-                if name in group.table:
-                    array = to_numpy(group.array(name))
-                    fill_segments(array, values, start, given.counts)
-                    if group.device != "cpu":
-                        group.array(name).assign(array)
-        if shown:
-            self.contacts.assign("contact_count", given.counts)
-        self.cache.assign("count", given.counts)
-        self.contacts.assign("contact_dt", given.contact_dt)
-        self.cache.assign("joint_impulse", joint_impulse)
+            room: whether contacts without room are an error.
 
-    def check_start(self) -> None:
-        """Raise ValueError, naming the contact, if a start impulse is NaN or inf."""
-        impulse = self.contacts.numpy("impulse")
-        first = self.contacts.numpy("contact_start")
-        for w, count in enumerate(self.used):
-            start = impulse[first[w] : first[w] + count]
-            bad = np.argwhere(~np.isfinite(start))
+        Raises:
+            OverflowError, ValueError: see ``__call__``.
+        """
+        if (self._flags & Flag.INVALID).any():
+            check_array("position", self.position, (None, 2))
+            check_array("angle", self.angle, (None,))
+            self._check_pairs()
+        full = np.flatnonzero(self._flags & Flag.CONTACT_OVERFLOW)
+        if room and len(full):
+            w = int(full[0])
+            reserved = int(self._found.room.slots[w])
+            raise OverflowError(f"world {w} has {int(self._needed[w])} contacts; max_contacts is {reserved}")
+
+    def _check_pairs(self) -> None:
+        """Raise ValueError for rows that are no pairs of two shapes of a world."""
+        if self._broadphase is not None:
+            return
+        start, shapes = to_numpy(self._pairs.start), self.shapes.arrays["shape_start"]
+        check_index("pair_count", self._pair_count, MAX_INDEX)
+        for w, count in enumerate(self._pair_count):
+            room = int(start[w + 1] - start[w])
+            if count > room:
+                raise ValueError(f"pair_count[{w}] is {count}; it must lie in [0, {room}]")
+            rows = self._pair[start[w] : start[w] + count]
+            bad = np.argwhere((rows < shapes[w]) | (rows >= shapes[w + 1]) | (rows[:, :1] == rows[:, 1:]))
             if len(bad):
-                c, k = (int(i) for i in bad[0])
+                i, k = int(start[w] + bad[0][0]), int(bad[0][1])
                 raise ValueError(
-                    f"contacts.impulse[{first[w] + c}, {k}] (contact {c} of world {w}) is {start[c, k]}; "
-                    "a start impulse must be finite"
+                    f"pairs[{i}] is {self._pair[i].tolist()}; pairs[{i}, {k}] must lie in "
+                    f"[{shapes[w]}, {shapes[w + 1] - 1}], as shapes of world {w} do, and differ from the other"
                 )
+
+    def numpy(self, name: str) -> np.ndarray:
+        """A field of the contacts of all worlds, one world after the other, (m, ...): a copy.
+
+        Args:
+            name: of an attribute with room for contacts, such as "gap".
+        """
+        values, first = to_numpy(getattr(self, name)), to_numpy(self.contact_start)
+        return np.concatenate([values[:0], *(values[a : a + n] for a, n in zip(first, to_numpy(self.count)))])

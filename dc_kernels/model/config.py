@@ -49,46 +49,54 @@ class SolverConfig(Settings):
     method: Literal["pgs", "jacobi"] = "pgs"
     """Projected Gauss-Seidel in colour order, or Jacobi with mass splitting (Tonge et al. 2012)."""
     acceleration: Literal["none", "sor", "aitken", "nncg", "adaptive"] = "adaptive"
-    """Over-relaxation, Aitken extrapolation with back-off, nonsmooth nonlinear CG (Silcowitz et al. 2010), or Aitken,
-    momentum and Anderson's update in turns, chosen by what they gained."""
+    """What is done between sweeps: "none"; "sor", over-relaxation by omega; "aitken", extrapolation with back-off;
+    "nncg", nonsmooth nonlinear conjugate gradients (Silcowitz et al. 2010); "adaptive", Aitken's extrapolation,
+    Nesterov's momentum and Anderson's update in turns, chosen by what each gained."""
     max_sweeps: Whole = 1000
     """Sweeps after which a solve ends unconverged [1]."""
     min_sweeps: Whole = 10
-    """Sweeps of a solve at least, if max_sweeps allows: what a step at rest leaves is met by the next, so that piles
-    lie still (up to 1e3 times less creep than at 1) and need fewer long solves [1]."""
+    """Sweeps that a solve makes at least, if max_sweeps allows: what one step at rest leaves unsolved the next one
+    takes up, so that piles lie still (up to 1e3 times less creep than with 1) and need fewer long solves [1]."""
     tolerance: Tolerance = 1e-4
-    """Largest impulse change of a sweep [N s], or residual [1], at which a solve ends."""
+    """A solve ends when a sweep changes no impulse by more than this [N s]; with stop "residual", when the residual is
+    not above it [1]."""
     relative_tolerance: Tolerance = 1.3e-3
-    """The same relative to the impulse that a typical body's weight gives in a step: the smaller bound on the impulse
-    change counts, so that light bodies and short steps are solved too; inf: none. The default leaves the theses' discs
-    at 1e-4 N s [1]."""
+    """Second bound on the impulse change, as a multiple of the impulse that the weight of a typical body gives in a
+    step. A solve ends when both bounds hold, so that light bodies and short steps are solved as well; inf leaves the
+    tolerance alone to decide. With the default the tolerance of 1e-4 N s decides for the theses' discs [1]."""
     stop: Literal["change", "residual"] = "change"
-    """What the tolerance is compared with: the largest impulse change, or the relative natural map."""
+    """What the tolerance is compared with: the largest impulse change of a sweep, or the residual, the natural map of
+    the contact problem relative to its size."""
     residual_every: Count = 5
-    """Sweeps between two evaluations of the residual when it decides the stop [1]."""
+    """Sweeps between two evaluations of the residual with stop "residual" [1]."""
     start: Literal["cache", "zero"] = "cache"
     """Start impulses of a step: those of the step before, or zero."""
     omega: Annotated[float, Limits(above=0.0, most=2.0)] = 1.4
     """Relaxation factor of acceleration "sor" [1]."""
     aitken_period: Annotated[int, Limits(least=3, most=2**29)] = 3
-    """Shortest period of the Aitken extrapolation, in sweeps: 3 needs a tenth fewer sweeps than 5 at 100 discs [1]."""
+    """Fewest sweeps between two extrapolations by Aitken: at 100 discs 3 needs a tenth fewer sweeps in all than 5
+    [1]."""
     aitken_period_max: Annotated[int, Limits(least=3, most=2**29)] = 40
-    """Longest period after back-off, in sweeps [1]."""
+    """Most sweeps between two extrapolations by Aitken, to which back-off lengthens them [1]."""
     aitken_cap: NotNegative = 200.0
-    """Largest multiple of the last step to move on by [1]."""
+    """Largest multiple of the last sweep's change that Aitken's extrapolation adds [1]."""
     aitken_threshold: Annotated[float, Limits(above=0.0, most=1.0)] = 0.95
-    """Back off when the step shrank by less than this factor over a period [1]."""
+    """Aitken's extrapolation backs off when the change of a sweep is still more than this multiple of what it was a
+    period before [1]."""
     aitken_patience: Count = 20
-    """Periods without a smaller step after which plain sweeps follow, 2 aitken_period_max and twice as many each
-    time: extrapolation alone can cycle for good where plain Gauss-Seidel converges [1]."""
+    """Periods without a new least change after which sweeps without extrapolation follow: 2 aitken_period_max of them
+    the first time, twice as many each time after. Extrapolation alone can cycle for good where plain Gauss-Seidel
+    converges [1]."""
     stretch: Annotated[int, Limits(least=10, most=2**30)] = 120
-    """Sweeps after which "adaptive" compares its methods: 80 to 240 are within 5 % of each other [1]."""
+    """Sweeps that acceleration "adaptive" stays with a method before it compares them; with 80 to 240 the sweeps in
+    all differ by 5 % [1]."""
     position_correction: Literal["ngs", "baumgarte", "none"] = "ngs"
-    """A phase of its own after the velocities (Box2D 2.3), a velocity bias, or nothing."""
+    """How overlap is undone: "ngs", by a phase that moves the bodies after the velocities are solved (nonlinear
+    Gauss-Seidel, as in Box2D 2.3); "baumgarte", by a bias of the velocities; "none", not at all."""
     position_iterations: Whole = 3
-    """Sweeps of the "ngs" phase; it is skipped where nothing overlaps by more than the slop [1]."""
+    """Sweeps of the "ngs" phase; a world without joints skips it where nothing overlaps by more than the slop [1]."""
     position_factor: Annotated[float, Limits(above=0.0, most=1.0)] = 0.2
-    """Share of an overlap that one "ngs" sweep, or one "baumgarte" step, removes [1]."""
+    """Share of an overlap that a sweep of the "ngs" phase removes, or a step with "baumgarte" [1]."""
     slop: NotNegative = 5e-4
     """Overlap that is left alone, and gap that counts as closed [length_scale]."""
     max_correction: Positive = 0.2
@@ -96,13 +104,14 @@ class SolverConfig(Settings):
     speculative: NotNegative = 0.02
     """A gap below this is a contact, as is one that closes within the step [length_scale]."""
     speculative_max: NotNegative = 0.1
-    """The same where bodies are fast: what the fastest moves in a step, up to this [length_scale]."""
+    """Where a body moves by more than ``speculative`` in a step, gaps up to what the fastest moves in a step are
+    contacts, but none above this [length_scale]."""
     margin: NotNegative = 0.1
     """Broadphase boxes are this much larger on each side, so that pairs last several steps [length_scale]."""
     restitution_threshold: NotNegative = 1.0
     """Approach speed below which a contact does not bounce [m/s]."""
     history: bool = False
-    """Keep the largest impulse change of every sweep (``SolveStats.history``)."""
+    """Whether to keep the largest impulse change of every sweep (``SolveStats.history``)."""
 
     def check(self) -> None:
         """Raise a ``ValueError`` for settings that do not go together."""

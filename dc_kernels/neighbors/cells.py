@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from dc_kernels.model.arrays import kernel_arrays
 from dc_kernels.neighbors.fields import CELLS
-from dc_kernels.runtime.backends import bind, kernel_file, make_kernels
+from dc_kernels.runtime.backends import bind, kernel_file, make_kernels, on_numpy
 from dc_kernels.runtime.inputs import MAX_INDEX
 from dc_kernels.runtime.threads import map_threads
 
@@ -18,6 +19,7 @@ PADDING = 16  # points and entries behind the last that lanes read and write
 MAX_FOUND = MAX_INDEX - PADDING  # pairs, or entries of lists, of a call
 ROOM = 16  # pairs and entries reserved for a point at first: of memory, only what is written becomes resident
 LEAST_ROOM = 1024
+KEPT = 2**24  # bytes of a workspace that may wait for the next call: the searches of some 100 000 points
 Shapes = dict[str, tuple[tuple[int, ...], Any]]  # shape and dtype by name
 Arrays = dict[str, Any]
 
@@ -41,9 +43,9 @@ def shards_of(counts: np.ndarray, threads: int) -> list[tuple[int, int]]:
 
 
 class Workspace:
-    """Arrays of a search that are kept from call to call; one call uses them at a time.
+    """Arrays and launches of a search that are kept from call to call; one call uses them at a time.
 
-    They are bound anew where shapes change, and their memory grows where it must.
+    Arrays are bound anew where shapes change, and their memory grows where it must.
     """
 
     def __init__(self, backend: str) -> None:
@@ -51,11 +53,48 @@ class Workspace:
         self.backend = backend
         self.room: dict[str, int] = {}  # what searches needed where it was more than they began with
         self._memory: dict[str, np.ndarray] = {}
-        self._bound: dict[str, tuple[Shapes, Arrays, Arrays]] = {}
+        self._bound: dict[str, tuple[Shapes, Arrays]] = {}
         self._cells: dict[str, tuple[Any, Any]] = {}
+        self._launches: dict[tuple[Any, str], tuple[Any, dict[str, Any]]] = {}
 
-    def arrays(self, name: str, shapes: Shapes) -> tuple[Arrays, Arrays]:
-        """Arrays by name and as kernels take them, whose elements are not set; those before of that name are given up.
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+        return sum(map(len, self._memory.values()))
+
+    def launch(self, kernel: Any, place: str, values: Mapping[str, Any]) -> None:
+        """Launch a kernel with one thread.
+
+        Args:
+            kernel: of the backend.
+            place: tells apart the launches of a kernel that threads make at once.
+            values: arguments by name: numbers, contiguous numpy arrays and groups; others are passed over.
+        """
+        if on_numpy(self.backend):
+            bind(kernel, 1, values, "cpu")()
+            return
+        launch: Any
+        kept = self._launches.get((kernel, place))
+        # a launch is taken again with other numbers and arrays: to make one takes longer than to search 100 points
+        if kept is not None and all(values[name] is group for name, group in kept[1].items()):
+            launch, groups = kept
+            for name in launch.elements:
+                value = values[name]
+                if isinstance(value, np.ndarray):
+                    launch.point(name, value.ctypes.data, value.shape)
+                elif name not in groups:
+                    launch.set(name, value)
+            launch()
+            return
+        arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+        launch = bind(kernel, 1, {**values, **kernel_arrays(arrays, self.backend)}, "cpu")
+        given = {name: values[name] for name in launch.elements}
+        groups = {name: v for name, v in given.items() if not isinstance(v, np.ndarray | np.generic | int | float)}
+        self._launches[kernel, place] = launch, groups
+        launch()
+
+    def arrays(self, name: str, shapes: Shapes) -> Arrays:
+        """Arrays by name, whose elements are not set; those before of that name are given up.
 
         Args:
             name: of their memory.
@@ -64,16 +103,16 @@ class Workspace:
         bound = self._bound.get(name)
         if bound is None or bound[0] != shapes:
             arrays = {key: self._empty(f"{name}.{key}", *shape) for key, shape in shapes.items()}
-            bound = self._bound[name] = shapes, arrays, kernel_arrays(arrays, self.backend)
-        return bound[1:]
+            bound = self._bound[name] = shapes, arrays
+        return bound[1]
 
     def cells(self, name: str, dtype: np.dtype, shapes: Shapes) -> tuple[Arrays, Any]:
         """Arrays of the group of sorted cells by name, and the group as kernels take it (see ``arrays``)."""
-        arrays, bound = self.arrays(name, shapes)
+        arrays = self.arrays(name, shapes)
         kept = self._cells.get(name)
-        if kept is None or kept[0] is not bound:
-            group = kernel_file(self.backend, "groups").group("cells", dtype.name, CELLS, bound)
-            kept = self._cells[name] = bound, group
+        if kept is None or kept[0] is not arrays:
+            group = kernel_file(self.backend, "groups").group("cells", dtype.name, CELLS, arrays)
+            kept = self._cells[name] = arrays, group
         return arrays, kept[1]
 
     def _empty(self, name: str, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
@@ -100,32 +139,27 @@ class SortedCells:
         self.dtype, self.dim = points.dtype, points.shape[1]
         self.kernels = make_kernels(self.backend, "neighbors.search", self.dtype.name, self.dim)
 
-    def call(self, name: str, values: dict[str, Any]) -> None:
-        """One launch."""
-        bind(self.kernels[name], 1, values, "cpu")()
+    def call(self, name: str, values: dict[str, Any], place: str = "") -> None:
+        """One launch (see ``Workspace.launch``)."""
+        self.workspace.launch(self.kernels[name], place, values)
 
     def boxes(self, worlds: int, *sets: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
         """``lower`` and ``upper`` of each world's points of all sets (points, starts)."""
         shape = (worlds, self.dim), np.float64
-        box, shared = self.workspace.arrays("box", {"lower": shape, "upper": shape})
-        box["lower"][:], box["upper"][:] = np.inf, -np.inf
-        for points, starts in sets:
+        box = self.workspace.arrays("box", {"lower": shape, "upper": shape})
+        for k, (points, starts) in enumerate(sets):
             arrays = {"start": starts.astype(np.int32), "point": points}
-            self.call(
-                "bound_points", {"world_offset": 0, "worlds": worlds, **shared, **kernel_arrays(arrays, self.backend)}
-            )
+            self.call("bound_points", {"world_offset": 0, "worlds": worlds, "fresh": int(k == 0), **box, **arrays})
         with np.errstate(over="ignore"):
             wide = np.argwhere(box["upper"] - box["lower"] == np.inf)
         if len(wide):
             w, k = wide[0]
             raise ValueError(f"points of world {w} span more than float64 holds on axis {k}; they must span less [m]")
-        return shared
+        return box
 
-    def sorter(
-        self, points: np.ndarray, starts: np.ndarray, box: dict[str, Any], *, name: str = "points"
-    ) -> tuple[Any, Any]:
-        """The group of the sorted points, and a call that fills it for a shard; its memory goes by the name."""
-        n, worlds = len(points), len(starts) - 1
+    def sorted_points(self, starts: np.ndarray, name: str = "points") -> Any:
+        """The group of the sorted points of worlds that begin at ``starts``, (W + 1,); its memory goes by the name."""
+        n, worlds = int(starts[-1]), len(starts) - 1
         shapes: Shapes = {
             "start": ((worlds + 1,), np.int32),
             "place": ((self.dim, n + PADDING), self.dtype),
@@ -136,21 +170,30 @@ class SortedCells:
             "line_count": ((worlds,), np.int32),
             "line_stride": ((worlds,), np.int64),
         }
-        cells, shared = self.workspace.cells(name, self.dtype, shapes)
-        cells["start"][:] = starts
-        point = kernel_arrays({"point": points}, self.backend)
+        arrays, cells = self.workspace.cells(name, self.dtype, shapes)
+        arrays["start"][:] = starts
+        return cells
+
+    def sort_values(self, starts: np.ndarray, first: int, count: int, name: str = "points") -> dict[str, Any]:
+        """What ``sort_points`` takes for the worlds first .. first + count, but for the points, their box and cells."""
+        most = int(np.diff(starts[first : first + count + 1]).max())
+        # 8-byte words a point: two keys, two values, a line and four counts of 4 bytes, and a copy of the point
+        # with its number and column; a few rows more for worlds of few points
+        words = 2 + (2 + 1 + 4) / 2 + math.ceil((self.dtype.itemsize * self.dim + 8) / 8)
+        scratch = self.workspace.arrays(f"sort {name} {first}", {"scratch": ((most + 256, math.ceil(words)), np.int64)})
+        return {"world_offset": first, "worlds": count, "reach": self.reach, **scratch}
+
+    def sorter(
+        self, points: np.ndarray, starts: np.ndarray, box: dict[str, Any], *, name: str = "points"
+    ) -> tuple[Any, Any]:
+        """The group of the sorted points, and a call that fills it for a shard; its memory goes by the name."""
+        cells = self.sorted_points(starts, name)
 
         def sort(first: int, count: int) -> None:
-            most = int(np.diff(starts[first : first + count + 1]).max())
-            # 8-byte words a point: two keys, two values, a line and four counts of 4 bytes, and a copy of the point
-            # with its number and column; a few rows more for worlds of few points
-            words = 2 + (2 + 1 + 4) / 2 + math.ceil((self.dtype.itemsize * self.dim + 8) / 8)
-            shape = (most + 256, math.ceil(words)), np.int64
-            _, scratch = self.workspace.arrays(f"sort {name} {first}", {"scratch": shape})
-            values = {"world_offset": first, "worlds": count, "reach": self.reach, "cells": shared, **box, **point}
-            self.call("sort_points", {**values, **scratch})
+            values = self.sort_values(starts, first, count, name)
+            self.call("sort_points", {**values, **box, "cells": cells, "point": points}, f"{name} {first}")
 
-        return shared, sort
+        return cells, sort
 
     def fill(
         self, name: str, output: str, count: int, shape: tuple[int, ...], values: dict[str, Any], *, keep: bool
@@ -160,18 +203,16 @@ class SortedCells:
         It is the caller's own if he keeps it, else it lies in the workspace.
         """
         place = f"{output} {values['world_offset']}"
-        found, shared = self.workspace.arrays(f"found {place}", {"found": ((values["worlds"],), np.int64)})
+        found = self.workspace.arrays(f"found {place}", {"found": ((values["worlds"],), np.int64)})
         room = max(min(ROOM * count + LEAST_ROOM, MAX_INDEX), self.workspace.room.get(place, 0))
         while True:
             whole = (room, *shape)
             if keep:
                 array = np.empty(whole, np.int32)
-                filled = kernel_arrays({output: array}, self.backend)
             else:
-                arrays, filled = self.workspace.arrays(place, {output: (whole, np.int32)})
-                array = arrays[output]
+                array = self.workspace.arrays(place, {output: (whole, np.int32)})[output]
             found["found"][:] = 0
-            self.call(name, {**values, **shared, **filled})
+            self.call(name, {**values, **found, output: array}, place)
             total = allowed(int(found["found"].sum()))
             if total + PADDING <= room:
                 return array, total
@@ -223,10 +264,9 @@ def hash_lists(
     box = hashed.boxes(len(first_query) - 1, *sets)
     cells, sort_points = hashed.sorter(points, first_point, box)
     query_cells, sort_queries = (cells, None) if same else hashed.sorter(queries, first_query, box, name="queries")
-    arrays, spans = workspace.arrays("spans", {"list_span": ((len(queries), 2), np.int64)})
-    span = arrays["list_span"]
+    span = workspace.arrays("spans", {"list_span": ((len(queries), 2), np.int64)})["list_span"]
     span[:] = 0
-    values = {"limit": limit, "cells": cells, "queries": query_cells, **spans}
+    values = {"limit": limit, "cells": cells, "queries": query_cells, "list_span": span}
 
     def sweep(s: int) -> np.ndarray:
         first, count = shards[s]
@@ -241,13 +281,13 @@ def hash_lists(
     start = np.zeros(len(queries) + 1, np.int64)
     np.cumsum(span[:, 1], out=start[1:])
     index = np.empty(allowed(int(start[-1])), np.int32)
-    order = {**spans, **kernel_arrays({"list_start": start, "index": index}, workspace.backend)}
+    order = {"list_span": span, "list_start": start, "index": index}
 
     def arrange(s: int) -> None:
         first, count = shards[s]
         begin, end = int(first_query[first]), int(first_query[first + count])
-        entry = kernel_arrays({"entry": entries[s]}, workspace.backend)
-        hashed.call("order_lists", {**order, "query_offset": begin, "queries": end - begin, **entry})
+        values = {**order, "query_offset": begin, "queries": end - begin, "entry": entries[s]}
+        hashed.call("order_lists", values, f"{first}")
 
     map_threads(arrange, range(len(shards)), threads)
     return start, index

@@ -17,7 +17,7 @@ import numpy as np
 
 from dc_kernels.model.arrays import kernel_arrays
 from dc_kernels.model.settings import Limits, check_choice, checker
-from dc_kernels.neighbors.cells import Workspace, allowed, hash_lists, hash_pairs
+from dc_kernels.neighbors.cells import KEPT, Workspace, allowed, hash_lists, hash_pairs
 from dc_kernels.runtime.backends import bind, check_backend, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_count, check_points, check_start
@@ -26,6 +26,7 @@ from dc_kernels.runtime.threads import map_threads
 
 _number = checker(Annotated[float, Limits(above=0.0, size=math.inf)])  # its square decides
 METHODS = ("hash", "kdtree", "tree", "all")
+WAITING = 8  # workspaces that are kept for the next calls
 BLOCK = 1 << 20  # distances at a time in the method "all"
 Found = tuple[np.ndarray, np.ndarray]  # one world's (queries, points), indices in the world
 Search = Callable[["np.ndarray | None", np.ndarray, Any], Found]
@@ -39,103 +40,6 @@ class Neighbors:
     """First entry of each query's list and the end of the last, (nq + 1,) int64."""
     index: np.ndarray
     """Points within the radius, numbered over all worlds, (m,) int32."""
-
-
-class NeighborSearch:
-    """A search within one radius: its settings are checked once, and its memory serves call after call.
-
-    Several threads may call it at once; each call then has memory of its own. What it returns is the caller's.
-    """
-
-    def __init__(self, radius: float, *, method: str = "hash", threads: int = 1, backend: str = "warp") -> None:
-        """Check the settings, but for the radius, whose square must fit the dtype of the points.
-
-        Args:
-            radius: largest distance, > 0 [m].
-            method: "hash" (cells sorted by place), "kdtree" (SciPy's), "tree" (boxes in a hierarchy) or "all" (every
-                pair tested).
-            threads: Python threads that the worlds are shared among; the result does not depend on it.
-            backend: "warp", or "numpy" for the oracle of the method "hash".
-
-        Raises:
-            ValueError: naming the argument and the limit.
-        """
-        self.radius, self.backend = _number("radius", radius), backend
-        self._search = _search(method, backend)
-        self.threads = check_count("threads", threads)
-        self._idle: list[Workspace] = []  # that no call uses
-
-    @contextlib.contextmanager
-    def _workspace(self) -> Iterator[Workspace]:
-        """Lend a workspace that no other call uses."""
-        try:
-            workspace = self._idle.pop()
-        except IndexError:
-            workspace = Workspace(self.backend)
-        yield workspace
-        self._idle.append(workspace)
-
-    def pairs(self, points: Any, *, start: Any = None) -> np.ndarray:
-        """Return every pair of points of the same world that are at most the radius apart, once.
-
-        Arguments, result and errors are those of ``neighbor_pairs``.
-        """
-        refuse_recording("neighbor_pairs", "the host sizes what it finds")
-        points = check_points("points", points, (2, 3))
-        starts = check_start("start", start, len(points))
-        limit, search = _square("radius", self.radius, points.dtype), self._search
-        if search is None:
-            with self._workspace() as workspace:
-                return hash_pairs(points, self.radius, limit, starts, self.threads, workspace)
-
-        def world(w: int) -> np.ndarray:
-            first, last = starts[w : w + 2]
-            a, b = search(None, points[first:last], limit)
-            pairs = np.empty((len(a), 2), np.int32)
-            pairs[:, 0], pairs[:, 1] = np.minimum(a, b), np.maximum(a, b)
-            pairs += np.int32(first)
-            return pairs
-
-        found = map_threads(world, range(len(starts) - 1), self.threads)
-        return np.concatenate(found) if found else np.empty((0, 2), np.int32)
-
-    def lists(self, queries: Any, points: Any, *, query_start: Any = None, point_start: Any = None) -> Neighbors:
-        """Return the points within the radius of each query, world by world.
-
-        Arguments, result and errors are those of ``neighbor_lists``.
-        """
-        refuse_recording("neighbor_lists", "the host sizes what it finds")
-        queries = check_points("queries", queries, (2, 3))
-        points = check_points("points", points, (2, 3))
-        for what in ("dtype", "shape"):
-            a, b = (getattr(array, what) for array in (queries, points))
-            if (a[1:], b[1:]) != (b[1:], a[1:]) if what == "shape" else a != b:
-                raise ValueError(f"queries has {what} {a}, points has {what} {b}; they must agree")
-        first_query = check_start("query_start", query_start, len(queries))
-        first_point = check_start("point_start", point_start, len(points))
-        worlds = len(first_query) - 1
-        if len(first_point) != worlds + 1:
-            raise ValueError(
-                f"query_start has {worlds} worlds, point_start has {len(first_point) - 1}; they must agree"
-            )
-        limit, search = _square("radius", self.radius, points.dtype), self._search
-        if search is None:
-            firsts = first_query, first_point
-            with self._workspace() as workspace:
-                found = hash_lists(queries, points, self.radius, limit, firsts, self.threads, workspace)
-            return Neighbors(*found)
-
-        def world(w: int) -> tuple[np.ndarray, np.ndarray]:
-            q0, q1 = first_query[w : w + 2]
-            p0, p1 = first_point[w : w + 2]
-            a, b = search(queries[q0:q1], points[p0:p1], limit)
-            order = np.argsort(a.astype(np.int64) * (p1 - p0) + b)
-            return np.bincount(a, minlength=q1 - q0), (b[order] + p0).astype(np.int32)
-
-        parts = map_threads(world, range(worlds), self.threads)
-        lists = np.zeros(len(queries) + 1, np.int64)
-        np.cumsum(np.concatenate([count for count, _ in parts]) if parts else [], out=lists[1:])
-        return Neighbors(lists, np.concatenate([index for _, index in parts]) if parts else np.empty(0, np.int32))
 
 
 def neighbor_pairs(
@@ -165,8 +69,25 @@ def neighbor_pairs(
         ValueError: naming the argument, the index and the limit.
         ImportError: for "kdtree" without SciPy.
     """
-    search = NeighborSearch(radius, method=method, threads=threads, backend=backend)
-    return search.pairs(points, start=start)
+    radius, search, threads = _number("radius", radius), _search(method, backend), check_count("threads", threads)
+    refuse_recording("neighbor_pairs", "the host sizes what it finds")
+    points = check_points("points", points, (2, 3))
+    starts = check_start("start", start, len(points))
+    limit = square("radius", radius, points.dtype)
+    if search is None:
+        with _workspace(backend) as workspace:
+            return hash_pairs(points, radius, limit, starts, threads, workspace)
+
+    def world(w: int) -> np.ndarray:
+        first, last = starts[w : w + 2]
+        a, b = search(None, points[first:last], limit)
+        pairs = np.empty((len(a), 2), np.int32)
+        pairs[:, 0], pairs[:, 1] = np.minimum(a, b), np.maximum(a, b)
+        pairs += np.int32(first)
+        return pairs
+
+    found = map_threads(world, range(len(starts) - 1), threads)
+    return np.concatenate(found) if found else np.empty((0, 2), np.int32)
 
 
 def neighbor_lists(
@@ -188,7 +109,7 @@ def neighbor_lists(
         radius: largest distance, > 0 [m].
         method: as for ``neighbor_pairs``.
         query_start: first query of each world and the number of queries, (W + 1,); None for one world.
-        point_start: the same of the points.
+        point_start: first point of each world and the number of points.
         threads: as for ``neighbor_pairs``.
         backend: as for ``neighbor_pairs``.
 
@@ -196,14 +117,59 @@ def neighbor_lists(
         ValueError: naming the argument, the index and the limit.
         ImportError: for "kdtree" without SciPy.
     """
-    search = NeighborSearch(radius, method=method, threads=threads, backend=backend)
-    return search.lists(queries, points, query_start=query_start, point_start=point_start)
+    radius, search, threads = _number("radius", radius), _search(method, backend), check_count("threads", threads)
+    refuse_recording("neighbor_lists", "the host sizes what it finds")
+    queries = check_points("queries", queries, (2, 3))
+    points = check_points("points", points, (2, 3))
+    for what in ("dtype", "shape"):
+        a, b = (getattr(array, what) for array in (queries, points))
+        if (a[1:], b[1:]) != (b[1:], a[1:]) if what == "shape" else a != b:
+            raise ValueError(f"queries has {what} {a}, points has {what} {b}; they must agree")
+    first_query = check_start("query_start", query_start, len(queries))
+    first_point = check_start("point_start", point_start, len(points))
+    worlds = len(first_query) - 1
+    if len(first_point) != worlds + 1:
+        raise ValueError(f"query_start has {worlds} worlds, point_start has {len(first_point) - 1}; they must agree")
+    limit = square("radius", radius, points.dtype)
+    if search is None:
+        with _workspace(backend) as workspace:
+            return Neighbors(
+                *hash_lists(queries, points, radius, limit, (first_query, first_point), threads, workspace)
+            )
+
+    def world(w: int) -> tuple[np.ndarray, np.ndarray]:
+        q0, q1 = first_query[w : w + 2]
+        p0, p1 = first_point[w : w + 2]
+        a, b = search(queries[q0:q1], points[p0:p1], limit)
+        order = np.argsort(a.astype(np.int64) * (p1 - p0) + b)
+        return np.bincount(a, minlength=q1 - q0), (b[order] + p0).astype(np.int32)
+
+    parts = map_threads(world, range(worlds), threads)
+    lists = np.zeros(len(queries) + 1, np.int64)
+    np.cumsum(np.concatenate([count for count, _ in parts]) if parts else [], out=lists[1:])
+    return Neighbors(lists, np.concatenate([index for _, index in parts]) if parts else np.empty(0, np.int32))
+
+
+_idle: dict[str, list[Workspace]] = {}  # of each backend: those that wait for a call
+
+
+@contextlib.contextmanager
+def _workspace(backend: str) -> Iterator[Workspace]:
+    """Lend a workspace that no other call uses; it waits for the next one unless it is large."""
+    idle = _idle.setdefault(backend, [])
+    try:
+        workspace = idle.pop()
+    except IndexError:
+        workspace = Workspace(backend)
+    yield workspace
+    if workspace.nbytes <= KEPT and len(idle) < WAITING:
+        idle.append(workspace)
 
 
 # ---------------------------------------------------------------------- checks
 
 
-def _square(name: str, radius: Any, dtype: np.dtype) -> Any:
+def square(name: str, radius: Any, dtype: np.dtype) -> Any:
     """The largest squared distance, r r in the dtype of the points."""
     with np.errstate(over="ignore", under="ignore"):
         square = dtype.type(radius) * dtype.type(radius)

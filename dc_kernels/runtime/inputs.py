@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from dc_kernels.model.arrays import check_values
 from dc_kernels.model.dtypes import FLOATS
-from dc_kernels.model.settings import Count, Positive, Whole, WrongType, checker, numeric, shown
+from dc_kernels.model.settings import Count, Limits, NotNegative, Positive, Whole, WrongType, checker, numeric, shown
 from dc_kernels.runtime.interop import host_view
 
 check_count = checker(Count)
@@ -18,6 +18,10 @@ check_whole = checker(Whole)
 """Returns a number of steps or worlds, at least 0, or raises an error with the name."""
 check_positive = checker(Positive)
 """Returns a number > 0, or raises an error with the name."""
+check_not_negative = checker(NotNegative)
+"""Returns a finite number >= 0, or raises an error with the name."""
+check_finite = checker(Annotated[float, Limits()])
+"""Returns a finite number, or raises an error with the name."""
 check_truth = checker(bool)
 """Returns True or False, or raises an error with the name."""
 check_callable = checker(Callable[..., Any])
@@ -149,6 +153,35 @@ def check_bins(bins: Any, point_bin: Any, count: int) -> np.ndarray:
     if len(bad):
         raise ValueError(f"point_bin[{bad[0]}] is {array[bad[0]]}; it must lie in [0, {bins - 1}]")
     return array if bins > 1 else np.zeros(1, np.int32)
+
+
+def check_index(name: str, index: np.ndarray, count: int) -> np.ndarray:
+    """Indices, if all lie in [0, count - 1].
+
+    Raises:
+        ValueError: naming the first that does not.
+    """
+    bad = np.argwhere((index < 0) | (index >= count))
+    if len(bad):
+        at = tuple(int(i) for i in bad[0])
+        raise ValueError(f"{name}[{', '.join(map(str, at))}] is {index[at]}; it must lie in [0, {count - 1}]")
+    return index
+
+
+def check_slots(name: str, slots: Any, worlds: int) -> np.ndarray:
+    """Slots to reserve for each world, (W,) int64, from one number for all or one for each.
+
+    Raises:
+        ValueError: naming the first that is not an integer in [0, 2^31 - 1].
+    """
+    array = np.asarray(slots)
+    if array.dtype.kind not in "iu" or array.shape not in ((), (worlds,)):
+        raise ValueError(f"{name} has shape {array.shape}, dtype {array.dtype}; it must be an integer or ({worlds},)")
+    array = np.array(np.broadcast_to(array, (worlds,)), np.int64)
+    bad = np.flatnonzero((array < 0) | (array > MAX_INDEX))
+    if len(bad):
+        raise ValueError(f"{name}[{bad[0]}] is {array[bad[0]]}; it must lie in [0, {MAX_INDEX}]")
+    return array
 
 
 def check_time_step(dt: float | np.ndarray, worlds: int, dtype: np.dtype) -> None:

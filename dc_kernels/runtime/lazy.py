@@ -15,14 +15,18 @@ def lazy_names(
 
     Args:
         package: its full name.
-        modules: public names by the module below the package that defines them.
+        modules: public names by the module below the package that defines them; by "": modules that are public.
     """
     module_of = {name: module for module, names in modules.items() for name in names}
 
     def get(name: str) -> Any:
         if name not in module_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(importlib.import_module(f"{package}.{module_of[name]}"), name)
+        module = module_of[name]
+        if module:
+            value = getattr(importlib.import_module(f"{package}.{module}"), name)
+        else:
+            value = importlib.import_module(f"{package}.{name}")
         setattr(sys.modules[package], name, value)  # found without a call from now on
         return value
 

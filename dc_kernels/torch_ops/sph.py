@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dc_kernels.model.settings import check_choice
-from dc_kernels.neighbors.search import METHODS, Neighbors, NeighborSearch
+from dc_kernels.neighbors.search import METHODS, Neighbors, neighbor_lists
 from dc_kernels.runtime.inputs import check_array, check_positive
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.optional import require
@@ -185,8 +185,9 @@ def _sum_backward(cotangent: Any, *inputs: Any) -> tuple[Any, ...]:
 
     def search(i: int) -> Neighbors:
         sides, first = ((q, p), starts) if i == 0 else ((p, q), starts[::-1])
-        search = NeighborSearch(h, method=options.method, threads=threads)
-        return search.lists(*sides, query_start=first[0], point_start=first[1])
+        return neighbor_lists(
+            *sides, h, method=options.method, query_start=first[0], point_start=first[1], threads=threads
+        )
 
     # a sum over the queries themselves: who is near whom is symmetric, so one search serves both ways
     itself = q.shape == p.shape and q.ctypes.data == p.ctypes.data and _same(*starts)

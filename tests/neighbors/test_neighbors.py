@@ -1,5 +1,6 @@
 """Neighbour search: every method finds what all pairs do, and the sorted cells are those of the oracle."""
 
+import functools
 import itertools
 import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
@@ -11,9 +12,10 @@ from hypothesis import strategies as st
 
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.neighbors import cells as cell_search
+from dc_kernels.neighbors import search
 from dc_kernels.neighbors.cells import SortedCells, Workspace, shards_of
 from dc_kernels.neighbors.fields import CELLS
-from dc_kernels.neighbors.search import METHODS, NeighborSearch, neighbor_lists, neighbor_pairs
+from dc_kernels.neighbors.search import METHODS, neighbor_lists, neighbor_pairs
 
 
 def in_order(pairs):
@@ -229,34 +231,22 @@ def test_cells_and_sweeps_are_the_oracles(dim, kind):
     np.testing.assert_array_equal(ours.index, oracle.index)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_a_search_is_called_again_with_other_points(method):
-    rng = np.random.default_rng(6)
-    search = NeighborSearch(0.2, method=method)
-    for count, dim, dtype in ((60, 2, np.float32), (200, 3, np.float64), (0, 2, np.float32)):
-        points = rng.uniform(0.0, 1.0, (count, dim)).astype(dtype)
-        np.testing.assert_array_equal(search.pairs(points), neighbor_pairs(points, 0.2, method=method))
-        found = search.lists(points[::2].copy(), points)
-        wanted = neighbor_lists(points[::2].copy(), points, 0.2)
-        np.testing.assert_array_equal(found.start, wanted.start)
-        np.testing.assert_array_equal(found.index, wanted.index)
-
-
 def test_a_search_keeps_its_memory_and_gives_its_results_away():
     """A second call allocates what it returns and little more, and leaves alone what the first one returned."""
     rng = np.random.default_rng(7)
     queries, points = rng.uniform(0.0, 60.0, (2, 5000, 2)).astype(np.float32)
     start = np.array([0, 1200, 5000])
-    wanted = neighbor_lists(queries, points, 1.0, query_start=start, point_start=start)
+    lists = functools.partial(neighbor_lists, radius=1.0, query_start=start, point_start=start, threads=2)
+    wanted = lists(queries, points)
     pairs = neighbor_pairs(points, 1.0, start=start)
-    search = NeighborSearch(1.0, threads=2)
+    search._idle.clear()
     tracemalloc.start()
     try:
         peaks = []
         for given in (queries, queries[::-1].copy()):
             tracemalloc.reset_peak()
             before = tracemalloc.get_traced_memory()[0]
-            found = search.lists(given, points, query_start=start, point_start=start)
+            found = lists(given, points)
             peaks.append(tracemalloc.get_traced_memory()[1] - before)
             if given is queries:
                 first = found
@@ -267,8 +257,20 @@ def test_a_search_keeps_its_memory_and_gives_its_results_away():
     np.testing.assert_array_equal(first.start, wanted.start)
     np.testing.assert_array_equal(first.index, wanted.index)
     with ThreadPoolExecutor(4) as pool:
-        for got in pool.map(lambda _: search.pairs(points, start=start), range(16)):
+        for got in pool.map(lambda _: neighbor_pairs(points, 1.0, start=start, threads=2), range(16)):
             np.testing.assert_array_equal(got, pairs)
+
+
+def test_the_memory_of_a_large_search_is_given_back(monkeypatch):
+    points = np.random.default_rng(8).uniform(0.0, 60.0, (5000, 2)).astype(np.float32)
+    monkeypatch.setattr(search, "KEPT", 2**12)
+    search._idle.clear()
+    neighbor_pairs(points, 1.0)
+    assert not search._idle["warp"]
+    neighbor_pairs(points[:10].copy(), 1.0)
+    monkeypatch.undo()
+    neighbor_pairs(points[:10].copy(), 1.0)
+    assert len(search._idle["warp"]) == 1
 
 
 def test_bad_input_is_named():

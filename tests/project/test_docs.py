@@ -75,8 +75,18 @@ def check_transfer(scope: dict) -> None:
     assert float(scope["leaf"].grad.abs().max()) > 0
 
 
+def check_stages(scope: dict) -> None:
+    assert (scope["bodies"] == [[i, i + 1] for i in range(4) for _ in range(2)]).all()
+    assert scope["height"] == pytest.approx([0.5 * i for i in range(4) for _ in range(2)], abs=1e-6)
+    assert scope["touching"].numpy("gap") == pytest.approx([-0.1, -0.005], abs=1e-6)
+    near = scope["second_world"]
+    assert near.min() >= 120 and (near == scope["search"].numpy()[-len(near) :]).all()
+    assert len(scope["search"].numpy()) > len(scope["before"]) > 0
+
+
 CHECKS = {
     "README.md": check_readme,
+    "docs/stages.md": check_stages,
     "docs/solver.md": check_solver,
     "docs/transfer.md": check_transfer,
 }

@@ -19,6 +19,11 @@ def kernels(dtype: str) -> Kernels:
     return {"update_pairs": update_pairs}
 
 
+def box_kernels(dtype: str) -> Kernels:
+    """``bound_shapes`` and ``update_box_pairs``; the arrays bring their scalar type."""
+    return {"bound_shapes": bound_shapes, "update_box_pairs": update_box_pairs}
+
+
 def update_pairs(
     tid: int,
     launch: Any,
@@ -42,12 +47,7 @@ def update_pairs(
         """Box of a shape over ``steps`` time steps, plus a margin."""
         body = model.shape_body[shape]
         disc = model.shape_type[shape] == ShapeType.DISC
-        turn = rotation(state.angle[body])
-        first, last = model.vertex_start[shape], model.vertex_start[shape + 1]
-        if model.shape_type[shape] == ShapeType.SEGMENT:
-            last = first + 2
-        core = model.shape_center[shape][None] if disc else model.vertices[first:last]
-        points = state.position[body] + rotate(turn, core)
+        points = core_points(shape, model, state)
         arm = abs(model.shape_center[shape]).sum() + (0.0 if disc else model.shape_extent[shape])
         grow = extra + min(abs(motion.predicted[body, 2] * dt) * steps, 2.0) * arm
         move = motion.predicted[body, :2] * dt * steps
@@ -62,11 +62,60 @@ def update_pairs(
         if (now[:, :2] >= pairs.box[shapes, :2]).all() and (now[:, 2:] <= pairs.box[shapes, 2:]).all():
             return
 
-    pairs.rebuilds[w] += 1
     for shape in shapes:
         v = motion.predicted[model.shape_body[shape]]
         steps = FAST_STEPS if (v[0] ** 2 + v[1] ** 2) * dt**2 > 1.1 * motion.reach[w] ** 2 else PREDICT_STEPS
         pairs.box[shape] = swept_box(shape, steps, REACH_GROWTH * pad + config.margin * model.length_scale[w])
+    find_pairs(w, model, state, pairs)
+
+
+def core_points(shape: int, model: Any, state: Any) -> Array:
+    """The points whose hull, with the shape's radius, is the shape, (n, 2)."""
+    body = model.shape_body[shape]
+    first, last = model.vertex_start[shape], model.vertex_start[shape + 1]
+    if model.shape_type[shape] == ShapeType.SEGMENT:
+        last = first + 2
+    disc = model.shape_type[shape] == ShapeType.DISC
+    core = model.shape_center[shape][None] if disc else model.vertices[first:last]
+    return state.position[body] + rotate(rotation(state.angle[body]), core)
+
+
+def bound_shapes(tid: int, launch: Any, model: Any, state: Any, boxes: Any) -> None:
+    """The box of each shape of a world, larger by the margin."""
+    w = tid + launch.world_offset
+    for shape in range(model.shape_start[w], model.shape_start[w + 1]):
+        points = core_points(shape, model, state)
+        grow = model.shape_radius[shape] + points.dtype.type(boxes.margin)
+        boxes.lower[shape], boxes.upper[shape] = points.min(axis=0) - grow, points.max(axis=0) + grow
+
+
+def update_box_pairs(tid: int, launch: Any, model: Any, state: Any, boxes: Any, pairs: Any) -> None:
+    """Rebuild a world's pairs if a box left the one with margin, or a filter changed; else keep them."""
+    w = tid + launch.world_offset
+    state.flags[w] = 0
+    shapes = slice(model.shape_start[w], model.shape_start[w + 1])
+    lower, upper, body = boxes.lower[shapes], boxes.upper[shapes], model.shape_body[shapes]
+    bodies = ((body >= 0) & (body < len(model.body_type))).all()
+    if not (np.isfinite(lower).all() and np.isfinite(upper).all() and (lower <= upper).all() and bodies):
+        state.flags[w] = Flag.INVALID
+        pairs.valid[w] = pairs.count[w] = 0
+        return
+    filters = hash(tuple(a.tobytes() for a in (model.shape_category[shapes], model.shape_mask[shapes], body)))
+    filters = hash((filters, model.body_type[body].tobytes()))
+    inside = (lower >= pairs.box[shapes, :2]).all() and (upper <= pairs.box[shapes, 2:]).all()
+    if pairs.valid[w] and inside and filters == boxes.filters[w]:
+        return
+    boxes.filters[w] = filters
+    pairs.box[shapes] = np.concatenate([lower - boxes.margin, upper + boxes.margin], axis=1)
+    find_pairs(w, model, state, pairs)
+    if state.flags[w]:
+        pairs.count[w] = 0
+
+
+def find_pairs(w: int, model: Any, state: Any, pairs: Any) -> None:
+    """Pairs of a world's shapes whose boxes ``pairs.box`` overlap."""
+    pairs.rebuilds[w] += 1
+    shapes = np.arange(model.shape_start[w], model.shape_start[w + 1])
     found = []
     for a in shapes:
         for b in np.arange(a + 1, shapes[-1] + 1):

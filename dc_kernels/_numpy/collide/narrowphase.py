@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dc_kernels._numpy.common import Array, Kernels, cross, dot, rotate, rotation
-from dc_kernels.model.enums import Flag, ShapeType
+from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 
 
@@ -287,3 +287,40 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
             contacts.restitution[c] = max(model.shape_restitution[a], model.shape_restitution[b])
 
     return {"narrowphase": narrowphase}
+
+
+def stage_kernels(dtype: str) -> Kernels:
+    """What a stage for anybody's arrays runs before and after ``narrowphase``; the arrays bring their scalar type."""
+    return {"take_pairs": take_pairs, "place_contacts": place_contacts}
+
+
+def take_pairs(
+    tid: int, launch: Any, model: Any, state: Any, pair: Array, pair_count: Array, pairs: Any, contacts: Any
+) -> None:
+    """Take a world's pairs of shapes in the order given, A static or the lower index, and look at its bodies."""
+    w = tid + launch.world_offset
+    state.flags[w] = contacts.contact_count[w] = 0
+    bodies = slice(model.body_start[w], model.body_start[w + 1])
+    if not (np.isfinite(state.position[bodies]).all() and np.isfinite(state.angle[bodies]).all()):
+        state.flags[w] = Flag.INVALID
+    if len(pair) == 0:
+        return
+    first, count = pairs.start[w], pair_count[w]
+    given = np.sort(pair[first : first + max(count, 0)], axis=1)
+    a, b = given.T
+    inside = (a >= model.shape_start[w]) & (b < model.shape_start[w + 1]) & (a != b)
+    if not 0 <= count <= pairs.start[w + 1] - first or not inside.all():
+        state.flags[w] = Flag.INVALID
+        return
+    static = model.body_type[model.shape_body[b]] == BodyType.STATIC
+    pairs.shape_a[first : first + count] = np.where(static, b, a)
+    pairs.shape_b[first : first + count] = np.where(static, a, b)
+    pairs.count[w] = count
+
+
+def place_contacts(tid: int, launch: Any, state: Any, contacts: Any, point: Array) -> None:
+    """Where the contacts of a world are, midway between the surfaces."""
+    w = tid + launch.world_offset
+    first = contacts.contact_start[w]
+    used = slice(first, first + contacts.contact_count[w])
+    point[used] = state.position[contacts.body_a[used]] + contacts.arm_a[used]

@@ -22,12 +22,17 @@ def kernels(dtype: str, dim: int) -> Kernels:
 
 
 def bound_points(
-    tid: int, world_offset: int, worlds: int, start: Array, point: Array, lower: Array, upper: Array
+    tid: int, world_offset: int, worlds: int, fresh: int, start: Array, point: Array, lower: Array, upper: Array
 ) -> None:
-    """Box of each world's points, and of what it held before."""
+    """Box of each world's points, and of what it held before unless it is fresh; NaN where one is not finite."""
     for w in range(world_offset, world_offset + worlds):
-        for p in point[start[w] : start[w + 1]]:
+        if fresh:
+            lower[w], upper[w] = np.inf, -np.inf
+        points = point[start[w] : start[w + 1]]
+        for p in points:
             lower[w], upper[w] = np.minimum(lower[w], p), np.maximum(upper[w], p)
+        if not np.isfinite(points).all():
+            lower[w] = upper[w] = np.nan
 
 
 def sort_points(
@@ -45,7 +50,7 @@ def sort_points(
     for w in range(world_offset, world_offset + worlds):
         first, last = cells.start[w : w + 2]
         cells.line_count[w] = cells.line_stride[w] = 0
-        if first == last:
+        if first == last or not np.isfinite(upper[w] - lower[w]).all():
             continue
         extent = upper[w] - lower[w]
         inverse = 1.0 / np.maximum(reach * (1.0 + 2.0**-16), extent / 2.0**30)

@@ -1,38 +1,23 @@
-"""Sorted cell list: boxes -> candidate pairs, kept while no box leaves its margin.
-
-A shape lies in the cell of its box's centre, on the level whose cells are just larger than its box
-(cells double from level to level), so that sizes may differ by any ratio: a shape looks at the 3 x 3
-cells around it on its own level and at the few cells of coarser levels that its box can touch.
-"""
+"""Boxes -> candidate pairs, kept while no box leaves its margin (the pairs: ``pairs``)."""
 
 from functools import cache
 from typing import Any
 
 import warp as wp
 
-from dc_kernels._warp.common import kernel_module, rotate
-from dc_kernels._warp.groups import contiguous_groups, group_types
-from dc_kernels.model.enums import BodyType, Flag, ShapeType
+from dc_kernels._warp.collide.pairs import DISC, pair_functions
+from dc_kernels._warp.common import kernel_module
+from dc_kernels._warp.groups import contiguity, contiguous_groups, group_types, struct_type
+from dc_kernels.collide.fields import BOXES
+from dc_kernels.model.enums import Flag
 
-STATIC = wp.constant(int(BodyType.STATIC))
-DYNAMIC = wp.constant(int(BodyType.DYNAMIC))
-SEGMENT = wp.constant(int(ShapeType.SEGMENT))
-DISC = wp.constant(int(ShapeType.DISC))
-PAIR_OVERFLOW = wp.constant(int(Flag.PAIR_OVERFLOW))
+INVALID = wp.constant(int(Flag.INVALID))
 PREDICT_STEPS = wp.constant(8.0)  # steps of motion a moving shape's box is stretched by; 2 to 16 cost the same
 FAST_STEPS = wp.constant(24.0)  # steps a box is stretched by where a step takes it beyond the speculative distance
 REACH_GROWTH = wp.constant(1.5)  # a box made for a speculative distance this much larger outlives bodies speeding up
-MAX_LEVEL = wp.constant(62)
-LARGE_LEVEL = wp.constant(3)  # shapes on this level and above, if they are few, are tested one by one:
-MAX_LARGE = wp.constant(16)  # a pile's three walls cost a rebuild a quarter of its time as cells
-FINE_LEVELS = wp.constant(wp.int64((1 << 3) - 1))  # bits of the levels below LARGE_LEVEL
-Large = wp.types.vector(16, wp.int32)
-
-
-@wp.func
-def bucket_of(cx: int, cy: int, level: int, mask: int):
-    """Neighbouring cells of a row lie in neighbouring buckets; rows and levels are spread by odd strides."""
-    return (cx + cy * 7919 + level * 104729) & mask
+FINEST = wp.constant(2.0**-29)  # of the farthest coordinate: cells are counted in int32
+TINY = wp.constant(1e-30)
+MIX = wp.constant(wp.int64(0x2545F4914F6CDD1D))  # an odd number whose multiples spread over all bits (Vigna 2016)
 
 
 @cache
@@ -42,39 +27,8 @@ def kernels(dtype: str) -> dict[str, Any]:
     real, vec2, vec4 = t.real, t.vec2, t.vec4
     module = kernel_module("broadphase", dtype)
     contiguous = contiguous_groups(dtype)
-
-    @wp.func(module=module)
-    def shape_box(
-        shape: int,
-        kind: int,
-        center: vec2,
-        c: real,
-        s: real,
-        x: vec2,
-        vertex_start: wp.array(dtype=wp.int32),
-        vertices: wp.array(dtype=vec2),
-        radius: real,
-    ):
-        """Tight box of a shape, as (low x, low y, high x, high y)."""
-        if kind == DISC:
-            p = x + rotate(c, s, center)
-            return vec4(p[0] - radius, p[1] - radius, p[0] + radius, p[1] + radius)
-        first = vertex_start[shape]
-        last = vertex_start[shape + 1]
-        if kind == SEGMENT:
-            last = first + 2
-        p = rotate(c, s, vertices[first])
-        lx = p[0]
-        ly = p[1]
-        hx = p[0]
-        hy = p[1]
-        for i in range(first + 1, last):
-            p = rotate(c, s, vertices[i])
-            lx = wp.min(lx, p[0])
-            ly = wp.min(ly, p[1])
-            hx = wp.max(hx, p[0])
-            hy = wp.max(hy, p[1])
-        return vec4(x[0] + lx - radius, x[1] + ly - radius, x[0] + hx + radius, x[1] + hy + radius)
+    functions = pair_functions(dtype)
+    shape_box, find_pairs = functions.shape_box, functions.find_pairs
 
     @wp.func(module=module)
     def spin_arm(kind: int, center: vec2, extent: real):
@@ -83,93 +37,6 @@ def kernels(dtype: str) -> dict[str, Any]:
         if kind != DISC:
             arm += extent
         return arm
-
-    @wp.func(module=module)
-    def overlaps(p: vec4, q: vec4):
-        """Whether two boxes, (low x, low y, high x, high y), have a point in common."""
-        if p[0] > q[2] or q[0] > p[2] or p[1] > q[3] or q[1] > p[3]:
-            return False
-        return True
-
-    @wp.func(module=module)
-    def may_collide(a: int, b: int, model: t.Model):
-        """Whether two shapes' bodies differ, one of them is dynamic, and both filters agree."""
-        i = model.shape_body[a]
-        j = model.shape_body[b]
-        if i == j or (model.body_type[i] != DYNAMIC and model.body_type[j] != DYNAMIC):
-            return False
-        if (model.shape_category[a] & model.shape_mask[b]) == wp.uint32(0):
-            return False
-        if (model.shape_category[b] & model.shape_mask[a]) == wp.uint32(0):
-            return False
-        return True
-
-    @wp.func(module=module)
-    def emit(count: int, capacity: int, first: int, a: int, b: int, model: t.Model, pairs: t.Pairs):
-        """Store a pair, A static or the lower index; counts on when full so that the host knows what is needed."""
-        if count < capacity:
-            lo = wp.min(a, b)
-            hi = wp.max(a, b)
-            if model.body_type[model.shape_body[hi]] == STATIC:
-                pairs.shape_a[first + count] = hi
-                pairs.shape_b[first + count] = lo
-            else:
-                pairs.shape_a[first + count] = lo
-                pairs.shape_b[first + count] = hi
-        return count + 1
-
-    @wp.func(module=module)
-    def count_keys(
-        n: int,
-        shapes: int,
-        first_shape: int,
-        first_pair: int,
-        table: int,
-        bucket: wp.array(dtype=wp.int32),
-        key: wp.array(dtype=wp.int32),
-    ):
-        """First half of a counting sort of pairs by the shapes ``key``: where those of each shape will begin."""
-        for i in range(shapes + 1):
-            bucket[table + i] = 0
-        for i in range(first_pair, first_pair + n):
-            bucket[table + key[i] - first_shape + 1] += 1
-        for i in range(shapes):
-            bucket[table + i + 1] += bucket[table + i]
-
-    @wp.func(module=module)
-    def move_pairs(
-        n: int,
-        first_shape: int,
-        first_pair: int,
-        table: int,
-        bucket: wp.array(dtype=wp.int32),
-        key: wp.array(dtype=wp.int32),
-        in_a: wp.array(dtype=wp.int32),
-        in_b: wp.array(dtype=wp.int32),
-        out_a: wp.array(dtype=wp.int32),
-        out_b: wp.array(dtype=wp.int32),
-    ):
-        """Second half: each pair to its place; pairs of one shape keep their order."""
-        for i in range(first_pair, first_pair + n):
-            s = key[i]
-            slot = bucket[table + s - first_shape]
-            bucket[table + s - first_shape] = slot + 1
-            out_a[first_pair + slot] = in_a[i]
-            out_b[first_pair + slot] = in_b[i]
-
-    @wp.func(module=module)
-    def sort_pairs(n: int, shapes: int, first_shape: int, first_pair: int, table: int, pairs: t.Pairs):
-        """Sort a world's pairs by shape A, and by shape B among those of one A."""
-        count_keys(n, shapes, first_shape, first_pair, table, pairs.bucket, pairs.shape_b)
-        move_pairs(
-            n, first_shape, first_pair, table, pairs.bucket, pairs.shape_b,
-            pairs.shape_a, pairs.shape_b, pairs.temp_a, pairs.temp_b,
-        )  # fmt: skip
-        count_keys(n, shapes, first_shape, first_pair, table, pairs.bucket, pairs.temp_a)
-        move_pairs(
-            n, first_shape, first_pair, table, pairs.bucket, pairs.temp_a,
-            pairs.temp_a, pairs.temp_b, pairs.shape_a, pairs.shape_b,
-        )  # fmt: skip
 
     @wp.kernel(module=module, enable_backward=False)
     def update_pairs(
@@ -222,16 +89,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         if keep == 1:
             return
 
-        pairs.rebuilds[w] = pairs.rebuilds[w] + 1
-        size = model.cell_size[w]
         margin = config.margin * model.length_scale[w] + real(REACH_GROWTH) * pad
-        table = pairs.bucket_start[w]
-        mask = pairs.bucket_start[w + 1] - table - 2
-        for i in range(table, table + mask + 2):
-            pairs.bucket[i] = 0
-        levels = wp.int64(0)
-        large = Large()
-        large_count = int(0)
         for shape in range(first, last):
             body = model.shape_body[shape]
             v = motion.predicted[body]
@@ -267,115 +125,95 @@ def kernels(dtype: str) -> dict[str, Any]:
                 tight[3] + wp.max(dy, real(0.0)) + grow,
             )
             pairs.box[shape] = outer
-            extent = wp.max(outer[2] - outer[0], outer[3] - outer[1])
-            level = int(0)
-            side = size
-            while side < extent and level < MAX_LEVEL:
-                side = side * real(2.0)
-                level += 1
-            levels = levels | (wp.int64(1) << wp.int64(level))
-            if level >= LARGE_LEVEL:
-                if large_count < MAX_LARGE:
-                    large[large_count] = shape
-                large_count += 1
-            cx = int(wp.floor(real(0.5) * (outer[0] + outer[2]) / side))
-            cy = int(wp.floor(real(0.5) * (outer[1] + outer[3]) / side))
-            pairs.cell[shape] = wp.vec3i(cx, cy, level)
-            pairs.bucket[table + bucket_of(cx, cy, level, mask) + 1] += 1
-        for i in range(table, table + mask + 1):
-            pairs.bucket[i + 1] += pairs.bucket[i]
-        # fill from the back: bucket[i] then is the first entry of bucket i, entries in the order of their index
-        shape = last - 1
-        while shape >= first:
-            q = pairs.cell[shape]
-            slot = table + bucket_of(q[0], q[1], q[2], mask) + 1
-            pairs.bucket[slot] -= 1
-            pairs.sorted_shape[first + pairs.bucket[slot]] = shape
-            shape -= 1
-
-        # the highest level that is looked up by cells
-        top = MAX_LEVEL
-        if large_count <= MAX_LARGE:
-            top = LARGE_LEVEL - 1
-            levels = levels & FINE_LEVELS
-
-        first_pair = pairs.start[w]
-        capacity = pairs.start[w + 1] - first_pair
-        n = int(0)
-        shapes = last - first
-        for shape in range(first, last):
-            own = pairs.cell[shape]
-            level = own[2]
-            outer = pairs.box[shape]
-            if top < MAX_LEVEL:
-                for i in range(large_count):
-                    other = large[i]
-                    if level <= top or other > shape:
-                        if overlaps(pairs.box[shape], pairs.box[other]) and may_collide(shape, other, model):
-                            n = emit(n, capacity, first_pair, shape, other, model, pairs)
-            # own level: the forward half of the 3 x 3 cells, so that each pair is met once
-            cells = int(5)
-            if level > top:
-                cells = 0
-            for step in range(cells):
-                cx = own[0]
-                cy = own[1]
-                if step == 1:
-                    cx += 1
-                elif step > 1:
-                    cx += step - 3
-                    cy += 1
-                at = bucket_of(cx, cy, level, mask)
-                end = shapes
-                if at < mask:
-                    end = pairs.bucket[table + at + 2]
-                for k in range(pairs.bucket[table + at + 1], end):
-                    other = pairs.sorted_shape[first + k]
-                    # the bucket may hold other cells too: most of those fail by their boxes already
-                    if step > 0 or other > shape:
-                        if overlaps(pairs.box[shape], pairs.box[other]):
-                            q = pairs.cell[other]
-                            if q[0] == cx and q[1] == cy and q[2] == level:
-                                if may_collide(shape, other, model):
-                                    n = emit(n, capacity, first_pair, shape, other, model, pairs)
-            # coarser levels: every cell whose shapes' boxes can reach this one
-            above = wp.int64(0)
-            if level <= top:
-                above = levels >> wp.int64(level + 1)
-            side = size
-            for _ in range(level):
-                side = side * real(2.0)
-            upper = level
-            while above != wp.int64(0):
-                upper += 1
-                side = side * real(2.0)
-                if (above & wp.int64(1)) != wp.int64(0):
-                    half = real(0.5) * side
-                    x0 = int(wp.floor((outer[0] - half) / side))
-                    x1 = int(wp.floor((outer[2] + half) / side))
-                    y0 = int(wp.floor((outer[1] - half) / side))
-                    y1 = int(wp.floor((outer[3] + half) / side))
-                    for cy in range(y0, y1 + 1):
-                        for cx in range(x0, x1 + 1):
-                            at = bucket_of(cx, cy, upper, mask)
-                            end = shapes
-                            if at < mask:
-                                end = pairs.bucket[table + at + 2]
-                            for k in range(pairs.bucket[table + at + 1], end):
-                                other = pairs.sorted_shape[first + k]
-                                q = pairs.cell[other]
-                                if q[0] == cx and q[1] == cy and q[2] == upper:
-                                    if overlaps(pairs.box[shape], pairs.box[other]):
-                                        if may_collide(shape, other, model):
-                                            n = emit(n, capacity, first_pair, shape, other, model, pairs)
-                above = above >> wp.int64(1)
-        pairs.needed[w] = n
-        if n > capacity:
-            state.flags[w] = state.flags[w] | PAIR_OVERFLOW
-            pairs.valid[w] = 0
-            return
-        sort_pairs(n, shapes, first, first_pair, table, pairs)
-        pairs.count[w] = n
-        pairs.valid[w] = 1
+        find_pairs(w, model.cell_size[w], model, state, pairs)
 
     return {"update_pairs": update_pairs}
+
+
+@cache
+def box_kernels(dtype: str) -> dict[str, Any]:
+    """``bound_shapes`` and ``update_box_pairs``; one thread a world."""
+    t = group_types(dtype)
+    real, vec2, vec4 = t.real, t.vec2, t.vec4
+    Boxes = struct_type("boxes", dtype, BOXES)
+    module = kernel_module("box_pairs", dtype)
+    contiguous = contiguous_groups(dtype)
+    functions = pair_functions(dtype)
+    shape_box, find_pairs = functions.shape_box, functions.find_pairs
+
+    @wp.func_native(contiguity(BOXES))
+    def contiguous_boxes(group: Boxes): ...
+
+    @wp.kernel(module=module, enable_backward=False)
+    def bound_shapes(launch: t.Launch, model: t.Model, state: t.State, boxes: Boxes):
+        """The box of each shape of a world, larger by the margin."""
+        w = wp.tid() + launch.world_offset
+        contiguous(model)
+        contiguous(state)
+        contiguous_boxes(boxes)
+        for shape in range(model.shape_start[w], model.shape_start[w + 1]):
+            body = model.shape_body[shape]
+            c = wp.cos(state.angle[body])
+            s = wp.sin(state.angle[body])
+            x = state.position[body]
+            kind = model.shape_type[shape]
+            center = model.shape_center[shape]
+            radius = model.shape_radius[shape] + boxes.margin
+            box = shape_box(shape, kind, center, c, s, x, model.vertex_start, model.vertices, radius)
+            boxes.lower[shape] = vec2(box[0], box[1])
+            boxes.upper[shape] = vec2(box[2], box[3])
+
+    @wp.kernel(module=module, enable_backward=False)
+    def update_box_pairs(launch: t.Launch, model: t.Model, state: t.State, boxes: Boxes, pairs: t.Pairs):
+        """Rebuild a world's pairs if a box left the one with margin, or a filter changed; else keep them.
+
+        A world with a box that is not finite, or whose lower corner is not the lower one, has no pairs.
+        """
+        w = wp.tid() + launch.world_offset
+        contiguous(pairs)
+        contiguous_boxes(boxes)
+        state.flags[w] = 0
+        keep = pairs.valid[w]
+        filters = wp.int64(1)
+        smallest = real(0.0)
+        farthest = real(0.0)
+        good = int(1)
+        first = model.shape_start[w]
+        bodies = model.body_type.shape[0]
+        for shape in range(first, model.shape_start[w + 1]):
+            low = boxes.lower[shape]
+            high = boxes.upper[shape]
+            body = model.shape_body[shape]
+            far = wp.max(wp.max(wp.abs(low[0]), wp.abs(low[1])), wp.max(wp.abs(high[0]), wp.abs(high[1])))
+            if not (low[0] <= high[0] and low[1] <= high[1]) or not wp.isfinite(far) or body < 0 or body >= bodies:
+                good = 0
+            else:
+                outer = pairs.box[shape]
+                if low[0] < outer[0] or low[1] < outer[1] or high[0] > outer[2] or high[1] > outer[3]:
+                    keep = 0
+                extent = wp.max(high[0] - low[0], high[1] - low[1])
+                if shape == first or extent < smallest:
+                    smallest = extent
+                farthest = wp.max(farthest, far)
+                kinds = (wp.int64(model.shape_category[shape]) << wp.int64(32)) | wp.int64(model.shape_mask[shape])
+                filters = (filters ^ kinds) * MIX
+                filters = (filters ^ (wp.int64(body) * wp.int64(4) + wp.int64(model.body_type[body]))) * MIX
+        if good == 0:
+            state.flags[w] = INVALID
+            pairs.valid[w] = 0
+            pairs.count[w] = 0
+            return
+        if keep == 1 and filters == boxes.filters[w]:
+            return
+        boxes.filters[w] = filters
+        margin = boxes.margin
+        for shape in range(first, model.shape_start[w + 1]):
+            low = boxes.lower[shape]
+            high = boxes.upper[shape]
+            pairs.box[shape] = vec4(low[0] - margin, low[1] - margin, high[0] + margin, high[1] + margin)
+        size = wp.max(smallest + real(2.0) * margin, (farthest + margin) * real(FINEST))
+        find_pairs(w, wp.max(size, real(TINY)), model, state, pairs)
+        if state.flags[w] != 0:
+            pairs.count[w] = 0
+
+    return {"bound_shapes": bound_shapes, "update_box_pairs": update_box_pairs}

@@ -380,6 +380,8 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
 
     return SimpleNamespace(
         Manifold=Manifold,
+        Hull=Hull,
+        Frame=Frame,
         disc_disc=disc_disc,
         hull_of=hull_of,
         frame_of=frame_of,

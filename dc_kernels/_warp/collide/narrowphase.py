@@ -10,12 +10,14 @@ from dc_kernels._warp.common import cross, kernel_module, rotate, rotate_back
 from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.native import native_code
 from dc_kernels._warp.solve.laws import linear_speed, relative_speed
-from dc_kernels.model.enums import Flag, ShapeType
+from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 
 DISC = wp.constant(int(ShapeType.DISC))
 SEGMENT = wp.constant(int(ShapeType.SEGMENT))
+STATIC = wp.constant(int(BodyType.STATIC))
 CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
+INVALID = wp.constant(int(Flag.INVALID))
 SHIFT_A = wp.constant(wp.int64(KEY_SHAPE_BITS + KEY_FEATURE_BITS))
 SHIFT_B = wp.constant(wp.int64(KEY_FEATURE_BITS))
 
@@ -182,3 +184,72 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         contacts.contact_count[w] = n
 
     return {"narrowphase": narrowphase}
+
+
+@cache
+def stage_kernels(dtype: str) -> dict[str, Any]:
+    """What a stage for anybody's arrays runs before and after ``narrowphase``; one thread a world."""
+    t = group_types(dtype)
+    module = kernel_module("contact_stage", dtype)
+
+    @wp.kernel(module=module, enable_backward=False)
+    def take_pairs(
+        launch: t.Launch,
+        model: t.Model,
+        state: t.State,
+        pair: wp.array2d(dtype=wp.int32),
+        pair_count: wp.array(dtype=wp.int32),
+        # Out:
+        pairs: t.Pairs,
+        contacts: t.Contacts,
+    ):
+        """Take a world's pairs of shapes in the order given, A static or the lower index, and look at its bodies.
+
+        ``pair`` has no rows where ``pairs`` are made by others. A world with a body that is not finite, or a pair that
+        is not of two shapes of it, is flagged and has no contacts.
+        """
+        w = wp.tid() + launch.world_offset
+        state.flags[w] = 0
+        contacts.contact_count[w] = 0
+        for body in range(model.body_start[w], model.body_start[w + 1]):
+            x = state.position[body]
+            if not (wp.isfinite(x[0]) and wp.isfinite(x[1]) and wp.isfinite(state.angle[body])):
+                state.flags[w] = INVALID
+        if pair.shape[0] == 0:
+            return
+        first = pairs.start[w]
+        count = pair_count[w]
+        if count < 0 or count > pairs.start[w + 1] - first:
+            state.flags[w] = INVALID
+            return
+        low = model.shape_start[w]
+        high = model.shape_start[w + 1]
+        for i in range(first, first + count):
+            a = wp.min(pair[i, 0], pair[i, 1])
+            b = wp.max(pair[i, 0], pair[i, 1])
+            if a < low or b >= high or a == b:
+                state.flags[w] = INVALID
+                return
+            if model.body_type[model.shape_body[b]] == STATIC:
+                pairs.shape_a[i] = b
+                pairs.shape_b[i] = a
+            else:
+                pairs.shape_a[i] = a
+                pairs.shape_b[i] = b
+        pairs.count[w] = count
+
+    @wp.kernel(module=module, enable_backward=False)
+    def place_contacts(
+        launch: t.Launch,
+        state: t.State,
+        contacts: t.Contacts,
+        # Out:
+        point: wp.array(dtype=t.vec2),
+    ):
+        """Where the contacts of a world are, midway between the surfaces."""
+        w = wp.tid() + launch.world_offset
+        first = contacts.contact_start[w]
+        for i in range(first, first + contacts.contact_count[w]):
+            point[i] = state.position[contacts.body_a[i]] + contacts.arm_a[i]
+
+    return {"take_pairs": take_pairs, "place_contacts": place_contacts}

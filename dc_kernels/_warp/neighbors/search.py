@@ -56,6 +56,7 @@ def kernels(dtype: str, dim: int) -> dict[str, Any]:
     def bound(
         world_offset: wp.int32,
         worlds: wp.int32,
+        fresh: wp.int32,
         start: integers,
         point: values,
         lower: doubles,
@@ -66,14 +67,15 @@ def kernels(dtype: str, dim: int) -> dict[str, Any]:
     def bound_points(
         world_offset: int,
         worlds: int,
+        fresh: int,
         start: integers,
         point: values,
-        # In, out: the box so far; (inf, -inf) is the empty one.
+        # In, out: the box so far; (inf, -inf) is the empty one, NaN that of points that are not finite.
         lower: doubles,
         upper: doubles,
     ):
-        """Widen the box of each world by its points."""
-        bound(world_offset, worlds, start, point, lower, upper)
+        """Widen the box of each world by its points, from the empty one where ``fresh`` is 1."""
+        bound(world_offset, worlds, fresh, start, point, lower, upper)
 
     @wp.func_native(code(dtype, dim, "sort"))
     def sort(

@@ -1,6 +1,6 @@
 // Sorts the points of each world by line, then column, then index. A record is a point with its number and column; the
-// scratch holds two keys, a record, two numbers, a line and four counts for each point. Macros: DIM, CELL_SLACK,
-// MAX_CELLS, SPARE.
+// scratch holds two keys, a record, two numbers, a line and four counts for each point. A world whose box is not finite
+// is left without lines. Macros: DIM, CELL_SLACK, MAX_CELLS, SPARE.
 #if !defined(__CUDA_ARCH__)
 typedef unsigned long long Unsigned;
 struct Record {
@@ -65,7 +65,10 @@ for (int w = world_offset; w < world_offset + worlds; ++w) {
     const Long m = cells.start.data[w + 1] - first;
     cells.line_count.data[w] = 0;
     cells.line_stride.data[w] = 0;
-    if (m == 0) continue;
+    bool bounded = m > 0;
+    for (int a = 0; a < DIM; ++a)
+        bounded &= upper.data[(size_t)w * DIM + a] - lower.data[(size_t)w * DIM + a] < __builtin_inf();
+    if (!bounded) continue;
     double low[DIM], inverse[DIM];
     Long across[DIM];
     for (int a = 0; a < DIM; ++a) {
