@@ -121,9 +121,14 @@ def group(name: str, dtype: str, table: Mapping[str, Field], values: Mapping[str
 def _shared(array: np.ndarray, field: Field) -> wp.array:
     """The memory of an array for Warp; its dtype is what it has, so that the struct refuses a wrong one."""
     element, shape = wp.dtype_from_numpy(array.dtype), array.shape
-    if array.ndim > len(field.axes):
-        element, shape = wp.types.vector(shape[-1], element), shape[:-1]
-    return wp.array(array, dtype=element, shape=shape, device="cpu", copy=False)
+    if array.ndim == len(field.axes):
+        return wp.array(array, dtype=element, shape=shape, device="cpu", copy=False)
+    element = wp.types.vector(shape[-1], element)
+    if array.flags.c_contiguous:
+        return wp.array(array, dtype=element, shape=shape[:-1], device="cpu", copy=False)
+    shared = wp.array(ptr=array.ctypes.data, dtype=element, shape=shape[:-1], strides=array.strides[:-1], device="cpu")
+    shared._kept = array  # given an address, Warp keeps nothing alive
+    return shared
 
 
 def array_group(arrays: Any, name: str) -> Any:

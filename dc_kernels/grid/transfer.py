@@ -19,7 +19,7 @@ from dc_kernels.runtime.inputs import (
     check_bins,
     check_count,
     check_layout,
-    check_points,
+    check_places,
     check_start,
     check_truth,
 )
@@ -116,7 +116,7 @@ class PointTransfer:
     def __init__(self, transfer: Transfer, points: Any, start: Any, point_bin: Any) -> None:
         """Check the points (see ``Transfer.at``)."""
         self.transfer = transfer
-        self.points = check_points("points", points)
+        self.points = check_places("points", points)
         first, count = first_and_count(check_start("start", start, len(self.points)))
         self.worlds, self.most = len(first), int(count.max(initial=0))
         self._group = points_group(
@@ -224,8 +224,8 @@ def splat(
     """Return values at points as an image.
 
     Args:
-        points: places relative to the worlds' origins, (n, 2), float32 or float64 [m]; like all arrays numpy,
-            ``wp.array`` or a torch tensor on the CPU, contiguous, read where it lies.
+        points: places relative to the worlds' origins, (n, 2), or (n, 3), whose z is passed over, float32 or float64
+            [m]; like all arrays numpy, ``wp.array`` or a torch tensor on the CPU, contiguous, read where it lies.
         values: (n, C), of the same dtype.
         grid: where the nodes lie.
         stencil: weights of the nodes: kernel, support radius, normalization.

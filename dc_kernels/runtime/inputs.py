@@ -100,6 +100,17 @@ def check_array(
     return array
 
 
+def _check_finite(name: str, array: np.ndarray) -> None:
+    """Raise ValueError, naming the index, for NaN or inf."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.isfinite(array.sum()):
+            return
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        index = tuple(int(i) for i in bad[0])
+        raise ValueError(f"{name}[{', '.join(map(str, index))}] is {array[index]}; it must be finite")
+
+
 def check_points(name: str, points: Any, dims: tuple[int, ...] = (2,)) -> np.ndarray:
     """Finite points (n, d), d one of ``dims``, of float32 or float64.
 
@@ -113,6 +124,22 @@ def check_points(name: str, points: Any, dims: tuple[int, ...] = (2,)) -> np.nda
         if len(points) > MAX_INDEX:
             raise ValueError(f"{name} has {len(points)} points; it may have {MAX_INDEX}")
     return check_array(name, points, (None, None))
+
+
+def check_places(name: str, points: Any) -> np.ndarray:
+    """Finite points of a plane, (n, 2), float32 or float64; of points (n, 3) a view that passes over z, whatever it is.
+
+    Raises:
+        ValueError: naming the argument and the first bad index.
+    """
+    points = host_view(name, points)
+    if isinstance(points, np.ndarray) and points.ndim == 2 and points.shape[1] == 3:
+        points = check_layout(name, points, (None, 3))
+        _check_finite(name, points[:, :2])
+        if len(points) > MAX_INDEX:
+            raise ValueError(f"{name} has {len(points)} points; it may have {MAX_INDEX}")
+        return points[:, :2]
+    return check_points(name, points)
 
 
 def check_start(name: str, start: Any, count: int) -> np.ndarray:

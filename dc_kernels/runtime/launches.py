@@ -64,6 +64,7 @@ class Bound:
         self.launch, self.elements = launch, element_types(launch.kernel)
         self._index = {name: i for i, name in enumerate(self.elements)}
         self._shapes: dict[str, tuple[int, ...]] = {}
+        self._apart: set[str] = set()  # arguments whose rows do not follow each other
         self._moved = False
         self._views: dict[str, Any] = {}
         self._packed: Any = None
@@ -94,17 +95,27 @@ class Bound:
         else:
             setattr(self._packed, name, value)
 
-    def point(self, name: str, pointer: int, shape: tuple[int, ...]) -> None:
-        """Set an argument, or the field of a struct, to contiguous memory; only the caller keeps it alive."""
-        if self._packed is not None and self._shapes.get(name) == shape:
+    def point(self, name: str, pointer: int, shape: tuple[int, ...], apart: int = 0) -> None:
+        """Set an argument, or the field of a struct, to contiguous memory; only the caller keeps it alive.
+
+        Args:
+            name: of the argument, or "struct.field".
+            pointer: address of the memory.
+            shape: its shape; where elements are vectors, theirs is the last axis.
+            apart: bytes from a row to the next, where rows do not follow each other.
+        """
+        if self._packed is not None and self._shapes.get(name) == shape and not apart and name not in self._apart:
             self._views[name].data = pointer
             return
         group, _, field = name.rpartition(".")
-        if not group:
-            self.set(name, descriptor(pointer, shape, self.elements[name]))
-        else:
-            fields = self.launch.kernel.adj.args[self._index[group]].type.vars
-            self.set(name, descriptor(pointer, shape, fields[field].type.dtype))
+        fields = self.launch.kernel.adj.args[self._index[group]].type.vars if group else {}
+        array = descriptor(pointer, shape, fields[field].type.dtype if group else self.elements[name])
+        self._apart.discard(name)
+        if apart:
+            array.strides[0] = apart
+            self._apart.add(name)
+        self.set(name, array)
+        if group:
             self._views[name] = getattr(self._struct(group), field)
         self._shapes[name] = shape
 
@@ -179,7 +190,8 @@ class Calls:
     def _give(self, launch: Bound, name: str, value: Any) -> None:
         """Set an argument to a number or a tensor."""
         if hasattr(value, "data_ptr"):
-            launch.point(name, value.data_ptr(), value.shape)
+            apart = 0 if value.is_contiguous() else value.stride(0) * value.element_size()
+            launch.point(name, value.data_ptr(), value.shape, apart)
         else:
             launch.set(name, value)
 

@@ -233,6 +233,13 @@ def _backward(ctx: Any, cotangent: Any) -> tuple[Any, ...]:
 _sum.register_autograd(_backward, setup_context=_setup)
 
 
+def _refuse_second(ctx: Any, *cotangents: Any) -> Any:
+    raise NotImplementedError("a derivative of sph_sum_torch or sph_density_torch cannot be differentiated again")
+
+
+_sum_backward.register_autograd(_refuse_second)
+
+
 # ------------------------------------------------------------------ checks
 
 

@@ -12,7 +12,7 @@ so every result is written by one thread and its bits do not depend on the numbe
 where a point changes the nodes it reaches (bilinear: on the lines between nodes; Gaussian: at r = h): there it is that
 of one side. A point beyond the grid that is moved onto it, or that is given to its nearest node, has derivative 0.
 
-Second derivatives: by values and images they exist, of places they raise.
+Second derivatives: by values and images they exist; a derivative by places has none, and raises.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from dc_kernels.grid.layout import BAND
 from dc_kernels.grid.splat import TILED_BYTES, Splat, chunks_of, first_and_count, points_group, transfer_kernels
 from dc_kernels.grid.stencil import BILINEAR, POLY6, Stencil, check_place
 from dc_kernels.model.arrays import kernel_array
-from dc_kernels.runtime.inputs import check_bins, check_count, check_points, check_start, check_truth
+from dc_kernels.runtime.inputs import check_bins, check_count, check_places, check_start, check_truth
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.launches import Calls
 from dc_kernels.runtime.optional import require
@@ -56,8 +56,10 @@ def splat_torch(
     """``transfer.splat`` of tensors, differentiable by points and values.
 
     Args:
-        points: places relative to the worlds' origins, (n, 2), contiguous on the CPU, float32 or float64, finite [m].
-        values: (n, C), of the same dtype, contiguous on the CPU; NaN and inf are passed on, to nodes nearby too.
+        points: places relative to the worlds' origins, (n, 2), contiguous on the CPU, float32 or float64, finite; or
+            (n, 3), whose z is passed over; or as many for each world, (W, n, 2) or (W, n, 3), with no ``start`` [m].
+        values: (n, C), of the same dtype, contiguous on the CPU; NaN and inf are passed on, to nodes nearby too; or
+            (W, n, C), as the points.
         grid: where the nodes lie.
         stencil: weights of the nodes.
         start: offsets of the worlds' points, (W + 1,) integers; None: one world.
@@ -71,8 +73,16 @@ def splat_torch(
     Raises:
         ValueError: naming the argument: another dtype, device or memory layout (nothing is copied), or out of range.
     """
-    settings = _settings(grid, stencil, start, bins, point_bin, threads)
     check_tensors(points=points, values=values)
+    if points.dim() == 3:
+        if values.dim() != 3 or values.shape[:2] != points.shape[:2]:
+            worlds, count = points.shape[:2]
+            raise ValueError(
+                f"values has shape {tuple(values.shape)}; it must be ({worlds}, {count}, C), as points are"
+            )
+        points, start, point_bin = _flat_batch(points, start, point_bin)
+        values = _flat("values", values)
+    settings = _settings(grid, stencil, start, bins, point_bin, threads)
     image = torch.ops.deep_contact.splat(points, values, *settings)
     return _share(image, _weights(points, settings), bins) if stencil.normalize == "shepard" else image
 
@@ -105,18 +115,46 @@ def gather_torch(
         threads: see ``splat_torch``.
 
     Returns:
-        (n, C).
+        (n, C), or (W, n, C) where points are so many for each world.
 
     Raises:
         ValueError: as for ``splat_torch``.
     """
     check_place(grid, stencil)
     stencil.check_gather(check_truth("reverse", reverse))
-    settings = _settings(grid, stencil, start, bins, point_bin, threads)
     check_tensors(image=image, points=points)
+    batch = points.shape[:2] if points.dim() == 3 else None
+    if batch is not None:
+        points, start, point_bin = _flat_batch(points, start, point_bin)
+    settings = _settings(grid, stencil, start, bins, point_bin, threads)
     if reverse:
         image = _share(image, _weights(points, settings), bins)
-    return torch.ops.deep_contact.gather(image, points, *settings)
+    value = torch.ops.deep_contact.gather(image, points, *settings)
+    return value if batch is None else value.unflatten(0, batch)
+
+
+def _flat_batch(points: Any, start: Any, point_bin: Any) -> tuple[Any, Any, Any]:
+    """Points (W, n, 2) or (W, n, 3) and their bins (W, n) one world after the other, and where each begins.
+
+    Raises:
+        ValueError: for offsets beside them, bins of another shape, or points that would have to be copied.
+    """
+    worlds, count = points.shape[:2]
+    if start is not None:
+        raise ValueError(f"start must be None where points has shape {tuple(points.shape)}, a world a row")
+    if point_bin is not None:
+        point_bin = given_tensor("point_bin", point_bin)
+        if tuple(point_bin.shape) != (worlds, count):
+            raise ValueError(f"point_bin has shape {tuple(point_bin.shape)}; it must be ({worlds}, {count})")
+        point_bin = point_bin.reshape(-1)
+    return _flat("points", points), torch.arange(worlds + 1) * count, point_bin
+
+
+def _flat(name: str, tensor: Any) -> Any:
+    """A tensor (W, n, k) as (W n, k), the same memory."""
+    if not tensor.is_contiguous():
+        raise ValueError(f"{name} has strides {tensor.stride()} for shape {tuple(tensor.shape)}; it must be contiguous")
+    return tensor.reshape(-1, tensor.shape[2])
 
 
 def _settings(grid: Grid, stencil: Stencil, start: Any, bins: int, point_bin: Any, threads: int) -> tuple[Any, ...]:
@@ -190,14 +228,14 @@ def _gather(image: Any, points: Any, *settings: Any) -> Any:
     schema=f"(Tensor image, Tensor points, Tensor values, {_COMMON}) -> Tensor",
 )
 def _gather_gradient(image: Any, points: Any, values: Any, *settings: Any) -> Any:
-    """Derivative of ``(values * gather(image, points)).sum()`` by the points, (n, 2)."""
+    """Derivative of ``(values * gather(image, points)).sum()`` by the points, as many numbers as they have."""
     call = _Call(points, settings)
     channels = call.check_image(image)
     if call.check_values(values) != channels:
         raise ValueError(f"values has shape {tuple(values.shape)}; it must be ({len(points)}, {channels})")
-    gradient = torch.empty_like(points)
+    gradient = points.new_empty((points.shape[0], 2))
     call.run("gather_gradient", image=image, value=values, gradient=gradient)
-    return gradient
+    return gradient if points.shape[1] == 2 else torch.nn.functional.pad(gradient, (0, 1))
 
 
 @_splat.register_fake
@@ -254,6 +292,16 @@ _splat.register_autograd(_splat_backward, setup_context=_setup)
 _gather.register_autograd(_gather_backward, setup_context=_setup)
 
 
+def _refuse_second(ctx: Any, cotangent: Any) -> Any:
+    raise NotImplementedError(
+        "a derivative of splat_torch or gather_torch by points cannot be differentiated again; "
+        "second derivatives by values and images can: give points.detach()"
+    )
+
+
+_gather_gradient.register_autograd(_refuse_second)
+
+
 # ------------------------------------------------------------------ calls
 
 
@@ -263,7 +311,9 @@ class _Call:
     def __init__(self, points: Any, settings: tuple[Any, ...]) -> None:
         start, point_bin, *rest, self.bins, self.threads = settings
         self.grid, self.stencil, numbers = _settings_of(*rest)
-        count = len(check_points("points", tensor_array("points", points)))
+        count = len(check_places("points", tensor_array("points", points)))
+        if points.shape[1] == 3:
+            points = points[:, :2]
         first, counts, most = _one_world(count) if start is None else _worlds(tensor_integers("start", start), count)
         self.dtype = str(points.dtype).removeprefix("torch.")
         self.shape, self.worlds, self.points = self.grid.shape, len(first), points

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
+import warp as wp
 
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.layout import BAND, CHUNK
@@ -544,3 +546,36 @@ def test_bad_input_is_refused_by_name_index_and_limit():
     ):
         with pytest.raises(ValueError, match=message):
             call()
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+@pytest.mark.parametrize("kernel", ["poly6", "bilinear", "bspline"])
+@pytest.mark.parametrize("count", [1, 7, 60])
+def test_points_in_space_have_the_images_of_those_in_the_plane(kernel, count, backend):
+    """A z of any value, NaN too, is passed over, of numpy arrays, tensors and vec3 arrays, which lie as they are."""
+    rng = np.random.default_rng(count)
+    grid, stencil = Grid(rows=12, columns=14, spacing=0.5), Stencil(kernel)
+    flat = rng.uniform(0.0, 5.0, (count, 2)).astype(np.float32)
+    deep = np.full((count, 3), np.nan, np.float32)
+    deep[:, :2] = flat
+    values = rng.normal(size=(count, 2)).astype(np.float32)
+    image = splat(flat, values, grid, stencil, backend=backend)
+    back = gather(image, flat, grid, stencil, backend=backend)
+    for points in (deep, wp.array(deep, dtype=wp.vec3, copy=False), torch.from_numpy(deep)):
+        np.testing.assert_array_equal(splat(points, values, grid, stencil, backend=backend), image)
+        np.testing.assert_array_equal(gather(image, points, grid, stencil, backend=backend), back)
+    bound = Transfer(grid, stencil, backend=backend).at(deep).splat(values, moved := np.zeros_like(image))
+    deep[:, 0] *= np.float32(0.5)
+    bound()
+    np.testing.assert_array_equal(moved, splat(deep[:, :2].copy(), values, grid, stencil, backend=backend))
+    deep[count // 2, 1] = np.inf
+    with pytest.raises(ValueError, match=rf"points\[{count // 2}, 1\] is inf; it must be finite"):
+        splat(deep, values, grid, stencil, backend=backend)
+
+
+def test_points_in_space_are_splatted_by_tiles_too():
+    rng = np.random.default_rng(0)
+    grid = Grid(rows=1500, columns=1500, spacing=0.5)
+    deep = rng.uniform(0.0, 749.0, (500, 3)).astype(np.float32)
+    values = rng.normal(size=(500, 1)).astype(np.float32)
+    np.testing.assert_array_equal(splat(deep, values, grid), splat(deep[:, :2].copy(), values, grid))

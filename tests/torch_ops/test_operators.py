@@ -166,7 +166,7 @@ def test_second_derivatives_by_values_exist_and_by_places_raise():
     image = splat_torch(points, values, GRID, Stencil(h=H))
     by_values, by_points = torch.autograd.grad(image.pow(3).sum(), (values, points), create_graph=True)
     assert torch.autograd.grad(by_values.sum(), values, retain_graph=True)[0].any()
-    with pytest.raises(RuntimeError, match="no autograd formula"):
+    with pytest.raises(NotImplementedError, match=r"by points cannot be differentiated again; .*points.detach\(\)"):
         by_points.sum().backward()
     only = torch.autograd.gradgradcheck(
         lambda v: splat_torch(points.detach(), v, GRID, Stencil(h=H)).square(), (values,)
@@ -317,3 +317,55 @@ def test_compiled_functions_give_the_same(backend):
         result.backward()
         found.append((result.detach(), *(tensor.grad for tensor in inputs)))
     torch.testing.assert_close(found[1], found[0], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("normalize", ["particle", "shepard"])
+@pytest.mark.parametrize("kernel", ["poly6", "bilinear"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_z_is_passed_over(kernel, normalize, dtype):
+    """Values, images and derivatives by x and y have the bits of plane points; the derivative by z is 0."""
+    stencil = Stencil(kernel, normalize=normalize) if kernel == "poly6" else Stencil(kernel)
+    flat = smooth_points().to(dtype)
+    deep = torch.cat([flat, torch.full((len(flat), 1), torch.nan, dtype=dtype)], 1)
+    values = numbers(len(flat), 2, dtype=dtype)
+    found = []
+    for points in (flat.requires_grad_(), deep.requires_grad_()):
+        image = splat_torch(points, values, GRID, stencil, start=START)
+        back = gather_torch(image, points, GRID, Stencil("bilinear"), start=START)
+        (back * values).sum().backward()
+        found.append((image, back, points.grad[:, :2]))
+    for one, other in zip(*found, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0)
+    assert not deep.grad[:, 2].any()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_batch_is_as_many_worlds(dim):
+    points, values = numbers(4, 9, dim).requires_grad_(), numbers(4, 9, 3).requires_grad_()
+    start = torch.arange(5) * 9
+    bins = torch.randint(0, 2, (4, 9), generator=torch.Generator().manual_seed(0))
+    found = []
+    for shape in ((4, 9), (36,)):
+        given = {} if len(shape) == 2 else {"start": start}
+        p, v, b = (tensor.reshape(*shape, *tensor.shape[2:]) for tensor in (points, values, bins))
+        image = splat_torch(p, v, GRID, Stencil(h=H), bins=2, point_bin=b, **given)
+        back = gather_torch(image, p, GRID, bins=2, point_bin=b, **given)
+        assert image.shape[0] == 4 and back.shape == (*shape, 3)
+        gradients = torch.autograd.grad(back.square().sum() + image.square().sum(), (points, values))
+        found.append((image, back.reshape(36, 3), *gradients))
+    for one, other in zip(*found, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0)
+
+
+def test_a_batch_of_another_shape_is_refused():
+    points, values = numbers(4, 9, 2), numbers(4, 9, 3)
+    with pytest.raises(ValueError, match=r"values has shape \(36, 3\); it must be \(4, 9, C\), as points"):
+        splat_torch(points, values.reshape(36, 3), GRID)
+    with pytest.raises(ValueError, match=r"start must be None where points has shape \(4, 9, 2\)"):
+        splat_torch(points, values, GRID, start=[0, 36])
+    with pytest.raises(ValueError, match=r"point_bin has shape \(36,\); it must be \(4, 9\)"):
+        splat_torch(points, values, GRID, bins=2, point_bin=torch.zeros(36, dtype=torch.int64))
+    with pytest.raises(ValueError, match=r"points has strides .* for shape \(9, 4, 2\); it must be contiguous"):
+        gather_torch(splat_torch(points, values, GRID), points.transpose(0, 1), GRID)
+    with pytest.raises(ValueError, match=r"points has shape \(4, 4\); it must be \(n, 2\)"):
+        splat_torch(numbers(4, 4), numbers(4, 1), GRID)

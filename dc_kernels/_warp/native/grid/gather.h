@@ -71,9 +71,9 @@ auto gather_linear = [&]() {
         const int ahead = end - i < LANES ? end - i : LANES;
         if (ahead > 0) {
             Real xy[2 * LANES] = {0};
-            const Real* q = places + 2 * (size_t)i;
-            if (ahead < LANES) {
-                for (int j = 0; j < 2 * ahead; ++j) xy[j] = q[j];
+            const Real* q = places + pitch * i;
+            if (ahead < LANES || pitch != 2) {
+                for (int j = 0; j < 2 * ahead; ++j) xy[j] = q[j / 2 * pitch + j % 2];
                 q = xy;
             }
             const Vector a = *(const Vector*)q, b = *(const Vector*)(q + LANES);

@@ -7,8 +7,9 @@ auto each_point = [&](auto prepare, auto work) {
         int at[LANES];
         for (int j = 0; j < together; ++j) {
             at[j] = item(k + j);
-            xs[j] = places[2 * (size_t)at[j]];
-            ys[j] = places[2 * (size_t)at[j] + 1];
+            const Real* const p = places + pitch * at[j];
+            xs[j] = p[0];
+            ys[j] = p[1];
         }
         prepare();
         for (int j = 0; j < together; ++j) work(j, at[j]);

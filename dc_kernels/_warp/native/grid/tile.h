@@ -30,7 +30,7 @@ for (size_t n = 0; n < all_channels * channel_stride; ++n) buffer[n] = 0;
 auto mark = [](int, int) {};
 auto item = [&](int k) {
     const size_t next = tiles.order.data[k + AHEAD];
-    __builtin_prefetch(places + 2 * next);
+    __builtin_prefetch(places + pitch * next);
     __builtin_prefetch(value.data + next * channels);
     return tiles.order.data[k];
 };

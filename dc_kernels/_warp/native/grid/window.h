@@ -8,6 +8,7 @@ const Real inv = 1 / stencil.spacing, hs = stencil.h * inv, inv_h2 = 1 / (hs * h
 const Real origin_x = ((const Real*)points.origin.data)[2 * world];
 const Real origin_y = ((const Real*)points.origin.data)[2 * world + 1];
 const Real* const places = (const Real*)points.place.data;
+const size_t pitch = points.place.strides[0] / sizeof(Real);  // from a point to the next: 3 where a z is passed over
 Vector iota;
 for (int j = 0; j < LANES; ++j) iota[j] = (Real)j;
 // sum of the lanes by halves
@@ -60,8 +61,8 @@ auto store_columns = [&](Real* p, int v, Vector w) {
         if (j < n) p[j] = w[j];
 };
 auto finite = [&](int i) {
-    x = (places[2 * (size_t)i] - origin_x) * inv;
-    y = (places[2 * (size_t)i + 1] - origin_y) * inv;
+    x = (places[pitch * i] - origin_x) * inv;
+    y = (places[pitch * i + 1] - origin_y) * inv;
     return is_finite(x, y);
 };
 auto nearest_node = [&](Real u, int nodes) { return (int)(clip(u, 0, nodes - 1) + (Real)0.5); };
