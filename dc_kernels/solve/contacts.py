@@ -407,6 +407,7 @@ class ContactSolver:
 
         self._rounds[call, config] = self._shards.rounds(launches, Watch(self.state.flags, STOPS, ()), together=False)
 
+    @np.errstate(over="ignore", invalid="ignore")
     def _explain(self, call: Call) -> None:
         """Raise ValueError that names the first value out of range of the first world that has one."""
         w = int(np.flatnonzero(self._flags & STOPS)[0])

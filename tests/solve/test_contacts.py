@@ -556,3 +556,34 @@ def test_no_contacts_and_no_worlds():
 
 
 CONTACTS_ONLY = ("body_a", "body_b", "point", "normal", "gap", "impulse")
+
+
+def test_whatever_stands_in_any_array_is_named_or_harmless():
+    """Wrong numbers put into any array at random: an error that names an array, or finite velocities."""
+    draw = np.random.default_rng(5)
+    good = arrays_of(pile(joints=True))
+    fixed = ("contact_start", "body_start", "joint_start", "length_scale", "weight")
+    held = {name: array.copy() if isinstance(array, np.ndarray) else array for name, array in good.items()}
+    held["joints"] = {name: array.copy() for name, array in good["joints"].items()}
+    solver = dc.ContactSolver(**held)
+    arrays = {name: array for name, array in held.items() if isinstance(array, np.ndarray) and name not in fixed}
+    arrays |= held["joints"]
+    named = set()
+    for _ in range(300):
+        for name, array in arrays.items():
+            array[...] = {**good, **good["joints"]}[name]
+        for name in draw.choice(list(arrays), 2):
+            place = tuple(draw.integers(0, n) for n in arrays[name].shape)
+            numbers = [-(2**31), 2**31 - 1, -1, 0, 63, 64, 200]
+            odd = numbers if arrays[name].dtype.kind == "i" else [np.nan, np.inf, -np.inf, 1e38, -1.0, 0.0, -1e30]
+            arrays[name][place] = draw.choice(odd)
+        try:
+            solver.solve(DT)
+            solver.solve(kept=True)
+        except ValueError as error:
+            named.add(str(error).split("[")[0])
+        else:
+            assert np.isfinite(held["velocity"]).all() and all(
+                np.isfinite(held["impulse"][a : a + n]).all() for a, n in zip(held["contact_start"], held["count"])
+            )
+    assert len(named) > 15 and named <= {*arrays, *(f"the solve of world {w} ran off: its" for w in range(2))}
