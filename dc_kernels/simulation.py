@@ -103,6 +103,7 @@ class Simulation(Phases):
             config, threads, schedule, on_overflow, specialize, pairs_per_shape, contacts_per_body
         )
         self.joints = joints = check_scene(model, state, joints)
+        model.fixed = joints.fixed = True
         self.model = model
         self.state = state
         self.dtype = model.dtype

@@ -15,7 +15,9 @@ import numpy as np
 
 from dc_kernels.delassus.groups import PackedProblem
 from dc_kernels.model.arrays import check_values
+from dc_kernels.model.rules import refuse
 from dc_kernels.model.settings import numeric
+from dc_kernels.model.validate import check_start
 from dc_kernels.runtime.interop import host_view
 
 FREE = -3e38  # least normal impulse of a row without bound; finite in float32
@@ -23,7 +25,7 @@ FREE = -3e38  # least normal impulse of a row without bound; finite in float32
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DelassusProblem:
-    """A problem of n contacts; it is checked once, holds float64 and never changes."""
+    """A problem of n contacts, checked once; float64, in read-only copies of the arrays given: it never changes."""
 
     row_start: np.ndarray
     """First block of each contact's row, and the number of blocks, (n + 1,) integers."""
@@ -63,17 +65,17 @@ class DelassusProblem:
         if free.shape != (n,) or free.dtype != bool:
             raise ValueError(f"bilateral has shape {free.shape}, dtype {free.dtype}; it must be ({n},) bool")
         arrays["bilateral"] = free
+        if self.slot is not None:
+            arrays["slot"] = np.asarray(self.slot)
         for name, value in arrays.items():
-            object.__setattr__(self, name, value)
-        _refuse("mu", self.mu, self.mu < 0.0, "not negative")
-        _refuse("mu", self.mu, free & (self.mu != 0.0), "0 where bilateral")
+            own = value.copy()
+            own.flags.writeable = False
+            object.__setattr__(self, name, own)
+        refuse("mu", self.mu, self.mu < 0.0, "not negative")
+        refuse("mu", self.mu, free & (self.mu != 0.0), "0 where bilateral")
         start = self.row_start
-        _refuse("row_start", start, np.diff(start, prepend=0) < 0, "ascending from 0 on")
-        if start[0] != 0 or start[-1] != blocks:
-            raise ValueError(
-                f"row_start runs from {start[0]} to {start[-1]}; it must run from 0 to {blocks}, the blocks"
-            )
-        _refuse("column", self.column, (self.column < 0) | (self.column >= n), f"in [0, {n})")
+        check_start("row_start", start, blocks)
+        refuse("column", self.column, (self.column < 0) | (self.column >= n), f"in [0, {n})")
         row = self.row
         place = row * np.int64(max(n, 1)) + self.column
         twice = np.zeros(blocks, bool)
@@ -83,10 +85,10 @@ class DelassusProblem:
             k = int(np.flatnonzero(twice)[0])
             raise ValueError(f"column[{k}] is {self.column[k]} once more in row {row[k]}; a block is given once")
         diagonal = self.diagonal
-        _refuse("the normal diagonal of W", diagonal[:, 0, 0], ~(diagonal[:, 0, 0] > 0.0), "> 0")
+        refuse("the normal diagonal of W", diagonal[:, 0, 0], ~(diagonal[:, 0, 0] > 0.0), "> 0")
         tangent = diagonal[:, 1, 1]
-        _refuse("the tangential diagonal of W", tangent, (tangent < 0.0) & ~free, ">= 0")
-        _refuse("the tangential diagonal of W", tangent, (tangent == 0.0) & (self.mu > 0.0), "> 0 where mu > 0")
+        refuse("the tangential diagonal of W", tangent, (tangent < 0.0) & ~free, ">= 0")
+        refuse("the tangential diagonal of W", tangent, (tangent == 0.0) & (self.mu > 0.0), "> 0 where mu > 0")
 
     @classmethod
     def from_compressed(
@@ -121,15 +123,13 @@ class DelassusProblem:
         count = len(data) if data.ndim == 1 else 0
         data = check_values("data", data, (count,), np.dtype(np.float64))
         first = check_values("indices", indices, (count,), np.dtype(np.int64))
-        _refuse("indices", first, (first < 0) | (first >= size), f"in [0, {size})")
+        refuse("indices", first, (first < 0) | (first >= size), f"in [0, {size})")
         if layout == "triplets":
             second = check_values("pointers", pointers, (count,), np.dtype(np.int64))
-            _refuse("pointers", second, (second < 0) | (second >= size), f"in [0, {size})")
+            refuse("pointers", second, (second < 0) | (second >= size), f"in [0, {size})")
         elif layout in ("columns", "rows"):
             ends = check_values("pointers", pointers, (size + 1,), np.dtype(np.int64))
-            _refuse("pointers", ends, np.diff(ends, prepend=0) < 0, "ascending from 0 on")
-            if ends[0] != 0 or ends[-1] != count:
-                raise ValueError(f"pointers run from {ends[0]} to {ends[-1]}; they must run from 0 to {count}")
+            check_start("pointers", ends, count)
             second = np.repeat(np.arange(size), np.diff(ends))
         else:
             raise ValueError(f"layout is {layout!r}; it must be 'columns', 'rows' or 'triplets'")
@@ -248,13 +248,6 @@ class DelassusProblem:
         }.items():
             packed.numpy(name)[...] = values
         return packed
-
-
-def _refuse(name: str, values: np.ndarray, bad: np.ndarray, limit: str) -> None:
-    """Raise ValueError for the first bad entry."""
-    if bad.any():
-        index = int(np.flatnonzero(bad)[0])
-        raise ValueError(f"{name}[{index}] is {values[index]}; it must be {limit}")
 
 
 def assemble_blocks(

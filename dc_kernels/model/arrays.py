@@ -105,6 +105,8 @@ class ArrayGroup:
         self.backend = backend
         self.version = 0
         """Number of times that arrays were allocated anew."""
+        self.fixed = False
+        """Whether offsets, indices and types of shapes are in use, and ``assign`` refuses others."""
         for name, field in self.table.items():
             setattr(self, name, allocate(field, sizes, self.dtype, device, backend))
 
@@ -166,9 +168,12 @@ class ArrayGroup:
         """Copy values into a field.
 
         Raises:
-            ValueError: naming the field, when the shape differs, or for non-finite values or a lossy integer dtype.
+            ValueError: naming the field, when the shape differs, for non-finite values or a lossy integer dtype, or for
+                offsets, indices and types of shapes that a simulation has checked and goes by.
         """
         field = self.table[name]
+        if self.fixed and field.points:
+            raise ValueError(f"{name} is in use by a simulation, which has checked it; make a model with another one")
         scalar, shape = numpy_spec(field, self.dtype)
         values = check_values(name, values, (*(self.sizes[axis] for axis in field.axes), *shape), scalar)
         target = getattr(self, name)

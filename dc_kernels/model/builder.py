@@ -38,6 +38,7 @@ from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.row_table import RowTable
 from dc_kernels.model.settings import numeric
 from dc_kernels.model.shapes import TOLERANCE, box_vertices, convex_polygon, points
+from dc_kernels.model.validate import check_scene
 from dc_kernels.runtime.backends import check_device
 
 if TYPE_CHECKING:
@@ -375,6 +376,7 @@ class ModelBuilder:
             for name in group.table:
                 if name in cast:  # the others begin as zero
                     group.assign(name, cast[name])
+        check_scene(*groups)  # what was right in float64 may have underflowed
         return groups
 
     def _need_world(self, where: str) -> None:

@@ -119,7 +119,7 @@ def check_start(label: str, values: np.ndarray, length: int) -> None:
         BrokenRule: naming label, index, value and limit.
     """
     refuse(label, values, np.array(values[:1] != 0), "0")
-    refuse(label, values[1:], values[1:] < values[:-1], "at least the one before it", 1)
+    refuse(label, values[1:], values[1:] < values[:-1], "ascending, at least the one before it", 1)
     last = len(values) - 1
     refuse(label, values[last:], np.array(values[last:] != length), f"{length}, the length of its axis", last)
 

@@ -237,9 +237,9 @@ def _load(path: Path | str, model: Any, tensors: Mapping[str, Any]) -> None:
     """Copy weights into a model.
 
     Raises:
-        ValueError: naming the first that is missing, too many or of another shape or dtype.
+        ValueError: naming the first that is missing, too many, of another shape or dtype, or not finite.
     """
-    own = model.state_dict()
+    own, weights = model.state_dict(), dict(model.named_parameters())
     for name in sorted(own.keys() | tensors.keys()):
         if name not in tensors or name not in own:
             raise ValueError(f"{path} {'lacks' if name in own else 'has'} {name!r}, unlike {model.network_name}")
@@ -249,4 +249,11 @@ def _load(path: Path | str, model: Any, tensors: Mapping[str, Any]) -> None:
                 f"{path}: {name} is {found.dtype} {tuple(found.shape)}; "
                 f"{model.network_name} has {wanted.dtype} {tuple(wanted.shape)}"
             )
+        if found.is_floating_point():
+            # a weight is a number; a bound kept beside the weights may be infinite
+            bad = torch.nonzero(~torch.isfinite(found) if name in weights else torch.isnan(found))
+            if len(bad):
+                index = tuple(bad[0].tolist())
+                place = f"{name}[{', '.join(map(str, index))}]"
+                raise ValueError(f"{path}: {place} is {float(found[index])}; it must be finite")
     model.load_state_dict(tensors)

@@ -60,6 +60,49 @@ def test_assign_copies_values_of_the_right_kind(backend):
             state.assign(name, values)
 
 
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_what_leads_kernels_through_memory_does_not_change_in_a_model_in_use(backend):
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_distance_joint(*builder.add_discs([(0, 0), (3, 0)], 1.0))
+    model, state, joints = builder.finalize(backend=backend)
+    kept = {name for group in (model, joints) for name, field in group.table.items() if field.points}
+    assert kept >= {"body_start", "vertex_start", "body_shape_start", "shape_body", "shape_type", "joint_body_a"}
+    assert kept.isdisjoint({"mass", "inv_mass", "body_type", "vertices", "shape_friction", "gravity"})
+    group = {name: model if name in model.table else joints for name in kept}
+    for name in kept:
+        with pytest.raises(ValueError, match="read-only"):
+            group[name].numpy(name)[0] = 1
+        group[name].assign(name, group[name].numpy(name))  # a model that is being made by hand
+    sim = dc.Simulation(model, state, joints)
+    for name in kept:
+        with pytest.raises(ValueError, match=f"{name} is in use by a simulation"):
+            group[name].assign(name, group[name].numpy(name))
+    for name in ("contact_start", "contact_count", "body_a", "body_b", "color"):
+        with pytest.raises(ValueError, match="read-only"):
+            sim.contacts.numpy(name)[...] = 1
+    model.assign("shape_friction", [0.1, 0.2])  # what may change may
+
+
+def test_an_index_array_edited_in_its_memory_is_found_by_the_next_simulation():
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_box(builder.add_body(), 1.0, 1.0)
+    builder.add_discs([(3, 0)], 1.0)
+    for name, index, value, message in (
+        ("vertex_start", 1, 10**6, r"model\.vertex_start\[2\] is 5; it must be ascending"),
+        ("shape_body", 1, 7, r"model\.shape_body\[1\] is 7; it must be a body of its world 0 \(bodies 0 \.\. 1\)"),
+        ("shape_type", 0, 7, r"model\.shape_type\[0\] is 7; it must be one of 0 \(DISC\), 1 \(POLYGON\)"),
+        ("body_type", 0, 9, r"model\.body_type\[0\] is 9; it must be one of 0 \(STATIC\)"),
+        ("inv_mass", 0, -1.0, r"model\.inv_mass\[0\] is -1\.0; it must be finite and >= 0"),
+        ("cell_size", 0, 0.0, r"model\.cell_size\[0\] is 0\.0; it must be finite and > 0"),
+    ):
+        model, state, joints = builder.finalize()
+        dc.to_numpy(model.array(name))[index] = value
+        with pytest.raises(ValueError, match=message):
+            dc.Simulation(model, state, joints)
+
+
 def test_dtypes_other_than_float32_and_float64_are_refused():
     for dtype in ("float16", "int32", "complex64"):
         with pytest.raises(ValueError, match=dtype):

@@ -492,3 +492,13 @@ def test_unknown_dtype_backend_or_device(options, message):
     builder = builder_with_world()
     with pytest.raises(ValueError, match=message):
         builder.finalize(**options)
+
+
+def test_what_underflows_the_dtype_is_named():
+    """A radius that float64 holds is 0 in float32."""
+    builder = dc.ModelBuilder()
+    builder.add_world(length_scale=1.0)
+    builder.add_disc(builder.add_body(mass=1.0, inertia=1.0), 1e-60)
+    builder.finalize("float64", backend="numpy")
+    with pytest.raises(ValueError, match=r"model\.shape_radius\[0\] is 0\.0; it must be > 0"):
+        builder.finalize("float32", backend="numpy")

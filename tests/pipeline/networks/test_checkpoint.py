@@ -127,6 +127,10 @@ def replaced(name, value):
             lambda path: rewritten(path, replaced("layers.0.bias", torch.ones(2))),
             r"layers.0.bias is torch.float32 \(2,\); convfc has torch.float32 \(6,\)",
         ),
+        (
+            lambda path: rewritten(path, replaced("layers.0.bias", torch.tensor([0.0, 1.0, torch.nan, 0.0, 0.0, 0.0]))),
+            r"layers.0.bias\[2\] is nan; it must be finite",
+        ),
         (lambda path: rewritten(path, network="unet"), "unlike unet"),
     ],
 )
