@@ -79,6 +79,11 @@ def check_stages(scope: dict) -> None:
     assert (scope["bodies"] == [[i, i + 1] for i in range(4) for _ in range(2)]).all()
     assert scope["height"] == pytest.approx([0.5 * i for i in range(4) for _ in range(2)], abs=1e-6)
     assert scope["touching"].numpy("gap") == pytest.approx([-0.1, -0.005], abs=1e-6)
+    assert np.abs(scope["velocity"]).max() < 1e-3  # the tower stands
+    assert scope["position"][1:, 1] == pytest.approx(0.25 + 0.5 * np.arange(4), abs=1e-3)
+    weight = 9.81 * 0.01 / scope["model"].numpy("inv_mass")[1]
+    pairs = scope["solver"].exchange.numpy("impulse")[:8, 0].reshape(4, 2).sum(axis=1)
+    assert pairs == pytest.approx(weight * np.arange(4, 0, -1), rel=1e-2)
     near = scope["second_world"]
     assert near.min() >= 120 and (near == scope["search"].numpy()[-len(near) :]).all()
     assert len(scope["search"].numpy()) > len(scope["before"]) > 0
