@@ -91,16 +91,16 @@ def sole_writer(folder: Path) -> Iterator[bool]:
 
 
 def check_writable(folder: Path, *names: str) -> None:
-    """Raise ``OSError`` unless a folder, which is made if it is missing, takes files, these among them.
+    """Raise ``OSError`` unless a folder takes files, these among them; nothing is made, also where it is missing.
 
     For commands that compute before they write.
 
     Raises:
         OSError: naming the folder or the file.
     """
+    there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
+        with tempfile.TemporaryFile(dir=there):
             pass
     except OSError as error:
         raise OSError(error.errno, f"{folder} cannot be written into: {error.strerror or error}") from error

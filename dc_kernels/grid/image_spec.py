@@ -96,4 +96,4 @@ class ImageSpec(Settings):
             grid["origin"] = tuple(grid["origin"])
             return cls(Grid(**grid), stencil=Stencil(**stencil), **given)
         except (KeyError, TypeError) as error:
-            raise ValueError(f"the images are described by {dict(values)}: {error}") from None
+            raise ValueError(f"the images are described by {values}: {error}") from None

@@ -15,7 +15,7 @@ from pipeline.evaluate.comparison import evaluation, protocol, report
 from pipeline.evaluate.options import Acceleration, EvaluationOptions, ProtocolOptions
 from pipeline.evaluate.runs import PATHS, Run
 from pipeline.evaluate.tables import EVALUATION_COLUMNS, table
-from pipeline.files import write_json
+from pipeline.files import check_writable, write_json
 from pipeline.options import RunOptions
 from pipeline.plots.grids import grids_figure
 from pipeline.plots.protocol import demo_figure, evaluation_figure, protocol_figure
@@ -94,6 +94,7 @@ def run_protocol(
     quiet: bool,
 ) -> tuple[list[Run], dict[str, Any]]:
     """Run the protocol, write protocol.json and protocol.png, and print the table unless ``quiet``."""
+    check_writable(out, "protocol.json", "protocol.png")
     runs = protocol(options, pairs, progress=not quiet)
     result = {**report(options, runs), "out": str(out)}
     write_json(out / "protocol.json", result)
@@ -106,6 +107,7 @@ def run_protocol(
 
 def run_evaluation(options: EvaluationOptions, out: Path, quiet: bool) -> dict[str, Any]:
     """Evaluate, write evaluate.json and the figures, and print the tables unless ``quiet``."""
+    check_writable(out, "evaluate.json")
     runs = evaluation(options, progress=not quiet)
     result = {**report(options, runs), "out": str(out), "figures": []}
     for loop in dict.fromkeys(run.loop for run in runs):

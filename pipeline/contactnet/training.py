@@ -23,7 +23,7 @@ from pipeline.contactnet.network import EvenShare
 from pipeline.contactnet.options import ContactTrainOptions
 from pipeline.contactnet.rollouts import SETTINGS, Setting, record, seeds_of
 from pipeline.contactnet.tuning import choose_gains
-from pipeline.files import plain, write_json
+from pipeline.files import check_writable, plain, write_json
 from pipeline.networks import models
 from pipeline.networks.checkpoint import all_versions, commit, load_training, save_checkpoint, save_training
 from pipeline.options import RunOptions
@@ -72,6 +72,7 @@ def train_contactnet(options: ContactTrainOptions | None = None, progress: bool 
     Raises:
         ValueError: for an option out of its range, a training to resume that is another one, or a loss that is not
             finite, naming the step.
+        OSError: the folder cannot be written into.
     """
     options = options or ContactTrainOptions()
     torch.set_num_threads(options.threads)
@@ -95,6 +96,7 @@ class ContactTraining:
                 f"the worlds' seeds go from {options.seed} to {last}; those from {TUNING_SEED} on are for the gains, "
                 f"from {VALIDATION_SEED} on for validation, from {HELD_OUT_SEED} on for tests"
             )
+        check_writable(options.out, NETWORK, STATE)
         seed_everything(options.seed)
         names = ("spacing", "channels", "near", "hidden")
         self.model = models.build("contactnet", {name: getattr(options, name) for name in names})

@@ -10,7 +10,7 @@ from typing import Any
 from dc_kernels.delassus import Method, from_world, read_impulses, solve, warmup
 from dc_kernels.model.settings import Positive, Settings, Whole
 from pipeline.fclib.files import FclibProblem, problem_files, read_fclib, write_fclib
-from pipeline.files import versions
+from pipeline.files import check_writable, versions
 from pipeline.options import RunOptions, SolverOptions
 from pipeline.process import interruptible, progress_bar
 from pipeline.scenes import Scene
@@ -78,6 +78,7 @@ def export(
 
     Raises:
         ValueError: for an option out of its range, or a pattern that gives one name to several problems.
+        OSError: a file cannot be written; those before it are whole.
     """
     steps = options.steps()
     for world in options.world:
@@ -88,6 +89,8 @@ def export(
     if len(set(paths)) < len(paths):
         raise ValueError(f"out is {options.out!r}, one name for several problems; use {{step}} and {{world}}")
     sim = run.simulation(scene, solver.config())
+    for path in paths:
+        check_writable(path.parent, path.name)
     text = f"deep-contact {versions()['deep-contact']}: {asdict(scene)}, dt {run.dt:g} s, seed {run.seed}, {run.dtype}"
     files, empty = [], []
     by_step: dict[int, list[tuple[int, Path]]] = {}
@@ -151,10 +154,16 @@ def solve_files(path: Path, options: SolveOptions, progress: bool = True) -> dic
         raise ValueError(f"start is {options.start!r}; it must be zero, guess or solution")
     paths = problem_files(path)
     contents = [read_fclib(file) for file in paths]
+    targets = [options.out if options.out is None or single(options.out) else options.out / p.name for p in paths]
+    if options.out is not None:
+        if single(options.out) and len(paths) > 1:
+            raise ValueError(f"out is {options.out}, one file for {len(paths)} problems; give a folder")
+        for planned in filter(None, targets):
+            check_writable(planned.parent, planned.name)
     results: dict[str, dict[str, Any]] = {}
     warmup()
     bar = progress_bar(paths, desc="solve", unit="file", show=progress)
-    for file, content in zip(bar, contents, strict=True):
+    for file, content, target in zip(bar, contents, targets, strict=True):
         start = {"zero": None, "guess": next(iter(content.guesses), None), "solution": content.solution}[options.start]
         if start is None and options.start != "zero":
             raise ValueError(f"{file}: there is no {options.start} in it to start from")
@@ -177,19 +186,19 @@ def solve_files(path: Path, options: SolveOptions, progress: bool = True) -> dic
             "factorizations": solution.factorizations,
             "seconds": time.perf_counter() - began,
         }
-        if options.out is not None:
-            single = options.out.suffix in SUFFIXES
-            if single and len(paths) > 1:
-                raise ValueError(f"out is {options.out}, one file for {len(paths)} problems; give a folder")
-            write_fclib(
-                options.out if single else options.out / file.name, replace(content, solution=solution.impulses)
-            )
+        if target is not None:
+            write_fclib(target, replace(content, solution=solution.impulses))
     return {
         "method": options.method,
         "tolerance": options.tolerance,
         "converged": all(row["converged"] for row in results.values()),
         "files": results,
     }
+
+
+def single(path: Path) -> bool:
+    """Tell whether a path is that of one file, by its suffix."""
+    return path.suffix in SUFFIXES
 
 
 def describe_export(result: dict[str, Any]) -> str:

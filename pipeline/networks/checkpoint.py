@@ -23,6 +23,7 @@ from typing import Any
 
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.image_spec import ImageSpec
+from dc_kernels.runtime.files import check_regular
 from dc_kernels.runtime.optional import require
 from pipeline.files import plain, versions, write_bytes
 from pipeline.networks import models
@@ -32,6 +33,8 @@ safetensors = require("safetensors", "pipeline")
 
 NETWORK_SCHEMA, NETWORK_VERSION = "deep-contact.network", 1
 TRAINING_SCHEMA, TRAINING_VERSION = "deep-contact.training", 1
+MOST_LAYERS = 64
+"""Entries of a list in a configuration, beside one for each tensor in its file [1]."""
 
 
 def all_versions() -> dict[str, str]:
@@ -82,18 +85,19 @@ def load_checkpoint(
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is damaged, of another kind or version, or of another network or grid than asked for.
+        ValueError: it is damaged, of another kind or version, or of another network or grid than asked for; the tensors
+            must be those of the network described, which is not built before.
     """
     described, tensors = _read(Path(path), NETWORK_SCHEMA, NETWORK_VERSION)
     if network is not None and described["network"] != network:
         raise ValueError(f"{path} holds the network {described['network']!r}, not {network!r}")
-    manifest = _parsed(path, described, "manifest")
-    if grid is not None:
-        found = ImageSpec.from_dict(manifest["images"]).grid if "images" in manifest else None
-        if found != grid:
-            raise ValueError(f"{path} was trained on the grid {found}, not on {grid}")
-    model = models.build(described["network"], _parsed(path, described, "config"))
-    _load(path, model, tensors)
+    manifest, config = (_parsed(path, described, name) for name in ("manifest", "config"))
+    found = _images(path, manifest)
+    if grid is not None and found != grid:
+        raise ValueError(f"{path} was trained on the grid {found}, not on {grid}")
+    _check_config(path, described["network"], config, tensors)
+    model = models.build(described["network"], config)
+    model.load_state_dict(tensors)
     return model.eval(), manifest
 
 
@@ -153,21 +157,51 @@ def load_training(
     described, tensors = _read(Path(path), TRAINING_SCHEMA, TRAINING_VERSION)
     state = _parsed(path, described, "state")
     mine = {"network": model.network_name, **models.config_dict(model), **identity}
-    theirs = {"network": described["network"], **_parsed(path, described, "config"), **state["identity"]}
+    theirs = {"network": described["network"], **_parsed(path, described, "config"), **_identity(path, state)}
     for name, value in json.loads(_json("identity", mine)).items():
         if theirs.get(name) != value:
             raise ValueError(f"{path} was trained with {name} = {theirs.get(name)!r}; this run has {value!r}")
+    try:
+        return _restore(path, state, tensors, model, optimizer, schedule)
+    except (AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        if str(path) in str(error):
+            raise
+        raise ValueError(f"{path} is damaged: {type(error).__name__}: {error}") from error
+
+
+def _identity(path: Path | str, state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what decided the bits of a training that was saved."""
+    found = state.get("identity")
+    if not isinstance(found, dict):
+        raise ValueError(f"{path} is damaged: its state has no identity")
+    return found
+
+
+def _restore(
+    path: Path | str, state: Mapping[str, Any], tensors: Mapping[str, Any], model: Any, optimizer: Any, schedule: Any
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Put a training back to a state and tensors; see ``load_training``."""
     parts: dict[str, dict[str, Any]] = {"model": {}, "optimizer": {}, "extra": {}}
     for name, tensor in tensors.items():
         kind, _, rest = name.partition("/")
         if kind in parts:
             parts[kind][rest] = tensor
-    _load(path, model, parts["model"])
+    own = optimizer.state_dict()["param_groups"]
+    if [group["params"] for group in state["groups"]] != [group["params"] for group in own]:
+        raise ValueError(f"{path} is damaged: its groups of parameters are not those of the optimiser")
+    weights = [weight for group in optimizer.param_groups for weight in group["params"]]
     values: dict[int, dict[str, Any]] = {}
     for name, value in {**state["scalars"], **parts["optimizer"]}.items():
         index, _, field = name.partition("/")
+        if isinstance(value, torch.Tensor) and value.ndim and value.shape != weights[int(index)].shape:
+            wanted = tuple(weights[int(index)].shape)
+            raise ValueError(f"{path}: optimizer/{name} has shape {tuple(value.shape)}; its weight has {wanted}")
         values.setdefault(int(index), {})[field] = value
-    groups = [_as_given(saved, own) for saved, own in zip(state["groups"], optimizer.state_dict()["param_groups"])]
+    if not isinstance(state["progress"], dict):
+        raise ValueError(f"{path} is damaged: its progress is a {type(state['progress']).__name__}")
+    _check_tensors(path, model, parts["model"])
+    model.load_state_dict(parts["model"])
+    groups = [_as_given(saved, mine) for saved, mine in zip(state["groups"], own)]
     optimizer.load_state_dict({"state": dict(sorted(values.items())), "param_groups": groups})
     if schedule is not None:
         schedule.load_state_dict(state["schedule"])
@@ -192,12 +226,42 @@ def _json(name: str, value: Any) -> str:
         raise ValueError(f"{name} holds what JSON cannot: {error}") from None
 
 
-def _parsed(path: Path | str, described: Mapping[str, str], name: str) -> Any:
-    """Parse a JSON value of the metadata."""
+def _parsed(path: Path | str, described: Mapping[str, str], name: str) -> dict[str, Any]:
+    """Parse a JSON object of the metadata."""
     try:
-        return json.loads(described[name])
-    except (KeyError, json.JSONDecodeError) as error:
+        value = json.loads(described[name])
+    except (KeyError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} is damaged: its metadata have no readable {name!r} ({error})") from None
+    if not isinstance(value, dict):
+        raise ValueError(f"{path} is damaged: its {name!r} is a {type(value).__name__}; it must be an object of JSON")
+    return value
+
+
+def _images(path: Path | str, manifest: Mapping[str, Any]) -> Grid | None:
+    """Return the grid of the images in a manifest; None where there are none."""
+    if "images" not in manifest:
+        return None
+    try:
+        return ImageSpec.from_dict(manifest["images"]).grid
+    except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is damaged: its manifest's images are no description of images: {error}") from None
+
+
+def _check_config(path: Path | str, network: str, config: Mapping[str, Any], tensors: Mapping[str, Any]) -> None:
+    """Raise ``ValueError`` unless a file's tensors are those of its network, which takes no memory for that.
+
+    So no layer is larger than the file, and no list of layers longer than ``MOST_LAYERS``.
+    """
+    for name, value in config.items():
+        if isinstance(value, list) and len(value) > max(MOST_LAYERS, len(tensors)):
+            raise ValueError(f"{path}: {name} of {network} has {len(value)} entries, for {len(tensors)} tensors")
+    try:
+        with torch.device("meta"):
+            _check_tensors(path, models.build(network, config), tensors)
+    except (ArithmeticError, RuntimeError, TypeError, ValueError) as error:
+        if str(path) in str(error):
+            raise
+        raise ValueError(f"{path}: its configuration makes no network: {error}") from None
 
 
 def _as_given(saved: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
@@ -218,8 +282,11 @@ def _read(path: Path, schema: str, version: int) -> tuple[dict[str, str], dict[s
         OSError: it cannot be read.
         ValueError: it is damaged or foreign.
     """
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"{path} is not there")
+    check_regular(path)
+    with open(path, "rb"):
+        pass  # says what is wrong with the path itself
     try:
         with safetensors.safe_open(path, framework="pt") as file:
             described = file.metadata() or {}
@@ -230,11 +297,13 @@ def _read(path: Path, schema: str, version: int) -> tuple[dict[str, str], dict[s
         raise ValueError(f"{path} has the schema {described.get('schema')!r}; it must be {schema!r}")
     if described.get("version") != str(version):
         raise ValueError(f"{path} has version {described.get('version')} of {schema}; this code reads {version}")
+    if "network" not in described:
+        raise ValueError(f"{path} is damaged: its metadata do not name the network")
     return described, tensors
 
 
-def _load(path: Path | str, model: Any, tensors: Mapping[str, Any]) -> None:
-    """Copy weights into a model.
+def _check_tensors(path: Path | str, model: Any, tensors: Mapping[str, Any]) -> None:
+    """Check tensors of a file against those of a model.
 
     Raises:
         ValueError: naming the first that is missing, too many, of another shape or dtype, or not finite.
@@ -256,4 +325,3 @@ def _load(path: Path | str, model: Any, tensors: Mapping[str, Any]) -> None:
                 index = tuple(bad[0].tolist())
                 place = f"{name}[{', '.join(map(str, index))}]"
                 raise ValueError(f"{path}: {place} is {float(found[index])}; it must be finite")
-    model.load_state_dict(tensors)

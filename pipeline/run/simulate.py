@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import dc_kernels as dc
 from dc_kernels.model.settings import Count, Settings, Whole
-from pipeline.files import atomic_path, write_json
+from pipeline.files import atomic_path, check_writable, write_json
 from pipeline.options import RunOptions, SolverOptions
 from pipeline.plots.style import save_figure
 from pipeline.plots.trajectory import animate, summary_figure
@@ -68,7 +68,8 @@ def simulate(
 
     Raises:
         ValueError: for an option out of its range, or a network that cannot read the simulation.
-        OSError: a network's file cannot be read, or a file cannot be written; the trajectory keeps the steps so far.
+        OSError: a network's file cannot be read, or a file cannot be written: known before the run, unless the disk
+            fills up in it; the trajectory then keeps the steps so far.
         ImportError: naming the extra, without h5py, tqdm or matplotlib.
     """
     run, solver, output = run or RunOptions(), solver or SolverOptions(), output or Output()
@@ -76,13 +77,14 @@ def simulate(
     config = {"scene": {"name": scene.name, **asdict(scene)}, "options": options}
     make = maker(output.start, run.seed)
     sim = run.simulation(scene, solver.config(output.history))
+    video = [] if output.video == "none" else [f"video.{output.video}"]
+    check_writable(output.out, TRAJECTORY, SUMMARY, PICTURE, *video)
     sim.warmup()
     start = make(sim)
     began = time.perf_counter()
     recording = record(start, run, output, config, progress)
     summary = summarize(start, recording, config)
     draw(sim, recording, config, output, progress)
-    video = [] if output.video == "none" else [f"video.{output.video}"]
     summary.update(files=[TRAJECTORY, SUMMARY, PICTURE, *video], wall_s=time.perf_counter() - began)
     write_json(output.out / SUMMARY, summary)
     return summary, sim

@@ -40,7 +40,7 @@ class GridNetworkStart(ImpulseStart):
             manifest: of its checkpoint: "images", "decode".
 
         Raises:
-            ValueError: for a simulation of another dtype, or a manifest of a network that reads no images.
+            ValueError: for a simulation of another dtype, or a manifest of a network that reads none or other images.
         """
         super().__init__(sim)
         if sim.dtype != np.float32:
@@ -50,8 +50,14 @@ class GridNetworkStart(ImpulseStart):
                 raise ValueError(f"the manifest has no {name!r}: the network was not trained on images of a simulation")
         self.torch = require("torch", "pipeline")
         self.model = model.eval()
-        self.images = dc.Images(sim, dc.ImageSpec.from_dict(manifest["images"]))
-        self.reverse = bool(manifest["decode"]["reverse"])
+        spec, decode = dc.ImageSpec.from_dict(manifest["images"]), manifest["decode"]
+        if not isinstance(decode, Mapping) or "reverse" not in decode:
+            raise ValueError(f"the manifest's decode is {decode!r}; it must say whether the way back is 'reverse'")
+        shape = (len(spec.channels), *spec.grid.shape)
+        if getattr(model, "shape", shape) != shape:
+            raise ValueError(f"the manifest's images are {shape}, channels first; the network reads {model.shape}")
+        self.images = dc.Images(sim, spec)
+        self.reverse = bool(decode["reverse"])
         self.calls = self.skipped = self.dropped = 0
         self._output: Any = None
 

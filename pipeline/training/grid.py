@@ -24,7 +24,7 @@ from dc_kernels.grid.stencil import Stencil
 from dc_kernels.runtime.optional import require
 from pipeline.data import dataset
 from pipeline.data.splatter import Splatter
-from pipeline.files import plain, write_json
+from pipeline.files import check_writable, plain, write_json
 from pipeline.networks import models
 from pipeline.networks.checkpoint import (
     all_versions,
@@ -74,6 +74,7 @@ def train_grid_network(
     Raises:
         ValueError: for an option out of its range, a data set that is none or too small, states of held-out seeds, or
             a loss that is not finite, naming the step.
+        OSError: the folder cannot be written into.
         ImportError: naming the extra, without torch, h5py or matplotlib.
     """
     options = options or TrainOptions()
@@ -102,6 +103,7 @@ class GridTraining:
             raise ValueError(f"batch_size is {options.batch_size}; {group.size} processes cannot share it evenly")
         self.setup = SETUPS[network]
         self._find_data()
+        check_writable(options.out, BEST, LAST, STATE)
         self._build_network()
         self._prepare_steps()
         if options.resume:

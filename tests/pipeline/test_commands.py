@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import dc_kernels as dc
 from pipeline.cli import main
 from pipeline.scenes import SCENES
 from pipeline.starts import registry
@@ -187,3 +188,38 @@ def test_scene_commands_have_the_scenes_names(capsys):
     text = capsys.readouterr().out
     for name in SCENES:
         assert f"• {name}" in text
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "simulate thesis --out {}",
+        "demo --out {}",
+        "protocol --out {}",
+        "evaluate --out {}",
+        "generate --out {}",
+        "figures kernels --out {}",
+        "train-contactnet --out {}",
+        "fclib export thesis --out {}/a.hdf5",
+    ],
+)
+@pytest.mark.parametrize("kind", ["below a file", "a file of its name"])
+def test_what_cannot_be_written_is_known_before_computing(command, kind, tmp_path, capsys, monkeypatch):
+    (tmp_path / "file").write_text("not a folder")
+    out = tmp_path / "file" / "out" if kind == "below a file" else tmp_path / "file"
+    monkeypatch.setattr(dc.Simulation, "step", None)
+    monkeypatch.setattr(dc.Simulation, "collide", None)
+    with pytest.raises(SystemExit) as raised:
+        main([*command.format(out).split(), "--json"])
+    assert raised.value.code == 2
+    text = capsys.readouterr().err.strip()
+    assert len(text.splitlines()) == 1 and str(out) in text
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_folder_in_the_place_of_a_file_is_known_before_computing(tmp_path, capsys, monkeypatch):
+    (tmp_path / "trajectory.h5").mkdir()
+    monkeypatch.setattr(dc.Simulation, "step", None)
+    with pytest.raises(SystemExit):
+        main(["simulate", "thesis", "--out", str(tmp_path)])
+    assert "trajectory.h5 is a folder, not a file" in capsys.readouterr().err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -132,12 +133,41 @@ def replaced(name, value):
             r"layers.0.bias\[2\] is nan; it must be finite",
         ),
         (lambda path: rewritten(path, network="unet"), "unlike unet"),
+        (lambda path: rewritten(path, network=None), "its metadata do not name the network"),
+        *(
+            (lambda path, name=name, text=text: rewritten(path, **{name: text}), f"no readable '{name}'|'{name}' is a")
+            for name in ("config", "manifest")
+            for text in ("[]", "3", '"text"', "null", "[" * 100_000, "1" * 10_000, "\x00")
+        ),
+        (lambda path: rewritten(path, config='{"rows": "many"}'), "rows"),
+        (lambda path: rewritten(path, config='{"rows": [1, 2]}'), "rows"),
+        (lambda path: rewritten(path, config='{"width": null}'), "width"),
+        (
+            lambda path: rewritten(path, config='{"rows": 65535, "columns": 65535, "width": 16}'),
+            "unlike convfc|is torch",
+        ),
+        (lambda path: rewritten(path, manifest='{"images": 3}'), "images are no description of images"),
+        (lambda path: rewritten(path, manifest='{"images": {"grid": {"rows": 1e300}}}'), "no description of images"),
+        (lambda path: rewritten(path, network="contactnet", config='{"near": 1e12}'), "network.safetensors"),
+        (lambda path: rewritten(path, network="contactnet", config='{"near": 1000000000000}'), "network.safetensors"),
+        (lambda path: rewritten(path, network="contactnet", config=json.dumps({"channels": [1] * 10**6})), "entries"),
     ],
 )
-def test_a_damaged_or_foreign_file_is_refused(saved, change, message):
+def test_a_damaged_or_foreign_file_is_refused(saved, change, message, monkeypatch):
     change(saved)
+    monkeypatch.setattr(torch.nn.Module, "load_state_dict", None)  # nothing is loaded
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(ValueError, match=message):
         load_checkpoint(saved)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before + 200_000  # kB
+
+
+def test_what_is_no_file_is_not_read(tmp_path):
+    os.mkfifo(tmp_path / "fifo.safetensors")
+    with pytest.raises(OSError, match="is a FIFO, not a file"):
+        load_checkpoint(tmp_path / "fifo.safetensors")
+    with pytest.raises(IsADirectoryError, match="is a folder, not a file"):
+        load_checkpoint(tmp_path)
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
@@ -252,3 +282,43 @@ def test_another_training_is_refused_by_its_first_difference(tmp_path):
     with pytest.raises(ValueError, match=r"has the schema 'deep-contact.training'; it must be 'deep-contact.network'"):
         load_checkpoint(path)
     assert all(torch.equal(a, b) for a, b in zip(bits(model, optimizer), before))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda state: state.pop("identity"), "its state has no identity"),
+        (lambda state: state.update(identity=[]), "its state has no identity"),
+        (lambda state: state.pop("groups"), "is damaged: KeyError"),
+        (lambda state: state.update(groups=[]), "its groups of parameters are not those of the optimiser"),
+        (lambda state: state.update(scalars={"x/step": 1}), "is damaged: ValueError"),
+        (lambda state: state.update(progress=3), "its progress is a int"),
+        (lambda state: state.update(schedule=7), "is damaged: "),
+    ],
+)
+def test_a_damaged_training_is_refused(tmp_path, change, message):
+    path = tmp_path / "training.safetensors"
+    model, optimizer, schedule = training("adamw", "decay")
+    learn(model, optimizer, schedule, range(2))
+    save_training(path, model, optimizer, schedule, {"step": 2}, {"seed": 1})
+    with safetensors.safe_open(path, framework="pt") as file:
+        state = json.loads(file.metadata()["state"])
+    change(state)
+    rewritten(path, state=json.dumps(state))
+    with pytest.raises(ValueError, match=message) as caught:
+        load_training(path, model, optimizer, schedule, {"seed": 1})
+    assert str(path) in str(caught.value)
+
+
+def test_a_training_with_tensors_of_another_shape_is_refused(tmp_path):
+    path = tmp_path / "training.safetensors"
+    model, optimizer, schedule = training("adamw", "decay")
+    learn(model, optimizer, schedule, range(2))
+    save_training(path, model, optimizer, schedule, {}, {})
+    rewritten(path, replaced("optimizer/0/exp_avg", torch.ones(3)))
+    with pytest.raises(ValueError, match=r"optimizer/0/exp_avg has shape \(3,\); its weight has"):
+        load_training(path, model, optimizer, schedule, {})
+    save_training(path, model, optimizer, schedule, {}, {})
+    rewritten(path, replaced("rng", torch.ones(3)))
+    with pytest.raises(ValueError, match="is damaged"):
+        load_training(path, model, optimizer, schedule, {})
