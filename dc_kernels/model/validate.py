@@ -66,6 +66,39 @@ def check_field(label: str, field: Field, values: np.ndarray, layout: Layout, pa
     values = values[part]
     if not values.size:
         return
+    if isinstance(rule, Number | Code | Unit):
+        check_rule(label, values, rule, first)
+    elif isinstance(rule, Index):
+        start, world = layout.start[rule.axis], layout.world(field.per)[part]
+        bad = (values < start[world]) | (values >= start[world + 1])
+        if bad.any():
+            w = int(world[bad.argmax()])
+            within = f"{_ELEMENTS[rule.axis]} {start[w]} .. {start[w + 1] - 1}"
+            refuse(label, values, bad, f"a {rule.axis} of its world {w} ({within})", first)
+    elif isinstance(rule, Ascending):
+        if values.min() < 0:
+            refuse(label, values, values < 0, ">= 0", first)
+        falls = values[1:] <= values[:-1]
+        if falls.any():
+            world = layout.world(field.per)[part]
+            falls &= world[1:] == world[:-1]
+        refuse(label, values[1:], falls, "larger than the one before it in its world", first + 1)
+
+
+def check_rule(label: str, values: np.ndarray, rule: Number | Code | Unit, first: int = 0) -> None:
+    """Hold values to a rule that looks at each alone.
+
+    Args:
+        label: what errors call the array.
+        values: the array, or a part of it.
+        rule: what they must satisfy.
+        first: row of the array at which the part begins.
+
+    Raises:
+        BrokenRule: naming label, index, value and limit.
+    """
+    if not values.size:
+        return
     if isinstance(rule, Number):
         if _within(values, rule):
             return
@@ -79,26 +112,11 @@ def check_field(label: str, field: Field, values: np.ndarray, layout: Layout, pa
             return
         names = ", ".join(f"{value.value} ({value.name})" for value in rule.values)
         refuse(label, values, ~np.isin(values, codes), f"one of {names}", first)
-    elif isinstance(rule, Index):
-        start, world = layout.start[rule.axis], layout.world(field.per)[part]
-        bad = (values < start[world]) | (values >= start[world + 1])
-        if bad.any():
-            w = int(world[bad.argmax()])
-            within = f"{_ELEMENTS[rule.axis]} {start[w]} .. {start[w + 1] - 1}"
-            refuse(label, values, bad, f"a {rule.axis} of its world {w} ({within})", first)
-    elif isinstance(rule, Unit):
+    else:
         square = values * values
         length = square[:, 0] + square[:, 1]
         if not (length.min() >= 1.0 - UNIT_TOLERANCE and length.max() <= 1.0 + UNIT_TOLERANCE):
             refuse(label, values, ~(np.abs(length - 1.0) <= UNIT_TOLERANCE), "a unit vector", first)
-    elif isinstance(rule, Ascending):
-        if values.min() < 0:
-            refuse(label, values, values < 0, ">= 0", first)
-        falls = values[1:] <= values[:-1]
-        if falls.any():
-            world = layout.world(field.per)[part]
-            falls &= world[1:] == world[:-1]
-        refuse(label, values[1:], falls, "larger than the one before it in its world", first + 1)
 
 
 def _within(values: np.ndarray, rule: Number) -> bool:

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.model.enums import BodyType
-from pipeline.data.layout import MOTION, STAGES
+from dc_kernels.model.rules import Number
+from dc_kernels.model.validate import check_rule
+from pipeline.data.layout import MOTION, STAGES, described
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,7 @@ class Batch:
 BODY = ("mass", "inertia", "body_type")
 CONTACT = ("point", "normal", "gap", "friction", "restitution", "age", "color", "bias", *STAGES)
 SHAPE = ("shape_type", "shape_radius")
+SPECS = described()
 _DTYPES = {"color": np.int32}
 
 
@@ -74,43 +77,68 @@ class World:
     """Holds all states of a world in memory."""
 
     def __init__(self, file: Any, row: int) -> None:
-        """Read a world of an open shard; ``row`` is its place there."""
+        """Read a world of an open shard that ``shards.check_shapes`` has passed; ``row`` is its place there.
 
-        def rows(axis: str, name: str, first: int, last: int) -> np.ndarray:
-            return file[f"{axis}/{name}"][first:last]
+        Raises:
+            ValueError: naming dataset, place and limit: bodies of another world, values of a valid state out of range.
+        """
 
-        def start(name: str) -> tuple[int, int]:
-            return tuple(int(n) for n in file[f"world/{name}"][row : row + 2])  # type: ignore[return-value]
+        def part(name: str, first: int, last: int) -> np.ndarray:
+            return file[name][(slice(None),) * len(SPECS[name].lead) + (slice(first, last),)]
 
-        self.seed, self.dt = int(file["world/seed"][row]), file["world/dt"][row]
-        self.gravity = file["world/gravity"][row]
-        bodies, shapes, steps = start("body_start"), start("shape_start"), start("step_start")
-        motion = file["step/motion_start"][steps[0] : steps[1] + 1]
-        contact = file["step/contact_start"][steps[0] : steps[1] + 1]
+        def rows(name: str, first: int, last: int, valid: np.ndarray | None = None) -> np.ndarray:
+            values, spec = part(name, first, last), SPECS[name]
+            if spec.rule is not None:
+                held = values if valid is None else values[(slice(None),) * len(spec.lead) + (valid,)]
+                check_rule(name, held, spec.rule)
+            return values
+
+        def span(name: str) -> tuple[int, int]:
+            first, last = (int(n) for n in part(name, row, row + 2))
+            return first, last
+
+        self.seed, self.dt = int(part("world/seed", row, row + 1)[0]), rows("world/dt", row, row + 1)[0]
+        self.gravity = rows("world/gravity", row, row + 1)[0]
+        bodies, shapes, steps = (span(f"world/{name}_start") for name in ("body", "shape", "step"))
+        motion = part("step/motion_start", steps[0], steps[1] + 1)
+        contact = part("step/contact_start", steps[0], steps[1] + 1)
+        count = bodies[1] - bodies[0]
+        if (np.diff(motion) != count).any():
+            raise ValueError(
+                f"step/motion_start must rise by the {count} bodies of world {row} with each of its states"
+            )
         self.motion_start, self.contact_start = motion - motion[0], contact - contact[0]
+        live = part("step/flags", *steps) == 0
+        # a state that did not advance may hold anything
+        moves, touches = (None, None) if live.all() else (np.repeat(live, count), np.repeat(live, np.diff(contact)))
         self.arrays: dict[str, np.ndarray] = {}
         for name in MOTION:
-            self.arrays[name] = rows("motion", name, motion[0], motion[-1])
+            self.arrays[name] = rows(f"motion/{name}", motion[0], motion[-1], moves)
         for name in BODY:
-            self.arrays[name] = rows("body", name, *bodies)
+            self.arrays[name] = rows(f"body/{name}", *bodies)
         for name in ("body_a", "body_b", *CONTACT[: -len(STAGES)]):
-            values = rows("contact", name, contact[0], contact[-1])
+            values = rows(f"contact/{name}", contact[0], contact[-1], touches)
             self.arrays[name] = values.astype(_DTYPES.get(name, values.dtype), copy=False)
-        stages = file["contact/impulse"][:, contact[0] : contact[-1]]
+        stages = rows("contact/impulse", contact[0], contact[-1], touches)
         self.arrays.update(zip(STAGES, stages))
-        self._read_static(file, shapes)
+        body = part("shape/shape_body", *shapes)
+        for name, indices in (
+            *((f"contact/{name}", self.arrays[name]) for name in ("body_a", "body_b")),
+            ("shape/shape_body", body),
+        ):
+            check_rule(name, indices, Number(0, count - 1))
+        self._read_static(rows, part, shapes, body)
 
-    def _read_static(self, file: Any, shapes: tuple[int, int]) -> None:
+    def _read_static(self, rows: Any, part: Any, shapes: tuple[int, int], body: np.ndarray) -> None:
         """Read those of the shapes first, ..., last - 1 that are static."""
         first, last = shapes
-        body = file["shape/shape_body"][first:last]
         static = self.arrays["body_type"][body] == BodyType.STATIC
-        vertex = file["shape/vertex_start"][first : last + 1]
-        vertices = file["vertex/vertices"][vertex[0] : vertex[-1]]
+        vertex = part("shape/vertex_start", first, last + 1)
+        vertices = rows("vertex/vertices", vertex[0], vertex[-1])
         kept = [vertices[a - vertex[0] : b - vertex[0]] for a, b in itertools.pairwise(vertex)]
-        kept = [part for part, keep in zip(kept, static) if keep]
+        kept = [corners for corners, keep in zip(kept, static) if keep]
         self.arrays["shape_body"] = body[static]
         for name in SHAPE:
-            self.arrays[name] = file[f"shape/{name}"][first:last][static]
+            self.arrays[name] = rows(f"shape/{name}", first, last)[static]
         self.arrays["vertices"] = np.concatenate([np.zeros((0, 2), np.float32), *kept])
         self.vertex_count = np.array([len(part) for part in kept], np.int64)

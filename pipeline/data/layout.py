@@ -47,6 +47,7 @@ import numpy as np
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import CONTACTS, MODEL, STATE, Field
+from dc_kernels.model.rules import FINITE, NOT_NEGATIVE, POSITIVE, Code, Number, Unit
 
 SCHEMA = "deep-contact.dataset"
 VERSION = 2
@@ -84,6 +85,9 @@ A state whose step/flags is not 0 did not advance.
 _FLOAT32 = np.dtype(np.float32)
 
 
+Rule = Number | Code | Unit | None
+
+
 class DatasetSpec(NamedTuple):
     """What a dataset holds: its shape is (*lead, rows, *shape)."""
 
@@ -99,6 +103,8 @@ class DatasetSpec(NamedTuple):
     """Axes before that of the rows."""
     notes: Mapping[str, Any] = {}
     """Attributes of the dataset beside unit and meaning."""
+    rule: Rule = None
+    """What values of valid states satisfy."""
 
 
 CODES: dict[str, type[IntEnum] | type[IntFlag]] = {"body_type": BodyType, "shape_type": ShapeType, "flags": Flag}
@@ -113,10 +119,11 @@ def codes(name: str) -> dict[str, str]:
 def _field_spec(field: Field, dtype: Any = None) -> DatasetSpec:
     """Make the spec of a field of float32 arrays, of another dtype if given."""
     found, shape = numpy_spec(field, _FLOAT32)
+    rule = field.rule if isinstance(field.rule, Number | Code | Unit) else None  # others are of a simulation's axes
     if field.name in CODES:
         meaning = f"{' '.join(str(CODES[field.name].__doc__).split()).rstrip('.')}; see codes"
-        return DatasetSpec(np.dtype(dtype or found), field.unit, meaning, shape, notes=codes(field.name))
-    return DatasetSpec(np.dtype(dtype or found), field.unit, field.meaning, shape)
+        return DatasetSpec(np.dtype(dtype or found), field.unit, meaning, shape, notes=codes(field.name), rule=rule)
+    return DatasetSpec(np.dtype(dtype or found), field.unit, field.meaning, shape, rule=rule)
 
 
 def _field_specs(table: Mapping[str, Field], *names: str) -> dict[str, DatasetSpec]:
@@ -125,17 +132,19 @@ def _field_specs(table: Mapping[str, Field], *names: str) -> dict[str, DatasetSp
 
 
 def spec_of(dtype: Any, unit: str, meaning: str, shape: tuple[int, ...] = (), **more: Any) -> DatasetSpec:
-    """Make a spec of a dtype by name; ``more`` are ``lead`` and ``notes``."""
+    """Make a spec of a dtype by name; ``more`` are ``lead``, ``notes`` and ``rule``."""
     return DatasetSpec(np.dtype(dtype), unit, meaning, shape, **more)
 
 
 LAYOUT: dict[str, dict[str, DatasetSpec]] = {
     "world": {
         "seed": spec_of("int64", "1", "the world is the scene's world of this seed"),
-        "dt": spec_of("float32", "s", "time step"),
+        "dt": spec_of("float32", "s", "time step", rule=POSITIVE),
         **_field_specs(MODEL, "gravity", "origin", "length_scale"),
-        "slop": spec_of("float32", "m", "overlap that is left alone, and gap that counts as closed"),
-        "restitution_threshold": spec_of("float32", "m/s", "approach speed below which a contact does not bounce"),
+        "slop": spec_of("float32", "m", "overlap that is left alone, and gap that counts as closed", rule=NOT_NEGATIVE),
+        "restitution_threshold": spec_of(
+            "float32", "m/s", "approach speed below which a contact does not bounce", rule=NOT_NEGATIVE
+        ),
         "body_start": spec_of("int64", "1", "first row of each world in body"),
         "shape_start": spec_of("int64", "1", "first row of each world in shape"),
         "step_start": spec_of("int64", "1", "first row of each world in step"),
@@ -165,19 +174,23 @@ LAYOUT: dict[str, dict[str, DatasetSpec]] = {
     "motion": {
         **_field_specs(STATE, *MOTION),
         "position": _field_spec(STATE["position"])._replace(notes={"law": MOTION_LAW}),
-        "position_correction": spec_of("float32", "m", "what the position phase moves the body by in the step", (2,)),
-        "angle_correction": spec_of("float32", "rad", "what the position phase turns the body by in the step"),
+        "position_correction": spec_of(
+            "float32", "m", "what the position phase moves the body by in the step", (2,), rule=FINITE
+        ),
+        "angle_correction": spec_of(
+            "float32", "rad", "what the position phase turns the body by in the step", rule=FINITE
+        ),
     },
     "end": _field_specs(STATE, *MOTION),
     "contact": {
         **_field_specs(CONTACTS, "key"),
         "body_a": spec_of("int32", "1", "body A, from the world's first"),
         "body_b": spec_of("int32", "1", "body B, from the world's first"),
-        "point": spec_of("float32", "m", "place of the contact, relative to the world's origin", (2,)),
+        "point": spec_of("float32", "m", "place of the contact, relative to the world's origin", (2,), rule=FINITE),
         **_field_specs(CONTACTS, "normal", "gap", "friction", "restitution", "age"),
         "color": _field_spec(CONTACTS["color"], "uint8"),
         "bias": spec_of(
-            "float32", "m/s", "added to the normal velocity in the law of impulse", notes={"law": BIAS_LAW}
+            "float32", "m/s", "added to the normal velocity in the law of impulse", notes={"law": BIAS_LAW}, rule=FINITE
         ),
         "impulse": spec_of(
             "float32",
@@ -186,6 +199,7 @@ LAYOUT: dict[str, dict[str, DatasetSpec]] = {
             (2,),
             lead=(len(STAGES),),
             notes={"stages": STAGES, "law": LAW},
+            rule=FINITE,
         ),
     },
 }

@@ -119,11 +119,7 @@ def check_shard(path: Path, config: Mapping[str, Any], seed: int, most: int) -> 
             raise ValueError(f"{path} is {kind} of {worlds} worlds from seed {first}, not {most} from {seed}")
         if not np.array_equal(file["world/seed"][...], np.arange(seed, seed + worlds)):
             raise ValueError(f"{path} is damaged: world/seed does not count from {seed} to {seed + worlds - 1}")
-        sizes = check_shapes(file, path)
-        for name, rows in STARTS.items():
-            start = file[name][...]
-            if start[0] != 0 or start[-1] != sizes[rows] or (np.diff(start) < 0).any():
-                raise ValueError(f"{path} is damaged: {name} must ascend from 0 to {sizes[rows]}")
+        check_shapes(file, path)
         for name, data in datasets(file):
             row = damaged_row(data)
             if row is not None:
@@ -132,7 +128,7 @@ def check_shard(path: Path, config: Mapping[str, Any], seed: int, most: int) -> 
 
 
 def check_shapes(file: Any, path: Path) -> dict[str, int]:
-    """Count the rows of each axis of a shard, all of whose datasets must be there, of their shape and dtype.
+    """Count the rows of each axis of a shard; all datasets must be there, of their shape and dtype, offsets in order.
 
     Raises:
         ValueError: naming the file and the dataset.
@@ -144,6 +140,10 @@ def check_shapes(file: Any, path: Path) -> dict[str, int]:
         data = file[name]
         if (data.shape, data.dtype) != (shape, spec.dtype):
             raise ValueError(f"{path} is damaged: {name} is {data.shape}, {data.dtype}; not {shape}, {spec.dtype}")
+    for name, rows in STARTS.items():
+        start = file[name][...]
+        if start[0] != 0 or start[-1] != sizes[rows] or (np.diff(start) < 0).any():
+            raise ValueError(f"{path} is damaged: {name} must ascend from 0 to {sizes[rows]}")
     return sizes
 
 

@@ -109,10 +109,12 @@ class _Reader:
             if len(falls) or pointer[0] != 0:
                 k = int(falls[0]) if len(falls) else 0
                 raise self.fail(f"{name}/p[{k}]", f"is {pointer[k]}; it must be ascending from 0 on")
-            first, count = np.repeat(np.arange(along), np.diff(pointer)), int(pointer[-1])
+            count = int(pointer[-1])
         for what, array in (("i", index), ("x", values)):
             if len(array) < count:
                 raise self.fail(f"{name}/{what}", f"has {len(array)} entries; it must have {count}")
+        if nz < 0:  # not before it is known that there are so many
+            first = np.repeat(np.arange(along), np.diff(pointer))
         index, values, first = index[:count], values[:count], first[:count]
         # compressed: i runs across the pointers' axis; triplets: p are rows and i columns
         rows, columns = (first, index) if nz != -1 else (index, first)

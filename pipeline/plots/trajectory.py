@@ -9,10 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from dc_kernels.model.rules import FINITE
+from dc_kernels.model.validate import check_rule
 from dc_kernels.runtime.hdf5 import reading
 from dc_kernels.runtime.optional import require
 from pipeline.plots.style import QUANTITIES, figure, legend_below
 from pipeline.plots.world import WorldDrawing, WorldShapes, draw_world
+from pipeline.run.model import read_model
 
 
 def _over_worlds(axes: Any, time: np.ndarray, values: np.ndarray, quantity: str, label: str | None = None) -> None:
@@ -77,15 +80,21 @@ def animate(trajectory: Path, target: Path, world: int = 0, rate: float = 25.0, 
         progress: wraps the list of pictures, as tqdm does.
 
     Raises:
+        ValueError: naming file, dataset and place: damaged, or a model, place or angle that none may have.
         ImportError: naming the extra, without ffmpeg for .mp4.
         OSError: the disk does not take it.
     """
     animation = require("matplotlib.animation", "pipeline")
     with reading(trajectory) as file:
-        shapes = WorldShapes.of({name: data[...] for name, data in file["model"].items()}, world)
+        shapes = WorldShapes.of(read_model(file), world)
         time = file["record/time"][...]
         every = max(1, round(1.0 / (rate * float(np.diff(time[:2])[0])))) if len(time) > 1 else 1
+        records = {len(file[f"record/{name}"]) for name in ("time", "position", "angle")}
+        if records != {len(time)} or not len(time):
+            raise ValueError(f"record/ has {len(time)} times; there must be as many positions and angles, one at least")
         position, angle = (file[f"record/{name}"][::every, shapes.bodies] for name in ("position", "angle"))
+        for name, values in (("time", time), ("position", position), ("angle", angle)):
+            check_rule(f"record/{name}", values, FINITE)
     frames = np.arange(len(angle))
     spacing = float(time[every] - time[0]) if len(time) > every else 1.0 / rate
     with figure(7.0, 7.0) as fig:

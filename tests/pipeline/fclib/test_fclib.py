@@ -196,6 +196,7 @@ LOCAL = "fclib_local"
         (replaced(f"{LOCAL}/W/nz", np.array([-3], np.int32)), "W/nz is -3; it must be -1"),
         (replaced(f"{LOCAL}/W/nz", np.array([99], np.int32)), "W/p has 5 entries; nz is 99"),
         (replaced(f"{LOCAL}/W/p", np.array([0, 3, 2, 8, 10])), r"W/p\[2\] is 2; it must be ascending"),
+        (replaced(f"{LOCAL}/W/p", np.array([0, 3, 5, 8, 2**40])), "W/i has 10 entries; it must have 1099511627776"),
         (replaced(f"{LOCAL}/W/p", np.array([0, 3, 6])), r"W/p has shape \(3,\); it must be \(5\)"),
         (replaced(f"{LOCAL}/W/i", np.zeros(3, int)), "W/i has 3 entries; it must have 10"),
         (replaced(f"{LOCAL}/W/i", np.full(10, 4)), r"W/i\[0\] is 4; it must lie in \[0, 4\)"),
