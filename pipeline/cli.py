@@ -24,6 +24,7 @@ from pipeline.commands.generate import Generate
 from pipeline.commands.simulate import Explain, Simulate
 from pipeline.commands.train import Train, TrainContactnet
 from pipeline.data.recipe import load_recipe
+from pipeline.networks.registry import load_plugin
 
 Command = Simulate | Demo | Protocol | Evaluate | Explain | Figures | Generate | Train | TrainContactnet | Fclib
 
@@ -78,6 +79,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return 0, or exit with 2 (130 if interrupted) after one line on stderr."""
     try:
         command = parse(arguments)
+        for path in command.plugin:
+            load_plugin(path)
         result = command()
     except (ValueError, ImportError, OSError) as error:
         print(f"deep-contact: {' '.join(str(error).split())}", file=sys.stderr)

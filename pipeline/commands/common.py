@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from dc_kernels.model.settings import Settings
 
 try:
     from tyro.conf import Positional as Positional
+    from tyro.conf import UseAppendAction as Several
 except ImportError:  # cli.parse() says what is missing
-    Positional = Annotated  # type: ignore[assignment,misc]
+    Positional = Several = Annotated  # type: ignore[assignment,misc]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,3 +21,5 @@ class Common(Settings):
 
     json: bool = False
     """Print one line of JSON last, and no progress bar."""
+    plugin: Several[tuple[Path, ...]] = ()
+    """Python file that is run first and registers networks or starts; the option may be given several times."""

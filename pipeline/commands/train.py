@@ -7,16 +7,16 @@ from typing import Any
 
 from pipeline.commands.common import Common, Positional
 from pipeline.contactnet.options import ContactTrainOptions
-from pipeline.training.options import NetworkName, TrainOptions
+from pipeline.training.options import TrainOptions
 from pipeline.training.summary import describe
 
 
 @dataclass(frozen=True, kw_only=True)
 class Train(Common):
-    """Train a network of the theses on a data set; write network, state to resume from, curves and predictions."""
+    """Train a network on a data set; write network, state to resume from, curves and predictions."""
 
-    network: Positional[NetworkName]
-    """Which network."""
+    network: Positional[str]
+    """Which network: convfc, pressure, peak, unet, one of a plugin, or one of an installed package."""
     training: TrainOptions = field(default_factory=TrainOptions)
 
     def __call__(self) -> dict[str, Any]:

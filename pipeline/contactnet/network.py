@@ -16,7 +16,8 @@ from typing import Any, ClassVar
 from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
 from dc_kernels.model.settings import Positive, Settings
 from dc_kernels.runtime.optional import require
-from pipeline.networks.models import Channels, register
+from pipeline.networks.models import Channels
+from pipeline.networks.registry import register
 
 torch = require("torch", "pipeline")
 nn = torch.nn
@@ -54,7 +55,7 @@ class ContactNetConfig(Settings):
                 raise ValueError(f"{self.settings_prefix}{name} is (); it must hold widths >= 1")
 
 
-@register("contactnet", ContactNetConfig)
+@register("contactnet", ContactNetConfig, None)
 class ContactNet(Module):
     """Maps features of contacts and images of worlds to corrections (contacts, len(OUTPUT))."""
 

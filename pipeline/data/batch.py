@@ -64,6 +64,10 @@ class Batch:
         """Move the tensors as ``Tensor.to`` does."""
         return replace(self, **{f.name: getattr(self, f.name).to(*target, **options) for f in fields(self)})
 
+    def pin_memory(self) -> Batch:
+        """Put the tensors into page-locked memory, as torch's loaders ask for."""
+        return replace(self, **{f.name: getattr(self, f.name).pin_memory() for f in fields(self)})
+
 
 # fields of a batch by the axis along which states are put together
 BODY = ("mass", "inertia", "body_type")

@@ -31,6 +31,8 @@ Sampler: Any = torch.utils.data.Sampler
 Split = Literal["train", "validation"]
 CACHE_BYTES = 2**28
 """Size of the worlds that a process keeps in memory, about [B]."""
+STATE_OPTIONS = ("validation", "split_seed", "stride", "min_contacts", "cache_bytes")
+"""Options of ``loader`` that are those of ``States``."""
 
 
 class States(Dataset):
@@ -253,8 +255,8 @@ class BatchOrder(Sampler):
             yield batches[(i * self.world_size + self.rank) % len(batches)].tolist()
 
 
-def _identity(batch: Batch) -> Batch:
-    """Pass a batch on: it is put together already."""
+def collate(batch: Batch) -> Batch:
+    """Pass a batch on, as the ``collate_fn`` of a ``DataLoader`` over ``States``: it is put together already."""
     return batch
 
 
@@ -273,10 +275,11 @@ def loader(
     split: Split | None = "train",
     shuffle: bool = True,
     seed: int = 0,
-    workers: int = 0,
+    num_workers: int = 0,
+    pin_memory: bool = False,
+    drop_last: bool = False,
     rank: int = 0,
     world_size: int = 1,
-    drop_last: bool = False,
     **options: Any,
 ) -> Loader:
     """Make a ``DataLoader`` of batches; its ``set_epoch(n)`` chooses the order of each pass.
@@ -287,21 +290,30 @@ def loader(
         split: as of ``States``.
         shuffle: across the worlds of a pool, pools across all worlds; else worlds and steps in turn.
         seed: of the order.
-        workers: processes that read ahead; 0: this one reads.
+        num_workers: processes that read ahead; 0: this one reads. The batches do not depend on it.
+        pin_memory: put batches where a GPU copies them from without a stop (``batch.to("cuda", non_blocking=True)``).
+        drop_last: leave out the last batch if it is smaller, and what the ranks cannot share evenly.
         rank: of this process among ``world_size`` that train together.
         world_size: how many.
-        drop_last: leave out the last batch if it is smaller, and what the ranks cannot share evenly.
-        **options: validation, split_seed, stride, min_contacts, cache_bytes of ``States``.
+        **options: validation, split_seed, stride, min_contacts, cache_bytes of ``States``; all others are torch's own,
+            such as prefetch_factor, timeout, worker_init_fn. Workers are spawned and kept unless
+            multiprocessing_context or persistent_workers say otherwise.
 
     Raises:
-        ValueError: see ``States``; or where no state is left.
+        ValueError: see ``States``; where no state is left; for a sampler or collate_fn, which are the loader's own.
+        TypeError: for an option that torch does not know.
     """
-    states = States(path, split, **options)
+    for name in ("sampler", "batch_sampler", "collate_fn"):
+        if name in options:
+            raise ValueError(f"{name} is the loader's own; DataLoader(States(...), collate_fn=collate) takes any")
+    chosen = {name: options.pop(name) for name in STATE_OPTIONS if name in options}
+    states = States(path, split, **chosen)
     if not len(states):
-        raise ValueError(f"{path} has no state with split {split!r} and {options}")
+        raise ValueError(f"{path} has no state with split {split!r} and {chosen}")
     order = BatchOrder(states, batch_size, shuffle, seed, drop_last, rank, world_size)
-    more: Mapping[str, Any] = {"persistent_workers": True, "multiprocessing_context": "spawn"} if workers else {}
-    return Loader(states, batch_sampler=order, collate_fn=_identity, num_workers=workers, **more)
+    more: Mapping[str, Any] = {"persistent_workers": True, "multiprocessing_context": "spawn"} if num_workers else {}
+    options = {**more, **options, "num_workers": num_workers, "pin_memory": pin_memory}
+    return Loader(states, batch_sampler=order, collate_fn=collate, **options)
 
 
 def describe(path: Paths) -> dict[str, Any]:

@@ -4,6 +4,8 @@ Both are safetensors files, written under a temporary name and renamed when whol
 
 - ``schema`` and ``version``: ``deep-contact.network`` or ``deep-contact.training``, and its version;
 - ``network``, ``config``: name and configuration (JSON) from which ``models.build`` makes the network again;
+- ``plugin``, of a network from outside this package: the file or module that registers it, which is never loaded by
+  itself, since a file of weights is not to choose what code runs;
 - ``manifest`` (of a network; JSON): what its maker says of it: images, seeds, data set, versions, metrics;
 - ``state`` (of training; JSON): groups of the optimiser, schedule, progress, identity.
 
@@ -27,12 +29,13 @@ from dc_kernels.runtime.files import check_regular
 from dc_kernels.runtime.optional import require
 from pipeline.files import plain, versions, write_bytes
 from pipeline.networks import models
+from pipeline.networks.registry import entry
 
 torch = require("torch", "pipeline")
 safetensors = require("safetensors", "pipeline")
 
 NETWORK_SCHEMA, NETWORK_VERSION = "deep-contact.network", 1
-TRAINING_SCHEMA, TRAINING_VERSION = "deep-contact.training", 1
+TRAINING_SCHEMA, TRAINING_VERSION = "deep-contact.training", 2
 MOST_LAYERS = 64
 """Entries of a list in a configuration, beside one for each tensor in its file [1]."""
 
@@ -85,8 +88,8 @@ def load_checkpoint(
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is damaged, of another kind or version, or of another network or grid than asked for; the tensors
-            must be those of the network described, which is not built before.
+        ValueError: it is damaged, of another kind or version, of another network or grid than asked for, or of a plugin
+            that is not loaded; the tensors must be those of the network described, which is not built before.
     """
     described, tensors = _read(Path(path), NETWORK_SCHEMA, NETWORK_VERSION)
     if network is not None and described["network"] != network:
@@ -95,6 +98,7 @@ def load_checkpoint(
     found = _images(path, manifest)
     if grid is not None and found != grid:
         raise ValueError(f"{path} was trained on the grid {found}, not on {grid}")
+    _check_plugin(path, described)
     _check_config(path, described["network"], config, tensors)
     model = models.build(described["network"], config)
     model.load_state_dict(tensors)
@@ -215,7 +219,23 @@ def _restore(
 def _described(model: Any, schema: str, version: int) -> dict[str, str]:
     """Return the metadata that both kinds of file have."""
     config = _json("config", models.config_dict(model))
-    return {"schema": schema, "version": str(version), "network": model.network_name, "config": config}
+    plugin = entry(model.network_name).plugin
+    more = {} if plugin is None else {"plugin": plugin}
+    return {"schema": schema, "version": str(version), "network": model.network_name, "config": config, **more}
+
+
+def _check_plugin(path: Path | str, described: Mapping[str, str]) -> None:
+    """Raise ``ValueError`` where a network's plugin is not loaded, naming it."""
+    try:
+        entry(described["network"])
+    except ValueError as error:
+        if "plugin" not in described:
+            raise ValueError(f"{path}: {error}") from None
+        plugin = described["plugin"]
+        how = f"give --plugin {plugin}, or call load_plugin" if plugin.endswith(".py") else f"import {plugin} first"
+        raise ValueError(
+            f"{path} holds the network {described['network']!r} of the plugin {plugin}, which is not loaded: {how}"
+        ) from None
 
 
 def _json(name: str, value: Any) -> str:

@@ -23,57 +23,19 @@ the bodies do. ``width`` multiplies the filters and hidden units of all.
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar
 
 from dc_kernels.model.settings import Limits, Settings
 from dc_kernels.runtime.optional import require
-from pipeline.training.options import Share, Width
+from pipeline.networks.registry import Setup, Share, Width, entry, register
 
 torch = require("torch", "pipeline")
 nn, functional = torch.nn, torch.nn.functional
 Module: Any = nn.Module  # a name that mypy takes as a base
-
-
-class Entry(NamedTuple):
-    """What ``build`` makes a network from."""
-
-    config: type
-    """Frozen dataclass of its sizes, whose values are plain: numbers, strings, booleans, tuples of them."""
-    module: Callable[[Any], Any]
-    """Makes the ``torch.nn.Module`` of a configuration."""
-
-
-NETWORKS: dict[str, Entry] = {}
-ELSEWHERE = {"contactnet": "pipeline.contactnet.network"}
-"""Modules that register further networks when they are imported, by name of the network."""
-
-
-def register(name: str, config: type) -> Callable[[Any], Any]:
-    """Make a module class known to ``build`` and to checkpoints under a name."""
-
-    def add(module: Any) -> Any:
-        NETWORKS[name] = Entry(config, module)
-        return module
-
-    return add
-
-
-def entry(name: str) -> Entry:
-    """Return the entry of a network by name.
-
-    Raises:
-        ValueError: for an unknown name.
-    """
-    if name not in NETWORKS and name in ELSEWHERE:
-        importlib.import_module(ELSEWHERE[name])
-    if name not in NETWORKS:
-        raise ValueError(f"network is {name!r}; it must be one of {tuple(dict.fromkeys([*NETWORKS, *ELSEWHERE]))}")
-    return NETWORKS[name]
 
 
 def build(name: str, config: Any = None) -> Any:
@@ -90,7 +52,7 @@ def build(name: str, config: Any = None) -> Any:
     Raises:
         ValueError: for an unknown name, an unknown field, or a value out of range.
     """
-    kind, module = entry(name)
+    kind, module, *_ = entry(name)
     if config is None:
         config = kind()
     elif isinstance(config, Mapping):
@@ -210,7 +172,13 @@ class GridNetwork(Module):
         raise NotImplementedError
 
 
-@register("convfc", GridConfig)
+CONVFC = Setup(contacts=("normal_x",), nodes=41, decode="bilinear", optimizer="sgd", schedule="decay", rate=0.01)
+"""What ConvFC reads and how it is trained (Wu 2018)."""
+UNET = Setup(bodies=("velocity_x", "velocity_y", "omega", "mass", "inertia"), contacts=())
+"""What UNet reads and how it is trained (Tirca 2018)."""
+
+
+@register("convfc", GridConfig, CONVFC)
 class ConvFC(GridNetwork):
     """Convolutions, then two dense layers, of which the last one is as wide as the image (Wu 2018)."""
 
@@ -294,7 +262,7 @@ class Peak(GridNetwork):
         return self.dense(total)
 
 
-@register("unet", GridConfig)
+@register("unet", GridConfig, UNET)
 class UNet(GridNetwork):
     """Encoder and decoder with skip connections, and dilated convolutions at the bottom (Tirca 2018)."""
 

@@ -69,7 +69,7 @@ def _network_maker(name: str) -> Maker:
     from pipeline.networks.checkpoint import load_checkpoint
 
     model, manifest = load_checkpoint(PRETRAINED if name.lower() in CNN else name)
-    if model.network_name == "contactnet":
+    if hasattr(model, "trunk") and hasattr(model, "head"):  # it corrects a solve in flight
         from pipeline.starts.learned import CallOptions, LearnedSolve
 
         options = CallOptions(middle=CNN.get(name.lower(), True))

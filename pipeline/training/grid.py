@@ -18,7 +18,6 @@ from dataclasses import asdict
 from threading import Event
 from typing import Any
 
-from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.image_spec import ImageSpec
 from dc_kernels.grid.stencil import Stencil
 from dc_kernels.runtime.optional import require
@@ -39,7 +38,8 @@ from pipeline.process import interruptible, progress_bar
 from pipeline.training.log import Log
 from pipeline.training.losses import Decoder, Loss
 from pipeline.training.optimizer import check_loss, clip_gradients, make_optimizer, make_schedule
-from pipeline.training.options import CACHED, SETUPS, NetworkName, TrainOptions
+from pipeline.training.options import CACHED, TrainOptions
+from pipeline.training.preparation import build_network, check_network, make_grid
 from pipeline.training.processes import Processes, own_randomness, processes, seed_everything
 from pipeline.training.rate import RateSearch, find_rate
 from pipeline.training.scales import find_scales
@@ -56,15 +56,13 @@ FREE = ("data", "out", "resume", "threads", "workers", "log_every", "save_every"
 """Options that change no bit of what is trained; data sets are compared by what they hold instead."""
 
 
-def train_grid_network(
-    network: NetworkName, options: TrainOptions | None = None, progress: bool = True
-) -> dict[str, Any]:
+def train_grid_network(network: str, options: TrainOptions | None = None, progress: bool = True) -> dict[str, Any]:
     """Train a network of the theses; Ctrl-C ends it early, with whole files to resume from.
 
     Under ``torchrun`` each process takes its share of every batch; the first one prints and writes.
 
     Args:
-        network: convfc, pressure, peak or unet.
+        network: convfc, pressure, peak, unet, or another one that is registered to read images.
         options: what is trained on, how, and what is written.
         progress: show a bar on stderr.
 
@@ -78,8 +76,7 @@ def train_grid_network(
         ImportError: naming the extra, without torch, h5py or matplotlib.
     """
     options = options or TrainOptions()
-    if network not in SETUPS:
-        raise ValueError(f"network is {network!r}; it must be one of {tuple(SETUPS)}")
+    check_network(network)
     torch.set_num_threads(options.threads)
     with processes() as group, interruptible() as stop:
         run = GridTraining(network, options, group)
@@ -92,7 +89,7 @@ def train_grid_network(
 class GridTraining:
     """A training under way: its data, network and optimiser, and the steps that are done."""
 
-    def __init__(self, network: NetworkName, options: TrainOptions, group: Processes) -> None:
+    def __init__(self, network: str, options: TrainOptions, group: Processes) -> None:
         """Find the data, make network and optimiser, and continue where an earlier run stopped.
 
         Raises:
@@ -101,7 +98,7 @@ class GridTraining:
         self.network, self.options, self.group = network, options, group
         if options.batch_size % group.size:
             raise ValueError(f"batch_size is {options.batch_size}; {group.size} processes cannot share it evenly")
-        self.setup = SETUPS[network]
+        self.setup = check_network(network)
         self._find_data()
         check_writable(options.out, BEST, LAST, STATE)
         self._build_network()
@@ -135,15 +132,7 @@ class GridTraining:
         """Build the network with random weights, scale it, and choose what is minimized."""
         options, group = self.options, self.group
         seed_everything(options.seed)
-        config = models.GridConfig(
-            rows=self.images.grid.rows,
-            columns=self.images.grid.columns,
-            channels=len(self.images.channels),
-            outputs=self.images.impulse_channels,
-            width=options.width,
-            dropout=options.dropout,
-        )
-        self.model = models.build(self.network, config)
+        self.model = build_network(self.network, self.images, options)
         grid_scale, contact_scale = self.set_scales()
         group.broadcast(self.model)
         seed_everything(options.seed, group.rank)
@@ -180,20 +169,21 @@ class GridTraining:
 
     # ------------------------------------------------------------------ data
 
-    def loader(self, split: dataset.Split, **share: int) -> Any:
+    def loader(self, split: dataset.Split, rank: int = 0, world_size: int = 1) -> Any:
         """Make batches of a split, those of training in the epoch's order, of which this process takes its share."""
         options, training = self.options, split == "train"
         return dataset.loader(
             options.data,
-            batch_size=options.batch_size // share.get("world_size", 1),
+            batch_size=options.batch_size // world_size,
             split=split,
             shuffle=training,
             drop_last=training,
             seed=options.seed,
-            workers=options.workers,
+            num_workers=options.workers,
             stride=options.stride,
             validation=options.validation,
-            **share,
+            rank=rank,
+            world_size=world_size,
         )
 
     def batches(self, epoch: int, skip: int = 0) -> Iterator[Any]:
@@ -206,7 +196,7 @@ class GridTraining:
     def set_scales(self) -> tuple[Any, Any]:
         """Scale the network by what training states show; returns the scales of the losses, of images and contacts."""
         if self.options.scaling == "none":
-            return torch.ones(self.model.config.outputs), torch.ones(2)
+            return torch.ones(self.images.impulse_channels), torch.ones(2)
         with own_randomness():
             scales = find_scales(self.loader("train"), self.splatter, self.options.walls)
         self.model.set_scales(scales.channels, scales.outputs, BOUND)
@@ -320,7 +310,7 @@ class GridTraining:
 
     def identity(self) -> dict[str, Any]:
         """Return what decides the bits of this training."""
-        options = {name: value for name, value in asdict(self.options).items() if name not in FREE}
+        options = {name: value for name, value in asdict(self.options).items() if name not in (*FREE, "epochs")}
         return {**options, "processes": self.group.size, "data": self.data}
 
     def manifest(self) -> dict[str, Any]:
@@ -345,6 +335,7 @@ class GridTraining:
         if not self.group.first:
             return
         progress = {
+            "epochs": self.options.epochs,
             "epoch": self.epoch,
             "batch": self.batch,
             "step": self.step,
@@ -360,13 +351,33 @@ class GridTraining:
         save_training(state, self.model, self.optimizer, self.schedule, progress, self.identity(), {"rng": rng})
 
     def restore(self) -> None:
-        """Continue where ``save`` left off."""
+        """Continue where ``save`` left off, to as many epochs as the options ask for.
+
+        Raises:
+            ValueError: another training, one of more epochs already, or the middle of a cycle of the rate that more
+                epochs would change.
+        """
         state = self.options.out / STATE
         progress, extra = load_training(state, self.model, self.optimizer, self.schedule, self.identity())
         torch.set_rng_state(extra["rng"][self.group.rank])
         for name in ("epoch", "batch", "step", "best", "metrics", "running", "choices", "spent"):
             setattr(self, name, progress[name])
         self.search = progress["search"] and RateSearch(**progress["search"])
+        more = self.options.epochs - progress["epochs"]
+        if self.options.epochs < self.epoch or (more < 0 and self.choices["schedule"] == "onecycle"):
+            raise ValueError(
+                f"epochs is {self.options.epochs}; the training in {self.options.out} has done {self.epoch} of "
+                f"{progress['epochs']}: go on with as many or more"
+            )
+        if more > 0 and self.choices["schedule"] == "onecycle":
+            if self.epoch < progress["epochs"]:
+                raise ValueError(
+                    f"epochs is {self.options.epochs}; the training in {self.options.out} is within one cycle of "
+                    f"{progress['epochs']}: finish that first, a longer one then adds another cycle"
+                )
+            for parameters in self.optimizer.param_groups:
+                parameters["lr"] = self.choices["rate"]
+            self.schedule = make_schedule(self.optimizer, "onecycle", more * len(self.train))
 
     def finish(self, began: float) -> dict[str, Any]:
         """Draw the pictures, write and return the summary."""
@@ -403,12 +414,6 @@ class GridTraining:
         summary["files"] = [*networks, "metrics.jsonl", "train.json", *figures]
         write_json(options.out / "train.json", summary)
         return summary
-
-
-def make_grid(box: Any, nodes: int) -> Grid:
-    """Make the grid over a box (low x, low y, high x, high y) [m] with ``nodes`` nodes along its longer side."""
-    low, high = box[:2], box[2:]
-    return Grid.from_box(low, high, max(high[0] - low[0], high[1] - low[1]) / (nodes - 1))
 
 
 def _plain_options(options: TrainOptions) -> dict[str, Any]:

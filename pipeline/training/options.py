@@ -1,4 +1,4 @@
-"""Options of a training of the theses' networks, and the defaults of each network; this module loads without torch."""
+"""Options of a training of networks that read images; this module loads without torch."""
 
 from __future__ import annotations
 
@@ -7,46 +7,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from dc_kernels.model.settings import Count, Limits, NotNegative, Positive, Seed, Settings, Whole
+from pipeline.networks.registry import DecodeName, OptimizerName, ScheduleName, Share, Width
 
-Width = Annotated[float, Limits(above=0.0, most=16.0)]
-Share = Annotated[float, Limits(least=0.0, below=1.0)]
-NetworkName = Literal["convfc", "pressure", "peak", "unet"]
 LossName = Literal["grid_mse", "grid_mae", "contact_mse", "energy", "sweeps"]
-OptimizerName = Literal["sgd", "adamw"]
-ScheduleName = Literal["constant", "decay", "onecycle"]
-DecodeName = Literal["bilinear", "reverse"]
-
-BODIES = ("mass", "velocity_x", "velocity_y", "omega")
-NORMALS = ("normal_x", "normal_y")
 CACHED = ("impulse_n", "impulse_t")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Setup(Settings):
-    """What a network of the theses reads and how it is trained, unless options say otherwise."""
-
-    bodies: tuple[str, ...] = BODIES
-    """Channels that show bodies."""
-    contacts: tuple[str, ...] = NORMALS
-    """Channels that show contacts."""
-    nodes: Count = 61
-    """Nodes along each side of the box [1]."""
-    decode: DecodeName = "reverse"
-    """Way back to the contacts: bilinear (Wu), or reverse SPH (Engedal)."""
-    optimizer: OptimizerName = "adamw"
-    """SGD with Nesterov momentum, or AdamW."""
-    schedule: ScheduleName = "onecycle"
-    """How the learning rate goes over the steps."""
-    rate: Positive = 1e-3
-    """Learning rate, of "onecycle" the highest."""
-
-
-SETUPS: dict[NetworkName, Setup] = {
-    "convfc": Setup(contacts=("normal_x",), nodes=41, decode="bilinear", optimizer="sgd", schedule="decay", rate=0.01),
-    "pressure": Setup(),
-    "peak": Setup(),
-    "unet": Setup(bodies=("velocity_x", "velocity_y", "omega", "mass", "inertia"), contacts=()),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +22,7 @@ class TrainOptions(Settings):
     out: Path = Path("out/train")
     """Folder of the files, made if missing; files of an earlier training are replaced."""
     resume: bool = False
-    """Continue the training in that folder."""
+    """Continue the training in that folder, also to more epochs than it was to have."""
     epochs: Count = 10
     """Times that all training states are seen [1]."""
     batch_size: Count = 32
@@ -67,8 +31,10 @@ class TrainOptions(Settings):
     """Factor on the network's filters and hidden units [1]."""
     dropout: Share = 0.4
     """Share of values that ConvFC and Peak drop in training [1]."""
+    sizes: tuple[tuple[str, str], ...] = ()
+    """Fields of the network's own configuration: name and value, as in --sizes hidden 32 kernel 5."""
     nodes: Annotated[int, Limits(least=8, below=2**16)] | None = None
-    """Nodes along the longer side of the grid; None: as the thesis has it [1]."""
+    """Nodes along the longer side of the grid; None: as the network's setup has it [1]."""
     h: Positive | None = None
     """Support radius of the splat; None: 2 spacings [m]."""
     bins: Count = 1
@@ -84,13 +50,13 @@ class TrainOptions(Settings):
     scaling: Literal["channel", "none"] = "channel"
     """Divide channels and answers by their RMS in the training states, or leave them in their units."""
     decode: DecodeName | None = None
-    """Way back to the contacts: bilinear, or reverse SPH; None: as the thesis has it."""
+    """Way back to the contacts: bilinear, or reverse SPH; None: as the network's setup has it."""
     optimizer: OptimizerName | None = None
-    """SGD with Nesterov momentum 0.9, or AdamW; None: SGD for convfc, else AdamW."""
+    """SGD with Nesterov momentum 0.9, or AdamW; None: as the network's setup has it."""
     schedule: ScheduleName | None = None
-    """The rate over the steps: constant, / (1 + decay steps), or one cycle; None: decay for convfc, else one cycle."""
+    """The rate over the steps: constant, / (1 + decay steps), or one cycle; None: as the network's setup has it."""
     rate: Positive | None = None
-    """Learning rate, of "onecycle" the highest; None: 0.01 for convfc, else 0.001."""
+    """Learning rate, of "onecycle" the highest; None: as the network's setup has it."""
     find_rate: bool = False
     """Find the learning rate by a short training in which it grows (Smith 2017)."""
     decay: NotNegative = 1e-6

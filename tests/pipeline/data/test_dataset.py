@@ -14,7 +14,7 @@ from dc_kernels.measure import contact_slots
 torch = pytest.importorskip("torch")
 
 from pipeline.data import layout  # noqa: E402
-from pipeline.data.dataset import Batch, BatchOrder, States, describe, loader  # noqa: E402
+from pipeline.data.dataset import Batch, BatchOrder, States, collate, describe, loader  # noqa: E402
 from pipeline.data.generate import generate  # noqa: E402
 from pipeline.data.recipe import SOLVER, GenerateOptions, Recipe  # noqa: E402
 from pipeline.data.splatter import Splatter  # noqa: E402
@@ -199,7 +199,39 @@ def test_ranks_share_the_batches(folder):
 
 def test_workers_give_the_same_batches(folder):
     options = {"batch_size": 32, "split": "validation", "stride": 5}
-    assert all(map(same, loader(folder, **options), loader(folder, workers=1, **options)))
+    assert all(map(same, loader(folder, **options), loader(folder, num_workers=1, **options)))
+
+
+def test_options_are_those_of_torch(folder):
+    """What is given beside the states' own options reaches torch; batches do not depend on it."""
+    options = {"batch_size": 32, "split": "validation", "stride": 5}
+    more = {"prefetch_factor": 3, "persistent_workers": False, "multiprocessing_context": "fork", "timeout": 60}
+    made = loader(folder, num_workers=2, **more, **options)
+    assert (made.num_workers, made.prefetch_factor, made.persistent_workers, made.timeout) == (2, 3, False, 60)
+    assert all(map(same, loader(folder, **options), made))
+    assert loader(folder, pin_memory=True, **options).pin_memory
+    with pytest.raises(TypeError, match="nonsense"):
+        loader(folder, nonsense=1, **options)
+    for name in ("sampler", "batch_sampler", "collate_fn"):
+        with pytest.raises(ValueError, match=rf"{name} is the loader's own"):
+            loader(folder, **options, **{name: None})
+
+
+def test_the_loader_of_torch_takes_states(folder):
+    states = States(folder, stride=5)
+    batches = list(torch.utils.data.DataLoader(states, batch_size=16, num_workers=1, collate_fn=collate))
+    assert sum(map(len, batches)) == len(states)
+    assert same(batches[1], states.batch(range(16, 32)))
+
+
+def test_a_batch_is_pinned_tensor_by_tensor(folder):
+    class Pinned:
+        def pin_memory(self):
+            return "pinned"
+
+    names = [field.name for field in dataclasses.fields(Batch)]
+    pinned = Batch(**{name: Pinned() for name in names}).pin_memory()
+    assert all(getattr(pinned, name) == "pinned" for name in names)
 
 
 def test_states_open_nothing_until_asked(folder):

@@ -17,7 +17,7 @@ import safetensors.torch  # noqa: E402
 
 from dc_kernels.grid.grid import Grid  # noqa: E402
 from dc_kernels.grid.image_spec import ImageSpec  # noqa: E402
-from pipeline.networks import models  # noqa: E402
+from pipeline.networks import models, registry  # noqa: E402
 from pipeline.networks.checkpoint import load_checkpoint, load_training, save_checkpoint, save_training  # noqa: E402
 from pipeline.training.optimizer import make_optimizer, make_schedule  # noqa: E402
 from pipeline.training.processes import seed_everything  # noqa: E402
@@ -78,8 +78,8 @@ def test_a_registered_network_of_another_kind_comes_back(tmp_path, monkeypatch):
             super().__init__()
             self.layer = torch.nn.Linear(*config.widths)
 
-    monkeypatch.setattr(models, "NETWORKS", dict(models.NETWORKS))
-    models.register("other", Config)(Other)
+    monkeypatch.setattr(registry, "NETWORKS", dict(registry.NETWORKS))
+    registry.register("other", Config)(Other)
     model = models.build("other", Config(widths=(3, 5)))
     save_checkpoint(tmp_path / "a.safetensors", model, {})
     found, _ = load_checkpoint(tmp_path / "a.safetensors")

@@ -133,7 +133,7 @@ def test_scales_out_of_range_are_refused(channels, outputs, bound, message):
         ("unet", {"columns": 61.0}, "GridConfig.columns is 61.0"),
         ("unet", {"width": 0.0}, r"GridConfig.width is 0.0; it must be in \(0, 16\]"),
         ("peak", {"dropout": 1.0}, r"GridConfig.dropout is 1.0; it must be in \[0, 1\)"),
-        ("peak", models.Entry, "config of peak is a type; it must be a GridConfig"),
+        ("peak", int, "config of peak is a type; it must be a GridConfig"),
     ],
 )
 def test_a_network_that_cannot_be_built_is_refused(name, config, message):

@@ -150,6 +150,41 @@ def test_a_finished_training_stays_as_it_is(data, tmp_path, undrawn):
     assert all(torch.equal(tensor, before[name]) for name, tensor in trained(tmp_path).items())
 
 
+@pytest.mark.parametrize("schedule", ["constant", "decay"])
+def test_more_epochs_continue_as_if_they_had_been_asked_for(data, tmp_path, undrawn, schedule):
+    changes = {"schedule": schedule, "decay": 0.1}
+    whole, parts = (options(data, tmp_path / name, epochs=3, **changes) for name in ("whole", "parts"))
+    train_grid_network("pressure", whole, progress=False)
+    assert train_grid_network("pressure", replace(parts, epochs=1), progress=False)["complete"]
+    summary = train_grid_network("pressure", replace(parts, resume=True), progress=False)
+    assert summary["complete"] and summary["epochs"] == 3
+    assert_same_training(tmp_path / "whole", tmp_path / "parts")
+    with pytest.raises(ValueError, match=r"epochs is 2; the training in .*parts has done 3 of 3: go on with as many"):
+        train_grid_network("pressure", replace(parts, resume=True, epochs=2), progress=False)
+
+
+def test_more_epochs_after_one_cycle_are_another_cycle(data, tmp_path, undrawn, monkeypatch):
+    chosen = options(data, tmp_path, epochs=1, rate=0.01, log_every=1)
+    train_grid_network("pressure", chosen, progress=False)
+    first = [row["train/rate"] for row in logged(tmp_path) if "train/rate" in row]
+    learn = grid_training.GridTraining.learn
+    longer = replace(chosen, resume=True, epochs=3)
+    stopped = len(first) + 2
+    monkeypatch.setattr(
+        grid_training.GridTraining, "learn", lambda self, batch, stop=False: learn(self, batch, self.step == stopped)
+    )
+    assert not train_grid_network("pressure", longer, progress=False)["complete"]
+    monkeypatch.setattr(grid_training.GridTraining, "learn", learn)
+    with pytest.raises(ValueError, match=r"epochs is 4; the training in .* is within one cycle of 3: finish that"):
+        train_grid_network("pressure", replace(longer, epochs=4), progress=False)
+    assert train_grid_network("pressure", longer, progress=False)["complete"]
+    rates = [row["train/rate"] for row in logged(tmp_path) if "train/rate" in row]
+    assert rates[: len(first)] == first and len(rates) == 3 * len(first)
+    second = rates[len(first) :]
+    assert max(second) == pytest.approx(0.01, rel=0.05)
+    assert 2.0 * first[-1] < second[0] < max(second) > 20.0 * second[-1]  # up again, and down to nothing
+
+
 def test_a_loss_that_is_not_finite_stops_with_the_last_save_whole(data, tmp_path, undrawn):
     chosen = options(data, tmp_path, optimizer="sgd", schedule="constant", rate=1e12, save_every=1)
     with pytest.raises(ValueError, match=r"the (loss|gradient) of step \d+ is (nan|inf|-inf)"):
@@ -184,7 +219,7 @@ def test_held_out_worlds_are_never_trained_on(tmp_path):
 @pytest.mark.parametrize(
     ("network", "changes", "message"),
     [
-        ("lenet", {}, r"network is 'lenet'; it must be one of \('convfc', 'pressure', 'peak', 'unet'\)"),
+        ("lenet", {}, r"network is 'lenet'; it must be one of \('convfc', 'pressure', 'peak', 'unet', 'contactnet'"),
         ("unet", {"epochs": 0}, "epochs is 0; it must be >= 1"),
         ("unet", {"decay": -1.0}, "decay is -1.0; it must be finite and >= 0"),
         ("unet", {"walls": math.inf}, "walls is inf"),
