@@ -22,4 +22,4 @@ class Common(Settings):
     json: bool = False
     """Print one line of JSON last, and no progress bar."""
     plugin: Several[tuple[Path, ...]] = ()
-    """Python file that is run first and registers networks or starts; the option may be given several times."""
+    """Python file that is run first and registers networks or starts."""

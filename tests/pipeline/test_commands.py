@@ -179,7 +179,8 @@ def test_help_names_units_and_defaults():
         "[N s or 1]",
     ):
         assert wanted in options
-    assert options.count("(default:") == len(re.findall("^│ --", options, re.MULTILINE)) > 20
+    told = options.count("(default:") + options.count("(repeatable)")
+    assert told == len(re.findall("^│ --", options, re.MULTILINE)) > 20
 
 
 def test_scene_commands_have_the_scenes_names(capsys):

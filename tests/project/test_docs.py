@@ -89,7 +89,15 @@ def check_stages(scope: dict) -> None:
     assert len(scope["search"].numpy()) > len(scope["before"]) > 0
 
 
+def check_data(scope: dict) -> None:
+    batch = scope["batch"]
+    assert scope["image"].shape == (len(batch), 6, 61, 61) and scope["target"].shape == (len(batch), 2, 61, 61)
+    assert len(scope["speed"]) == len(scope["approach"]) == len(scope["error"]) == len(batch.gap) > 0
+    assert float(scope["error"].max()) > 0.0
+
+
 CHECKS = {
+    "docs/data.md": check_data,
     "README.md": check_readme,
     "docs/stages.md": check_stages,
     "docs/solver.md": check_solver,
@@ -228,6 +236,7 @@ def test_every_command_line_is_understood(capsys):
 
 
 HELPS = (
+    *(("train", "mine"), ("simulate", "thesis")),
     *((name,) for name in ("simulate", "generate", "train", "train-contactnet", "evaluate", "protocol", "explain")),
     *(("demo",), ("figures", "kernels"), ("fclib", "export"), ("fclib", "solve"), ("simulate", "mixed")),
     *(("generate", "mixed"), ("generate", "thesis"), ("train", "unet")),

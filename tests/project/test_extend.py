@@ -7,8 +7,10 @@ a plus. An edit ends where lines that stay or go follow lines that were added.
 
 from __future__ import annotations
 
+import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -18,6 +20,8 @@ import numpy as np
 import pytest
 
 from dc_kernels.measure import contact_slots
+from pipeline.cli import main
+from pipeline.networks import registry
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "extend.md"
@@ -74,8 +78,8 @@ def apply(root: Path, language: str, code: str) -> str:
 def test_the_examples_from_outside_run():
     """Those that change nothing run one after the other: each goes on where the one before ends."""
     scope: dict = {"__name__": __name__}  # dataclasses look their module up
-    for blocks in SECTIONS.values():
-        for language, code in blocks if not changes_package(blocks) else []:
+    for name, blocks in SECTIONS.items():
+        for language, code in blocks if not changes_package(blocks) and name != "A network" else []:
             assert language == "python"
             exec(compile(code, PAGE.name, "exec"), scope)
     assert 10 < scope["fallen"].sum() < 4 * 30  # boxes through the gap of the funnel
@@ -92,7 +96,26 @@ def test_the_examples_from_outside_run():
 
 
 def test_sections():
-    assert list(SECTIONS) == ["A scene", "A start", "An acceleration", "A joint", "A backend"]
+    assert list(SECTIONS) == ["A scene", "A start", "A network", "An acceleration", "A joint", "A backend"]
+
+
+def test_the_network_is_trained_and_used_from_the_command_line(tmp_path, monkeypatch, capsys):
+    """As the page has it, but fewer worlds and steps."""
+    monkeypatch.chdir(tmp_path)
+    python, shell, toml = SECTIONS["A network"]
+    assert (python[0], shell[0], toml[0]) == ("python", "sh", "toml") and registry.GROUP in toml[1]
+    Path("mine.py").write_text(python[1], encoding="utf-8")
+    lines = shell[1].splitlines()
+    small = {"generate": ["--worlds", "4"], "train": ["--epochs", "1"], "evaluate": ["--worlds", "1", "--steps", "70"]}
+    for line in lines:
+        words = shlex.split(line)[1:]
+        main([*words, *small.get(words[0], ["--steps", "70"]), "--json"])
+    results = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
+    made, trained, evaluated, simulated = results
+    assert made["complete"] and trained["network"] == "mine"
+    assert {row["start"] for row in evaluated["runs"]} == {"none", "builtin", "mine"}
+    assert simulated["network"]["calls"] > 0
+    del sys.modules[f"{registry.PLUGIN}mine"], registry.NETWORKS["mine"]
 
 
 def test_edits():

@@ -78,8 +78,7 @@ def test_a_registered_network_of_another_kind_comes_back(tmp_path, monkeypatch):
             super().__init__()
             self.layer = torch.nn.Linear(*config.widths)
 
-    monkeypatch.setattr(registry, "NETWORKS", dict(registry.NETWORKS))
-    registry.register("other", Config)(Other)
+    monkeypatch.setitem(registry.NETWORKS, "other", registry.Entry(Config, Other, None, None))
     model = models.build("other", Config(widths=(3, 5)))
     save_checkpoint(tmp_path / "a.safetensors", model, {})
     found, _ = load_checkpoint(tmp_path / "a.safetensors")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -15,13 +13,14 @@ import pytest
 torch = pytest.importorskip("torch")
 torch.set_num_threads(1)
 from pipeline.cli import main  # noqa: E402
+from pipeline.commands import compare  # noqa: E402
 from pipeline.networks import models, registry  # noqa: E402
 from pipeline.networks.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
+from pipeline.training import grid as grid_training  # noqa: E402
 from pipeline.training.grid import train_grid_network  # noqa: E402
 from pipeline.training.preparation import configuration  # noqa: E402
-from tests.pipeline.small import options  # noqa: E402
+from tests.pipeline.small import PNG, options  # noqa: E402
 
-ROOT = Path(__file__).resolve().parents[3]
 PLUGIN = '''
 """A network of one layer."""
 from dataclasses import dataclass
@@ -52,7 +51,11 @@ class Mine(GridNetwork):
 
 @pytest.fixture(autouse=True)
 def forgotten(monkeypatch):
-    """Registries as they were, after each test."""
+    """Registries as they were, after each test; and no pictures, which take longer than all else."""
+    for module in (grid_training, compare):
+        monkeypatch.setattr(module, "save_figure", lambda figure, path: path.write_bytes(PNG))
+    for name in registry.ELSEWHERE:  # what is imported during a test would be forgotten for good
+        registry.entry(name)
     monkeypatch.setattr(registry, "NETWORKS", dict(registry.NETWORKS))
     before = set(sys.modules)
     yield
@@ -69,7 +72,7 @@ def plugin(tmp_path) -> Path:
 
 
 def test_a_plugin_works_from_the_command_line(data, plugin, tmp_path, capsys):
-    """Training, evaluation and simulation, each in a process of its own as far as the registry is concerned."""
+    """Training, simulation and evaluation; a checkpoint without its plugin is refused."""
     out = tmp_path / "out"
     train = ["train", "mine", "--data", str(data), "--out", str(out), "--stride", "20", "--epochs", "1"]
     train += ["--batch-size", "8", "--sizes", "kernel", "5", "name", "wide", "--json"]
@@ -83,29 +86,16 @@ def test_a_plugin_works_from_the_command_line(data, plugin, tmp_path, capsys):
     run = ["--bodies", "6", "--steps", "40", "--json"]
     assert main(["simulate", "thesis", *run, "--out", str(tmp_path / "run"), "--start", best]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["network"]["calls"] > 0
-    command = [
-        "protocol",
-        *run,
-        "--worlds",
-        "1",
-        "--starts",
-        "none",
-        f"mine={best}",
-        "--out",
-        str(tmp_path / "protocol"),
-    ]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    kept: dict = {"capture_output": True, "text": True, "cwd": tmp_path, "env": environment}
-    alone = [sys.executable, "-m", "pipeline.cli", *command]
-    done = subprocess.run(alone, **kept)
-    assert done.returncode == 2
-    assert "holds the network 'mine' of the plugin mine.py, which is not loaded: give --plugin mine.py" in done.stderr
-    assert "Traceback" not in done.stderr
-    done = subprocess.run(
-        [*alone, "--plugin", "mine.py"], capture_output=True, text=True, cwd=tmp_path, env=environment
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert [row["start"] for row in json.loads(done.stdout.splitlines()[-1])["runs"]] == ["none", "mine"]
+    command = ["protocol", *run, "--worlds", "1", "--starts", "none", f"mine={best}", "--out", str(tmp_path / "all")]
+    registry.NETWORKS.pop("mine")
+    del sys.modules[f"{registry.PLUGIN}mine"]
+    with pytest.raises(SystemExit) as caught:
+        main(command)
+    assert caught.value.code == 2
+    message = "holds the network 'mine' of the plugin mine.py, which is not loaded: give --plugin mine.py"
+    assert message in capsys.readouterr().err
+    assert main([*command, "--plugin", str(plugin)]) == 0
+    assert [row["start"] for row in json.loads(capsys.readouterr().out.splitlines()[-1])["runs"]] == ["none", "mine"]
 
 
 def test_an_installed_package_is_found_by_its_entry_point(tmp_path, monkeypatch):
