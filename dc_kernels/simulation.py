@@ -22,7 +22,7 @@ from dc_kernels.phases import Phases
 from dc_kernels.reports import capacity, memory
 from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import refuse_hosted, refuse_recording
-from dc_kernels.runtime.inputs import check_whole
+from dc_kernels.runtime.inputs import check_maybe_callable, check_whole
 from dc_kernels.runtime.sequences import Rounds, Watch
 from dc_kernels.runtime.stepping import Shards
 from dc_kernels.runtime.threads import GPU_CALLS, OneCaller, uninterrupted
@@ -246,6 +246,8 @@ class Simulation(Phases):
         """
         steps = check_whole("steps", steps)
         if start is not None or callback is not None:
+            check_maybe_callable("start", start)
+            check_maybe_callable("callback", callback)
             refuse_recording("a step with start or callback", "these run in Python")
         self.calls.begin()
         try:

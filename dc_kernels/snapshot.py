@@ -29,6 +29,7 @@ from dc_kernels.model.rules import BrokenRule
 from dc_kernels.model.validate import check_joints, check_model, check_state
 from dc_kernels.runtime.files import write_whole
 from dc_kernels.runtime.hdf5 import image, reading
+from dc_kernels.runtime.inputs import check_count, check_path
 from dc_kernels.runtime.optional import require
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ def save(sim: Simulation, path: str | os.PathLike[str]) -> None:
         OSError: naming the file, when it cannot be written, or there is a folder, a device or a FIFO of its name.
         ImportError: without h5py, naming the extra that installs it.
     """
+    path = check_path("path", path)
     require("h5py", "pipeline")
     if sim.phase != "advance":
         raise ValueError("save() in the middle of a step: finish it with solve() and advance(), or take a step")
@@ -90,7 +92,8 @@ def load(
         OSError: when there is no such file, it is a folder, FIFO or device, or it must not be read.
         ImportError: without h5py, naming the extra that installs it.
     """
-    path = Path(path)
+    path = Path(check_path("path", path))
+    threads = check_count("threads", threads)
     with reading(path) as file:
         header = _Header(file, path)
         tables = {"model": Model.table, "state": State.table, "joints": Joints.table, "contacts": CONTACTS}

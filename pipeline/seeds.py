@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dc_kernels.model.settings import Seed, checker
+
+check_seed = checker(Seed)
+"""Returns a seed, or raises an error with the name."""
 TUNING_SEED = 80_000
 """First seed of the worlds on which gains of ContactNet are chosen; its training takes seeds below [1]."""
 VALIDATION_SEED = 90_000

@@ -49,10 +49,10 @@ class DelassusProblem:
             ValueError: naming array and index: a wrong shape, NaN or inf, an index out of range, a block given twice,
                 mu < 0, a diagonal that is missing or not positive.
         """
-        mu = np.asarray(self.mu)
+        mu = numeric("mu", self.mu)
         n = len(mu) if mu.ndim == 1 else 0
         float64, int32 = np.dtype(np.float64), np.dtype(np.int32)
-        column = np.asarray(self.column)
+        column = numeric("column", self.column)
         blocks = len(column) if column.ndim == 1 else 0
         arrays = {
             "mu": check_values("mu", mu, (n,), float64),

@@ -86,6 +86,7 @@ class Grid(Settings):
         return np.stack(np.meshgrid(x, y), axis=-1)
 
 
+_grid = checker(Grid)
 REACH = 0.9
 """Distance from a point to its nearest node, at most, over the support radius that ``choose_grid`` picks: below 1, so
 that the nearest node's weight is not lost in round-off."""
@@ -180,6 +181,7 @@ def shared_cells(points: Any, grid: Grid, start: Any = None) -> np.ndarray:
     Raises:
         ValueError: for points that are not finite, or offsets out of order.
     """
+    _grid("grid", grid)
     points, start = _worlds_of(points, start)
     place = _nearest(points, grid)
     world = np.repeat(np.arange(len(start) - 1), np.diff(start))

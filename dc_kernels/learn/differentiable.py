@@ -9,18 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from dc_kernels.learn.packed import Column
 from dc_kernels.measure import contact_slots
+from dc_kernels.model.settings import Limits, checker, numeric
 from dc_kernels.runtime.capture import refuse_recording
-from dc_kernels.runtime.inputs import check_array, check_count, check_start
+from dc_kernels.runtime.inputs import check_array, check_count, check_simulation, check_start, check_whole
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.optional import require
 from dc_kernels.solve.rows import read_column
 from dc_kernels.torch_ops.sweeps import launch
+from dc_kernels.torch_ops.tensors import check_tensors
 
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
@@ -163,6 +165,7 @@ class ContactProblem:
         Raises:
             ValueError: after ``advance``, on a GPU, with joints, or for a world that is not there or twice.
         """
+        check_simulation("sim", sim)
         refuse_recording("from_simulation", "the host reads what the kernels leave")
         if sim.device != "cpu":
             raise ValueError(f"sim.device is {sim.device!r}; contact problems are solved on the CPU")
@@ -171,7 +174,8 @@ class ContactProblem:
         if sim.phase == "advance":
             raise ValueError("from_simulation needs collide(dt) first: the contacts are those of a finished step")
         first, live = sim.model.numpy("body_start").astype(np.int64), sim.state.numpy("flags") == 0
-        chosen = np.arange(len(live)) if worlds is None else np.array(worlds, np.int64).reshape(-1)
+        given = np.arange(len(live)) if worlds is None else numeric("worlds", worlds, "integers", "iu")
+        chosen = given.astype(np.int64).reshape(-1)
         place = np.full(len(live), -1)
         for i, w in enumerate(chosen):
             if not 0 <= w < len(live) or place[w] >= 0:
@@ -237,6 +241,7 @@ class ContactProblem:
         Raises:
             ValueError: naming the argument.
         """
+        check_tensors(impulse_error=impulse_error)
         still = torch.zeros_like(self.velocity)
         error = torch.ops.deep_contact.push_impulses(impulse_error, still, *self._packed(impulse_error, threads))
         energy = 0.5 * (self._mass * error.square()).sum(dim=1)
@@ -258,6 +263,7 @@ class ContactProblem:
         Raises:
             ValueError: naming the argument.
         """
+        check_tensors(impulse=impulse)
         impulse = impulse.detach()
         step = torch.empty_like(impulse)
         velocity = self.velocities(impulse, threads=threads)
@@ -269,9 +275,14 @@ class ContactProblem:
 
     def _packed(self, impulse: Any, threads: int) -> tuple[Any, ...]:
         """Check the impulses and return the trailing arguments of the operators."""
+        check_tensors(impulse=impulse)
         array = tensor_array("impulse", impulse)
         check_array("impulse", array, (len(self._row), 2), tensor_array("velocity", self.velocity).dtype)
         return self._inverse, self._row, self._row_body, self._contact_start, check_count("threads", threads)
+
+
+_problem = checker(ContactProblem)
+_leak = checker(Annotated[float, Limits(least=0.0, most=1.0)])
 
 
 def sweeps_torch(
@@ -295,10 +306,8 @@ def sweeps_torch(
     Raises:
         ValueError: naming the argument.
     """
-    if not isinstance(sweeps, int | np.integer) or isinstance(sweeps, bool) or sweeps < 0:
-        raise ValueError(f"sweeps is {sweeps!r}; it must be an integer of at least 0")
-    if not 0.0 <= leak <= 1.0:
-        raise ValueError(f"leak is {leak!r}; it must lie in [0, 1]")
+    _problem("problem", problem)
+    sweeps, leak = check_whole("sweeps", sweeps), _leak("leak", leak)
     packed = problem._packed(impulse, threads)
-    found = torch.ops.deep_contact.sweep_problem(impulse, problem.velocity, *packed, int(sweeps), float(leak))
+    found = torch.ops.deep_contact.sweep_problem(impulse, problem.velocity, *packed, sweeps, leak)
     return tuple(found[:3])

@@ -11,7 +11,8 @@ sim.resume(pause=20)
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import math
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
@@ -22,9 +23,10 @@ from dc_kernels.grid.stencil import BILINEAR, Stencil
 from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
 from dc_kernels.learn.groups import SETTINGS, Reading
 from dc_kernels.model.arrays import kernel_array, to_torch
+from dc_kernels.model.settings import Limits, checker
 from dc_kernels.runtime.backends import kernel_file, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
-from dc_kernels.runtime.inputs import check_count
+from dc_kernels.runtime.inputs import check_count, check_simulation
 from dc_kernels.runtime.interop import address
 from dc_kernels.runtime.program import Fed, Kernel, Program
 
@@ -38,6 +40,9 @@ PLACES = ("place", "place_a", "place_b")
 def in_flight_kernels(backend: str, dtype: str, variant: str) -> dict[str, Any]:
     """Look up the kernels: solve_features, correct_impulses."""
     return make_kernels(backend, "learn.in_flight", dtype, variant)
+
+
+_grid, _ratio = checker(Grid), checker(Annotated[float, Limits(above=0.0, size=math.inf)])
 
 
 class SolveReader:
@@ -72,9 +77,9 @@ class SolveReader:
         Raises:
             ValueError: for a simulation whose solves cannot pause, or a setting out of range.
         """
-        for name, value in (("cap", cap), ("limit", limit)):
-            if not value > 0.0:
-                raise ValueError(f"{name} is {value!r}; it must be > 0")
+        check_simulation("sim", sim)
+        _grid("grid", grid)
+        cap, limit = _ratio("cap", cap), _ratio("limit", limit)
         if sim.device != "cpu" or sim.schedule != "world":
             raise ValueError(
                 f"the simulation runs on {sim.device!r} with schedule {sim.schedule!r}; it must be 'cpu' and 'world'"

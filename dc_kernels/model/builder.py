@@ -36,7 +36,7 @@ from dc_kernels.model.checks import ALL_BITS, body_type, fill, number, pair, tru
 from dc_kernels.model.dtypes import float_dtype
 from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.row_table import RowTable
-from dc_kernels.model.settings import numeric
+from dc_kernels.model.settings import numeric, shown
 from dc_kernels.model.shapes import TOLERANCE, box_vertices, convex_polygon, points
 from dc_kernels.model.validate import check_scene
 from dc_kernels.runtime.backends import check_device
@@ -388,7 +388,7 @@ class ModelBuilder:
         self._need_world(where)
         index = whole(f"{name} of {where}", body)
         if not 0 <= index < self._bodies.count:
-            raise ValueError(f"{name} of {where} is {index}; it must lie in [0, {self._bodies.count})")
+            raise ValueError(f"{name} of {where} is {shown(index)}; it must lie in [0, {self._bodies.count})")
         if index < self._worlds[-1].body:
             raise ValueError(
                 f"{name} of {where} is {index}, a body of an earlier world; "

@@ -58,7 +58,7 @@ def body_type(value: Any, where: str) -> BodyType:
     if not isinstance(value, int | np.integer) or isinstance(value, bool):
         raise WrongType(f"type of {where} is {shown(value)}; it must be one of {names}")
     if value not in set(BodyType):
-        raise ValueError(f"type of {where} is {value}; it must be one of {names}")
+        raise ValueError(f"type of {where} is {shown(value)}; it must be one of {names}")
     return BodyType(int(value))
 
 

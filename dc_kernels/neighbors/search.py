@@ -24,7 +24,7 @@ from dc_kernels.runtime.inputs import check_count, check_points, check_start
 from dc_kernels.runtime.optional import require
 from dc_kernels.runtime.threads import map_threads
 
-_number = checker(Annotated[float, Limits(above=0.0, size=math.inf)])  # its square decides
+_number = checker(Annotated[float, Limits(above=0.0, size=math.sqrt(np.finfo(np.float64).max))])  # its square decides
 METHODS = ("hash", "kdtree", "tree", "all")
 WAITING = 8  # workspaces that are kept for the next calls
 BLOCK = 1 << 20  # distances at a time in the method "all"

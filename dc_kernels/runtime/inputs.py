@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -24,6 +25,10 @@ check_finite = checker(Annotated[float, Limits()])
 """Returns a finite number, or raises an error with the name."""
 check_truth = checker(bool)
 """Returns True or False, or raises an error with the name."""
+check_path = checker(Path)
+"""Returns a path, or raises an error with the name."""
+check_maybe_callable = checker(Callable[..., Any] | None)
+"""Returns what can be called, or None, or raises an error with the name."""
 check_callable = checker(Callable[..., Any])
 """Returns what can be called, or raises an error with the name."""
 MAX_INDEX = 2**31 - 1  # of a point: kernels count in int32
@@ -175,7 +180,7 @@ def check_bins(bins: Any, point_bin: Any, count: int) -> np.ndarray:
         if bins > 1:
             raise ValueError(f"bins is {bins}, so point_bin must say which one each point belongs to")
         return np.zeros(1, np.int32)
-    array = check_values("point_bin", point_bin, (count,), np.dtype(np.int32))
+    array = check_values("point_bin", numeric("point_bin", point_bin, "integers", "iu"), (count,), np.dtype(np.int32))
     bad = np.flatnonzero((array < 0) | (array >= bins))
     if len(bad):
         raise ValueError(f"point_bin[{bad[0]}] is {array[bad[0]]}; it must lie in [0, {bins - 1}]")

@@ -141,6 +141,7 @@ def smoothing(kernel: str, r: Any, h: float, dim: int = 2) -> np.ndarray:
     Raises:
         ValueError: for an unknown kernel or dimension, an h out of range, or the first r that is not finite.
     """
+    check_kernel(kernel, dim)
     factor, q = _scaled(kernel, r, h, dim, 0)
     return factor * radial(kernel, q).w
 
@@ -170,6 +171,7 @@ def smoothing_hessian(kernel: str, offset: Any, h: float) -> np.ndarray:
 
 def smoothing_laplacian(kernel: str, r: Any, h: float, dim: int = 2) -> np.ndarray:
     """Laplacian of W at distances r: the shape of r [1/m^(dim+2)]; arguments as for ``smoothing``."""
+    check_kernel(kernel, dim)
     factor, q = _scaled(kernel, r, h, dim, 2)
     v = radial(kernel, q)
     return factor * (dim * v.f + q * q * v.g)

@@ -21,7 +21,7 @@ from dc_kernels.model.settings import check_choice
 from dc_kernels.neighbors.search import Neighbors, neighbor_lists
 from dc_kernels.runtime.backends import bind, check_backend, kernel_file, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
-from dc_kernels.runtime.inputs import check_array, check_count, check_points
+from dc_kernels.runtime.inputs import check_array, check_count, check_points, check_start
 from dc_kernels.runtime.threads import run_shards
 from dc_kernels.sph.fields import LISTS, SUM
 from dc_kernels.sph.quantities import CHUNK, PUBLIC, Quantity
@@ -109,6 +109,7 @@ def sph_density(
     """
     points = check_points("points", points, (2, 3))
     mass = check_array("mass", mass, (len(points),), points.dtype, low=0.0)
+    check_start("start", start, len(points))
     _, threads = check_options("value", threads, backend)
     factor = scale(kernel, h, points.shape[1], 0, points.dtype)
     lists = neighbor_lists(points, points, h, method=method, query_start=start, point_start=start, threads=threads)

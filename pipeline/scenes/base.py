@@ -14,12 +14,9 @@ from typing import Annotated, Any, ClassVar, cast
 import numpy as np
 
 import dc_kernels as dc
-from dc_kernels.model.settings import Limits, NotNegative, Positive, Seed, Settings, checker
+from dc_kernels.model.settings import Limits, NotNegative, Positive, Settings
 from dc_kernels.runtime.inputs import check_count
-from pipeline.seeds import check_seeds
-
-check_seed = checker(Seed)
-"""Returns a seed, or raises an error with the name."""
+from pipeline.seeds import check_seed, check_seeds
 
 
 def parameter_docs(scene: type[Scene]) -> dict[str, tuple[str, str]]:

@@ -7,10 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import dc_kernels as dc
+from dc_kernels.model.settings import checker
+from pipeline.seeds import check_seed
 from pipeline.starts.impulses import Bad, Builtin, Random, Zero
 from pipeline.starts.solution import Copy, Transfer
 from pipeline.starts.start import Start
 
+check_name = checker(str)
+"""Returns a name, or raises an error with what it is the name of."""
 Maker = Callable[[dc.Simulation], Start]
 """Makes a start for a simulation."""
 
@@ -44,11 +48,10 @@ def maker(name: str, seed: int = 0) -> Maker:
         OSError: a network's file cannot be read.
         ValueError: for an unknown name, a negative seed, or a file that holds no network.
     """
+    name, seed = check_name("name", name), check_seed("seed", seed)
     lower = name.lower()
     if is_network(name):
         return _network_maker(name)
-    if seed < 0:
-        raise ValueError(f"seed is {seed}; it must be >= 0")
     if lower in STARTS:
         make = STARTS[lower]
         return lambda sim: make(sim, seed)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-import pkgutil
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,49 +12,17 @@ import numpy as np
 import pytest
 
 import dc_kernels as dc
+from bench.faults.calls import all_settings, examples
+from bench.faults.values import out_of_range, required, wrong_types
 from dc_kernels.model import settings as module
 from dc_kernels.model.settings import Count, Limits, Positive, Settings, checker, field_types, numeric, plain_type
-from tests.bad_settings import cases, required, subclasses
 
-GRID = dc.Grid(rows=8, columns=8, spacing=1.0)
-EXAMPLES: dict[str, dict[str, Any]] = {
-    "Grid": {"rows": 8, "columns": 8, "spacing": 1.0},
-    "ImageSpec": {"grid": GRID},
-    "Crowd": {"bodies": 1, "worlds": 1, "acceleration": "none", "steps": (1,)},
-    "Simulate": {"scene": "incline"},
-    "Explain": {"scene": "incline"},
-    "Export": {"scene": "incline"},
-    "Solve": {"path": Path("x")},
-    "Fclib": {"action": "solve"},
-    "Figures": {"figure": "kernels"},
-    "Train": {"network": "unet"},
-}
-"""Fields without a default."""
-
-
-def import_all() -> list[type]:
-    """Import every module that may define settings; those of an extra that is not installed are left out."""
-    for package in ("dc_kernels", "pipeline"):
-        for info in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
-            if "._warp" not in info.name and "._numpy" not in info.name and not info.name.endswith("__main__"):
-                try:
-                    importlib.import_module(info.name)
-                except ImportError:
-                    continue
-    return sorted(set(subclasses()), key=lambda one: (one.__module__, one.__name__))
-
-
-ALL = import_all()
+ALL = all_settings()
 
 
 def example(settings: type) -> Any:
     """Valid settings."""
-    given = {name: EXAMPLES[settings.__name__][name] for name in required(settings)}
-    if given.get("scene") == "incline":
-        given["scene"] = importlib.import_module("pipeline.scenes").scene("incline")
-    if given.get("action") == "solve":
-        given["action"] = importlib.import_module("pipeline.commands.fclib").Solve(path=Path("x"))
-    return settings(**given)
+    return settings(**{name: examples()[settings.__name__][name] for name in required(settings)})
 
 
 def test_all_settings_are_found():
@@ -68,7 +34,13 @@ def test_all_settings_are_found():
 @pytest.mark.parametrize("settings", ALL, ids=lambda settings: f"{settings.__module__}.{settings.__name__}")
 def test_every_field_refuses_what_it_cannot_be(settings):
     good = example(settings)
-    for name, error, value in cases(settings):
+    cases = [
+        (name, error, value)
+        for name, hint in field_types(settings).items()
+        for error, values in ((TypeError, wrong_types(hint)), (ValueError, out_of_range(hint)))
+        for value in values
+    ]
+    for name, error, value in cases:
         with pytest.raises(error, match=rf"\b{name}\b") as caught:
             replace(good, **{name: value})
         text = str(caught.value)
