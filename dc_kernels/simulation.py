@@ -188,8 +188,8 @@ class Simulation(Phases):
         refuse_recording("a change of config", "make it before")
         with self.calls:
             with uninterrupted():
-                self._config = config
                 self.storage.adapt(config)
+                self._config = config
                 self._bind_all()
             if self._turn.ran != "advance":
                 # rows depend on the settings too: those of the step in flight are made anew

@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for path in command.plugin:
             load_plugin(path)
         result = command()
-    except (ValueError, ImportError, OSError) as error:
+    except (ValueError, OverflowError, MemoryError, ImportError, OSError) as error:
         print(f"deep-contact: {' '.join(str(error).split())}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 
 _spec = checker(ImageSpec)
+GATHERS = 64  # kinds of gathers whose launches are kept
 
 
 class Images:
@@ -195,6 +196,8 @@ class Images:
         with self.sim.calls:
             self._keep_bound()
             if key not in self._gathers:
+                if len(self._gathers) >= GATHERS:
+                    self._gathers.clear()
                 self._gathers[key] = self._bind_gather(*key)
             run, value = self._gathers[key]
             run(image, pointer)

@@ -16,6 +16,7 @@ from dc_kernels.model.arrays import kernel_array, to_numpy
 from dc_kernels.model.dtypes import aligned_zeros, float_dtype
 from dc_kernels.runtime.backends import Launch, bind, kernel_file, make_kernels
 from dc_kernels.runtime.capture import HOST, recording, refuse_recording
+from dc_kernels.runtime.memory import check_memory
 from dc_kernels.runtime.program import Kernel, Stage
 from dc_kernels.runtime.threads import run_shards, shard_worlds
 
@@ -30,7 +31,11 @@ def transfer_kernels(backend: str, dtype: str) -> dict[str, Any]:
 
 def allocate_image(worlds: int, channels: int, grid: Grid, dtype: Any = "float32") -> np.ndarray:
     """Return a zeroed image (worlds, channels, rows, columns), its first byte aligned for SIMD loads."""
-    return aligned_zeros((worlds, channels, *grid.shape), float_dtype(dtype))
+    real = float_dtype(dtype)
+    rows, columns = grid.shape
+    what = f"an image of {worlds} worlds, {channels} channels, {rows} rows and {columns} columns of the grid"
+    check_memory(what, float(worlds) * channels * rows * columns * real.itemsize)
+    return aligned_zeros((worlds, channels, rows, columns), real)
 
 
 def chunks_of(most: int) -> int:

@@ -19,6 +19,7 @@ from dc_kernels.model.settings import Limits, checker, numeric
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_array, check_count, check_simulation, check_start, check_whole
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
+from dc_kernels.runtime.memory import check_memory
 from dc_kernels.runtime.optional import require
 from dc_kernels.solve.rows import read_column
 from dc_kernels.torch_ops.sweeps import launch
@@ -309,5 +310,6 @@ def sweeps_torch(
     _problem("problem", problem)
     sweeps, leak = check_whole("sweeps", sweeps), _leak("leak", leak)
     packed = problem._packed(impulse, threads)
+    check_memory("the tape of sweeps", float(sweeps) * len(impulse))
     found = torch.ops.deep_contact.sweep_problem(impulse, problem.velocity, *packed, sweeps, leak)
     return tuple(found[:3])

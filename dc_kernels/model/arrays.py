@@ -6,6 +6,7 @@ One buffer serves every user: on the CPU an array is allocated once, 64-byte ali
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, Field
 from dc_kernels.model.settings import numeric
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
+from dc_kernels.runtime.memory import check_memory
 from dc_kernels.runtime.optional import require
 
 
@@ -107,8 +109,20 @@ class ArrayGroup:
         """Number of times that arrays were allocated anew."""
         self.fixed = False
         """Whether offsets, indices and types of shapes are in use, and ``assign`` refuses others."""
+        self._check_room(self.table)
         for name, field in self.table.items():
             setattr(self, name, allocate(field, sizes, self.dtype, device, backend))
+
+    def _check_room(self, names: Iterable[str]) -> None:
+        """Raise a MemoryError, naming the largest array, for arrays that do not fit into the free memory."""
+        taken = {}
+        for name in names:
+            scalar, inner = numpy_spec(self.table[name], self.dtype)
+            taken[name] = math.prod((*(self.sizes[axis] for axis in self.table[name].axes), *inner, scalar.itemsize))
+        if taken and self.device == "cpu":
+            largest = max(taken, key=taken.__getitem__)
+            sizes = ", ".join(f"{axis} {self.sizes[axis]}" for axis in self.table[largest].axes)
+            check_memory(f"{type(self).__name__}.{largest} ({sizes}) with what goes with it", sum(taken.values()))
 
     def reallocate(self, names: Iterable[str], **sizes: int) -> None:
         """Replace arrays by zeroed ones of other sizes; views taken before are stale.
@@ -117,8 +131,15 @@ class ArrayGroup:
             names: fields to allocate anew.
             sizes: new elements on the axes by their names.
         """
-        self.version += 1
+        names = list(names)
+        before = dict(self.sizes)
         self.sizes.update(sizes)
+        try:
+            self._check_room(names)
+        except MemoryError:
+            self.sizes = before
+            raise
+        self.version += 1
         for name in names:
             setattr(self, name, allocate(self.table[name], self.sizes, self.dtype, self.device, self.backend))
 

@@ -32,6 +32,7 @@ CHOICES = {
     "start": STARTS,
     "position_correction": POSITION_CORRECTIONS,
 }
+Room = Annotated[float, Limits(least=0.0, most=1e6)]
 Tolerance = Annotated[float, Limits(least=0.0, size=math.inf)]
 SLACK = 0.05  # of the slop: within it two separating axes count as equal and the first body's is taken
 
@@ -152,8 +153,8 @@ class SimulationOptions(Settings):
     schedule: Literal["world", "color"] = "world"
     on_overflow: Literal["grow", "raise"] = "grow"
     specialize: bool = True
-    pairs_per_shape: NotNegative = 4.0
-    contacts_per_body: NotNegative = 2.5
+    pairs_per_shape: Room = 4.0
+    contacts_per_body: Room = 2.5
 
 
 def _config_table() -> dict[str, Field]:

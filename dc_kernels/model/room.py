@@ -8,6 +8,7 @@ import numpy as np
 
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.model.enums import Flag
+from dc_kernels.model.settings import MAX_INT
 
 LONG = 200  # slots of a segment, from which it is copied by itself
 GROWTH = 1.25  # of what a step needed, so that a growing pile reallocates rarely
@@ -27,7 +28,12 @@ class Room:
             what: the slots' name in messages.
             flag: set in ``state.flags`` of a world that needed more.
             slots: how many to reserve, (W,).
+
+        Raises:
+            OverflowError: for more than kernels count in all worlds.
         """
+        if (total := float(np.sum(slots, dtype=np.float64))) > MAX_INT:
+            raise OverflowError(f"{total:.4g} {what} are to be reserved in all worlds; there may be {MAX_INT}")
         self.what, self.flag = what, flag
         self.slots = np.asarray(slots, np.int64)
 

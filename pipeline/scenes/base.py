@@ -16,7 +16,10 @@ import numpy as np
 import dc_kernels as dc
 from dc_kernels.model.settings import Limits, NotNegative, Positive, Settings
 from dc_kernels.runtime.inputs import check_count
+from dc_kernels.runtime.memory import check_memory
 from pipeline.seeds import check_seed, check_seeds
+
+WORLD, BODY = 3e3, 1e3  # memory of a world and of a body while they are built, about [B]
 
 
 def parameter_docs(scene: type[Scene]) -> dict[str, tuple[str, str]]:
@@ -62,6 +65,11 @@ class Scene(Settings):
     """Downward acceleration [m/s^2]."""
 
     @property
+    def count(self) -> int:
+        """About how many bodies a world has [1]."""
+        return int(getattr(self, "bodies", 1))
+
+    @property
     def material(self) -> dict[str, Any]:
         """Keywords of ``ModelBuilder.add_*`` for the shapes' material."""
         return {"friction": self.friction, "restitution": self.restitution, "density": self.density}
@@ -74,6 +82,7 @@ class Scene(Settings):
         """
         worlds, seed = check_count("worlds", worlds), check_seed("seed", seed)
         check_seeds(seed, worlds)
+        check_memory(f"worlds is {worlds}, of {self.count} bodies each: they", worlds * (WORLD + BODY * self.count))
         builder = dc.ModelBuilder()
         self.add_worlds(builder, [np.random.Generator(np.random.PCG64(seed + i)) for i in range(worlds)])
         return builder

@@ -49,6 +49,11 @@ class Pyramid(Scene):
     jitter: NotNegative = 0.002
     """Largest sideways offset of a box, uniform [m]."""
 
+    @property
+    def count(self) -> int:
+        """How many bodies a world has [1]."""
+        return self.rows * (self.rows + 1) // 2
+
     def add_bodies(self, builder: dc.ModelBuilder, stream: np.random.Generator) -> None:
         """Add the floor and the boxes."""
         half, pitch = self.half_width, self.half_width * (2.0 + self.spacing)
