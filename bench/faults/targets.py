@@ -265,7 +265,10 @@ def point_targets() -> Iterator[Target]:
     lists = {"queries": cloud, "points": cloud, **radius, "query_start": start, "point_start": start, **ways}
     both = {"queries": points, "points": points, "radius": 0.1}
     yield Target("neighbor_lists", lambda: dc.neighbor_lists, lambda: dict(both), lists)
-    yield Target("NeighborSearch", lambda: dc.NeighborSearch, lambda: {"radius": 0.1}, {**radius, **ways})
+    searched = {"points": points, "radius": 0.1}
+    yield Target(
+        "NeighborSearch", lambda: dc.NeighborSearch, lambda: dict(searched), {"points": cloud, **radius, **ways}
+    )
     kernel = {"h": Positive, "kernel": Literal[tuple(smoothing.KERNELS)]}
     fields = {"mass": Array(4), "density": Array(4)}
     starts = {"query_start": start, "point_start": start}

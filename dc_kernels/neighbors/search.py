@@ -170,10 +170,15 @@ def _workspace(backend: str) -> Iterator[Workspace]:
 
 
 def square(name: str, radius: Any, dtype: np.dtype) -> Any:
-    """The largest squared distance, r r in the dtype of the points."""
+    """The largest squared distance, r r in the dtype of the points.
+
+    Raises:
+        TypeError, ValueError: naming it, for what is no number > 0, or whose square the dtype does not hold.
+    """
+    radius = _number(name, radius)
     with np.errstate(over="ignore", under="ignore"):
         square = dtype.type(radius) * dtype.type(radius)
-    if not radius > 0 or not np.finfo(dtype).tiny <= square <= np.finfo(dtype).max:
+    if not np.finfo(dtype).tiny <= square <= np.finfo(dtype).max:
         raise ValueError(f"{name} is {radius!r}; it must be > 0, and its square a finite, normal {dtype} [m]")
     return square
 
