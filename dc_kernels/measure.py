@@ -29,21 +29,21 @@ class Overlap(NamedTuple):
 
 def kinetic_energy(sim: Any) -> np.ndarray:
     """Kinetic energy of each world's dynamic bodies, rotation included: (W,) [J]."""
-    check_simulation("sim", sim)
+    check_simulation("sim", sim, ("model", "state"))
     mass, inertia, velocity, spin = _motion(sim)
     return _per_world(sim, (mass * (velocity * velocity).sum(axis=1) + inertia * spin**2) / 2)
 
 
 def potential_energy(sim: Any) -> np.ndarray:
     """Potential energy of each world's dynamic bodies in its gravity, 0 at the world's origin: (W,) [J]."""
-    check_simulation("sim", sim)
+    check_simulation("sim", sim, ("model", "state"))
     gravity = _float64(sim.model, "gravity")[_worlds(sim)]
     return _per_world(sim, -_float64(sim.model, "mass") * (gravity * _float64(sim.state, "position")).sum(axis=1))
 
 
 def momentum(sim: Any) -> Momentum:
     """Linear momentum, and angular momentum about the world's origin, of each world's dynamic bodies."""
-    check_simulation("sim", sim)
+    check_simulation("sim", sim, ("model", "state"))
     mass, inertia, velocity, spin = _motion(sim)
     linear = mass[:, None] * velocity
     position = _float64(sim.state, "position")
@@ -63,7 +63,7 @@ def overlap(sim: Any, recollide: float | None = None) -> Overlap:
             positions (their impulses are then those the next solve starts from) without changing the state. None:
             the gaps are those at the beginning of the last step.
     """
-    check_simulation("sim", sim)
+    check_simulation("sim", sim, ("contacts",))
     if recollide is not None:
         sim.collide(check_positive("recollide", recollide))
     slots, world = contact_slots(sim.contacts)

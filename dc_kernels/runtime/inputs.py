@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,9 +34,9 @@ check_callable = checker(Callable[..., Any])
 MAX_INDEX = 2**31 - 1  # of a point: kernels count in int32
 
 
-def check_simulation(name: str, sim: Any) -> None:
-    """Raise a TypeError for what has no groups and phases as a ``Simulation`` has."""
-    if isinstance(sim, type) or not all(hasattr(sim, part) for part in ("model", "state", "contacts", "phase")):
+def check_simulation(name: str, sim: Any, parts: Sequence[str] = ("model", "state", "contacts", "phase")) -> None:
+    """Raise a TypeError for what lacks attributes that a ``Simulation`` has."""
+    if isinstance(sim, type) or not all(hasattr(sim, part) for part in parts):
         raise WrongType(f"{name} is {shown(sim)}; it must be a Simulation")
 
 
