@@ -18,7 +18,7 @@ from importlib import metadata, util
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
-from dc_kernels.model.settings import Count, Limits, Positive, Settings
+from dc_kernels.model.settings import Count, Limits, Positive, Settings, checker
 
 Width = Annotated[float, Limits(above=0.0, most=16.0)]
 Share = Annotated[float, Limits(least=0.0, below=1.0)]
@@ -115,12 +115,16 @@ def known() -> tuple[str, ...]:
     return tuple(dict.fromkeys([*ELSEWHERE, *NETWORKS, *installed]))
 
 
+_name = checker(str)
+
+
 def entry(name: str) -> Entry:
     """Return the entry of a network by name.
 
     Raises:
         ValueError: for an unknown name, or an entry point whose module does not register it.
     """
+    name = _name("network", name)
     if name not in NETWORKS and name in ELSEWHERE:
         importlib.import_module(ELSEWHERE[name])
     if name not in NETWORKS:
