@@ -204,6 +204,8 @@ def _restore(
     if not isinstance(state["progress"], dict):
         raise ValueError(f"{path} is damaged: its progress is a {type(state['progress']).__name__}")
     _check_tensors(path, model, parts["model"])
+    for name, tensor in parts["optimizer"].items():
+        _check_finite(path, f"optimizer/{name}", tensor)
     model.load_state_dict(parts["model"])
     groups = [_as_given(saved, mine) for saved, mine in zip(state["groups"], own)]
     optimizer.load_state_dict({"state": dict(sorted(values.items())), "param_groups": groups})
@@ -338,10 +340,16 @@ def _check_tensors(path: Path | str, model: Any, tensors: Mapping[str, Any]) -> 
                 f"{path}: {name} is {found.dtype} {tuple(found.shape)}; "
                 f"{model.network_name} has {wanted.dtype} {tuple(wanted.shape)}"
             )
-        if found.is_floating_point():
-            # a weight is a number; a bound kept beside the weights may be infinite
-            bad = torch.nonzero(~torch.isfinite(found) if name in weights else torch.isnan(found))
-            if len(bad):
-                index = tuple(bad[0].tolist())
-                place = f"{name}[{', '.join(map(str, index))}]"
-                raise ValueError(f"{path}: {place} is {float(found[index])}; it must be finite")
+        # only a bound kept beside the weights, one number, may be infinite
+        _check_finite(path, name, found, infinite=name not in weights and not found.ndim)
+
+
+def _check_finite(path: Path | str, name: str, tensor: Any, infinite: bool = False) -> None:
+    """Raise ``ValueError`` naming the first number of a tensor that is NaN, or infinite if that is not allowed."""
+    if not tensor.is_floating_point():
+        return
+    bad = torch.nonzero(torch.isnan(tensor) if infinite else ~torch.isfinite(tensor))
+    if len(bad):
+        index = tuple(bad[0].tolist())
+        place = f"{name}[{', '.join(map(str, index))}]" if index else name
+        raise ValueError(f"{path}: {place} is {float(tensor[index])}; it must be finite")

@@ -131,6 +131,14 @@ def replaced(name, value):
             lambda path: rewritten(path, replaced("layers.0.bias", torch.tensor([0.0, 1.0, torch.nan, 0.0, 0.0, 0.0]))),
             r"layers.0.bias\[2\] is nan; it must be finite",
         ),
+        (
+            lambda path: rewritten(path, replaced("layers.1.running_var", torch.full((6,), torch.inf))),
+            r"layers.1.running_var\[0\] is inf; it must be finite",
+        ),
+        (
+            lambda path: rewritten(path, replaced("input_bound", torch.tensor(torch.nan))),
+            "input_bound is nan; it must be finite",
+        ),
         (lambda path: rewritten(path, network="unet"), "unlike unet"),
         (lambda path: rewritten(path, network=None), "its metadata do not name the network"),
         *(
@@ -307,6 +315,17 @@ def test_a_damaged_training_is_refused(tmp_path, change, message):
     with pytest.raises(ValueError, match=message) as caught:
         load_training(path, model, optimizer, schedule, {"seed": 1})
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["exp_avg", "exp_avg_sq", "step"])
+def test_a_training_whose_optimiser_is_not_finite_is_refused(tmp_path, name):
+    path = tmp_path / "training.safetensors"
+    model, optimizer, schedule = training("adamw", "decay")
+    learn(model, optimizer, schedule, range(2))
+    save_training(path, model, optimizer, schedule, {}, {})
+    rewritten(path, lambda kept: {**kept, f"optimizer/0/{name}": kept[f"optimizer/0/{name}"] * torch.nan})
+    with pytest.raises(ValueError, match=rf"training\.safetensors: optimizer/0/{name}.* is nan; it must be finite"):
+        load_training(path, model, optimizer, schedule, {})
 
 
 def test_a_training_with_tensors_of_another_shape_is_refused(tmp_path):
