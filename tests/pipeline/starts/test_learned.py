@@ -386,8 +386,8 @@ def test_what_cannot_be_is_refused():
     with pytest.raises(ValueError, match="needs collide"):
         LearnedSolve(simulation(Thesis(bodies=3)), network).solve()
     for name, value, message in (
-        ("every", 1, "CallOptions.every is 1; it must be >= 2"),
-        ("most", -1, "CallOptions.most is -1; it must be >= 0"),
+        ("every", 1, "CallOptions.every is 1; it must be an integer in .2, "),
+        ("most", -1, "CallOptions.most is -1; it must be an integer in .0, "),
         ("harm", 0.5, "CallOptions.harm is 0.5; it must be >= 1"),
         ("limit", math.nan, "CallOptions.limit is nan"),
     ):
