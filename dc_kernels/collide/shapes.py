@@ -13,6 +13,7 @@ from dc_kernels.model.arrays import Model, to_numpy
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.fields import LAUNCH, MODEL, STATE
+from dc_kernels.model.geometry import check_geometry
 from dc_kernels.model.shapes import MAX_VERTICES, edge_normals
 from dc_kernels.runtime.backends import bind, check_backend, kernel_file, make_kernels
 from dc_kernels.runtime.inputs import (
@@ -194,6 +195,7 @@ def _checked(given: Mapping[str, Any]) -> dict[str, np.ndarray]:
     for name, value in (("shape_friction", 0.0), ("shape_restitution", 0.0)):
         arrays.setdefault(name, np.full(n, value, real))
     _derive(arrays, n)
+    check_geometry(arrays, "shapes.")
     return arrays
 
 

@@ -254,6 +254,11 @@ def test_bad_input_is_named():
     def changed(**arrays):
         return {**shapes, **arrays}, place, turn, none
 
+    def polygon(corners):
+        one = {"shape_type": np.ones(1, np.int32), "shape_radius": np.zeros(1, np.float32)}
+        one |= {"vertex_start": np.array([0, len(corners)], np.int32), "vertices": np.array(corners, np.float32)}
+        return one, place[:1], turn[:1], none
+
     kinds, corners = shapes["shape_type"].copy(), shapes["vertex_start"]
     kinds[4] = 7
     segment = shapes["shape_type"].copy()
@@ -274,6 +279,11 @@ def test_bad_input_is_named():
         (changed(shape_body=np.full(60, -1, np.int32)), {}, r"shape_body\[0\] is -1"),
         (changed(body_start=np.array([0, 60], np.int32)), {}, r"shape_start has 2 worlds, body_start has 1"),
         (changed(colour=turn), {}, r"shapes has 'colour', which is no field"),
+        (changed(shape_extent=turn), {}, r"shapes.shape_extent\[0\] is 0.0; it must be the distance of its farthest"),
+        (polygon([(0, 0), (0, 1), (1, 0)]), {}, r"shapes.vertices\[0\] is .*; it must be a convex corner of a counter"),
+        (polygon([(0, 0), (1, 0), (0.1, 0.1), (0, 1)]), {}, r"shapes.vertices\[2\] is .*; it must be a convex corner"),
+        (polygon([(0, 0), (0, 0), (1, 1)]), {}, r"vertices\[0\] of shape 0 repeats the one behind it"),
+        (polygon([(0, 0), (1, 0)]), {}, r"shapes.shape_radius\[0\] is 0.0; it must be > 0, for its shape is a disc or"),
         (({"shape_type": kinds}, place, turn, none), {}, r"shapes has no shape_radius; it needs"),
     ):
         with pytest.raises(ValueError, match=message):
