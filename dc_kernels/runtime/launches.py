@@ -190,8 +190,10 @@ class Calls:
     def _give(self, launch: Bound, name: str, value: Any) -> None:
         """Set an argument to a number or a tensor."""
         if hasattr(value, "data_ptr"):
-            apart = 0 if value.is_contiguous() else value.stride(0) * value.element_size()
-            launch.point(name, value.data_ptr(), value.shape, apart)
+            if value.is_contiguous():
+                launch.point(name, value.data_ptr(), value.shape)
+            else:
+                launch.point(name, value.data_ptr(), value.shape, value.stride(0) * value.element_size())
         else:
             launch.set(name, value)
 

@@ -508,7 +508,7 @@ def test_bad_input_is_refused_by_name_index_and_limit():
         (r"points\[3, 0\] is nan; it must be finite", lambda: splat(bad_point, values, grid)),
         (r"values\[1, 1\] is inf; it must be finite", lambda: splat(points, bad_value, grid)),
         (r"image\[0, 1, 2, 3\] is nan; it must be finite", lambda: gather(bad_image, points, grid)),
-        (r"points has shape \(4, 3\); it must be \(n, 2\)", lambda: splat(np.ones((4, 3)), values, grid)),
+        (r"points has shape \(4, 4\); it must be \(n, 2\)", lambda: splat(np.ones((4, 4)), values, grid)),
         (r"points is a list", lambda: splat([[0.0, 0.0]], values, grid)),
         (r"points has dtype int64", lambda: splat(np.ones((4, 2), int), values, grid)),
         (r"points has strides .*; it must be contiguous", lambda: splat(np.ones((4, 4))[:, :2], values, grid)),

@@ -240,7 +240,7 @@ def test_bad_tensors_are_refused_by_name():
         (r"points\[3, 0\] is nan; it must be finite", lambda: splat_torch(bad, values, GRID)),
         (r"points\[3, 0\] is nan; it must be finite", lambda: gather_torch(image, bad, GRID)),
         (r"points has dtype torch.float16", lambda: splat_torch(points.half(), values.half(), GRID)),
-        (r"points has shape \(7, 3\)", lambda: splat_torch(numbers(7, 3), values, GRID)),
+        (r"points has shape \(7, 4\)", lambda: splat_torch(numbers(7, 4), values, GRID)),
         (r"points has strides .*; it must be contiguous", lambda: splat_torch(numbers(7, 4)[:, :2], values, GRID)),
         (r"points is on meta", lambda: operators._Call(points.to("meta"), as_settings(points))),
         (r"values has strides .*; it must be contiguous", lambda: splat_torch(points, numbers(2, 7).T, GRID)),
