@@ -22,14 +22,14 @@ STATE = ("position", "angle", "velocity", "angular_velocity")
 
 # method of the builder, arguments, what the message has to name
 REFUSED: list[tuple[str, tuple[Any, ...], dict[str, Any], str]] = [
-    ("add_world", (), {"gravity": (0.0, INF)}, "gravity of world 1"),
-    ("add_world", (), {"gravity": (NAN, 0.0)}, "gravity of world 1"),
+    ("add_world", (), {"gravity": (0.0, INF)}, "gravity[1] of world 1"),
+    ("add_world", (), {"gravity": (NAN, 0.0)}, "gravity[0] of world 1"),
     ("add_world", (), {"length_scale": 0.0}, "length_scale of world 1"),
-    ("add_body", ((NAN, 0.0),), {}, "position of body 2"),
+    ("add_body", ((NAN, 0.0),), {}, "position[0] of body 2"),
     ("add_body", (), {"mass": 0.0}, "mass of body 2"),
     ("add_body", (), {"mass": -1.0}, "mass of body 2"),
     ("add_body", (), {"inertia": -1.0}, "inertia of body 2"),
-    ("add_body", (), {"velocity": (0.0, NAN)}, "velocity of body 2"),
+    ("add_body", (), {"velocity": (0.0, NAN)}, "velocity[1] of body 2"),
     ("add_body", (), {"angle": INF}, "angle of body 2"),
     ("add_disc", (0, 0.0), {}, "radius of shape 1"),
     ("add_disc", (0, -1.0), {}, "radius of shape 1"),
