@@ -157,25 +157,35 @@ def command(arguments: list[str]) -> list[str]:
 
 
 def kill(victim: Victim, out: Path, data: Path, rng: np.random.Generator) -> bool:
-    """Start a run and kill it; False where it had ended before."""
+    """Start a run and kill it; False where it had ended before.
+
+    Raises:
+        RuntimeError: where it had failed.
+    """
     before = stamp(out)
-    process = subprocess.Popen(
-        [sys.executable, *command(victim.arguments(out, data))],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        cwd=ROOT,
-        env=environment(),
-        start_new_session=True,
-    )
-    try:
-        until = time.monotonic() + SECONDS
-        while stamp(out) == before and process.poll() is None and time.monotonic() < until:
-            time.sleep(0.005)
-        time.sleep(float(rng.uniform(0.0, WORK)))
-        return process.poll() is None
-    finally:
-        os.killpg(process.pid, signal.SIGKILL) if process.poll() is None else None
-        process.wait()
+    with tempfile.TemporaryFile("w+") as error:
+        process = subprocess.Popen(
+            [sys.executable, *command(victim.arguments(out, data))],
+            stdout=subprocess.DEVNULL,
+            stderr=error,
+            cwd=ROOT,
+            env=environment(),
+            start_new_session=True,
+        )
+        try:
+            until = time.monotonic() + SECONDS
+            while stamp(out) == before and process.poll() is None and time.monotonic() < until:
+                time.sleep(0.005)
+            time.sleep(float(rng.uniform(0.0, WORK)))
+        finally:
+            killed = process.poll() is None
+            if killed:
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+        if not killed and process.returncode != 0:
+            error.seek(0)
+            raise RuntimeError(f"it ended with {process.returncode}: {error.read()[-500:]}")
+    return killed
 
 
 def stamp(folder: Path) -> list[tuple[str, int, int]]:
@@ -201,11 +211,11 @@ def torment(victim: Victim, folder: Path, data: Path, kills: int) -> tuple[int, 
         attempt += 1
         known: dict[str, Any] = {}
         while done < kills:
-            killed = kill(victim, out, data, rng)
-            done += killed
             try:
+                killed = kill(victim, out, data, rng)
+                done += killed
                 found = victim.complete(out)
-            except Exception as error:  # whatever it is: what has its final name cannot be read
+            except Exception as error:  # whatever it is: it does not go on, or what has its final name is not whole
                 return done, [*lost, f"{victim.name}, kill {done}: {type(error).__name__}: {error}"]
             gone = [name for name, value in known.items() if name not in found or not victim.same(found[name], value)]
             lost += [f"{victim.name}, kill {done}: {name} is gone" for name in gone]
