@@ -13,6 +13,7 @@ from dc_kernels._warp.common import cross, kernel_module, rotate, rotate_back, s
 from dc_kernels.model.enums import ShapeType
 
 SEGMENT = wp.constant(int(ShapeType.SEGMENT))
+PARALLEL = wp.constant(-0.999)  # cosine of two outward normals below which they are of one axis
 
 
 @cache
@@ -27,9 +28,15 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
     epsilon = real(1e-9 if dtype == "float32" else 1e-15)
 
     class Points:
-        """Up to two points: normal from the first shape to the second, midpoint between the surfaces, gap, feature."""
+        """Up to two points: normal from the first shape to the second, midpoint between the surfaces, gap, feature.
+
+        ``corner``: the normal joins two corners. ``beside``: another axis than the normal's parts the shapes too, or
+        they touch along it, so that their motion decides where they will meet.
+        """
 
         count: wp.int32
+        corner: wp.bool
+        beside: wp.bool
         normal: vec2
         point0: vec2
         point1: vec2
@@ -134,6 +141,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
             elif u > length2:
                 corner = after
         m.count = 1
+        m.corner = corner >= 0
         if corner >= 0:
             q = vertices[first + corner]
             d = p - q
@@ -162,7 +170,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         vertices: wp.array(dtype=vec2),
         vertex_normals: wp.array(dtype=vec2),
     ):
-        """Largest over hull 1's edges of the smallest distance of hull 2's vertices; (distance, edge).
+        """Largest over hull 1's edges of the smallest distance of hull 2's vertices; (distance, edge, second largest).
 
         ``frame`` takes hull 2's frame to hull 1's.
         """
@@ -174,6 +182,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         s = frame.s
         x = frame.x
         best = real(-1e30)
+        second = real(-1e30)
         edge = int(0)
         for i in range(n1):
             normal = vertex_normals[first1 + i]
@@ -182,10 +191,14 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
             low = real(1e30)
             for j in range(n2):
                 low = wp.min(low, wp.dot(turned, vertices[first2 + j]))
-            if low - offset > best:
-                best = low - offset
+            distance = low - offset
+            if distance > best:
+                second = best
+                best = distance
                 edge = i
-        return best, edge
+            elif distance > second:
+                second = distance
+        return best, edge, second
 
     @wp.func(module=module)
     def feature_of(v_ref: int, v_inc: int, flip: bool):
@@ -282,6 +295,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
                         apart = between
             distance = wp.sqrt(nearest)
             m.count = 1
+            m.corner = True
             m.normal = apart / distance
             m.gap0 = distance - radii
             m.point0 = vertices[first1 + ref] + m.normal * (radius1 + real(0.5) * m.gap0)
@@ -322,6 +336,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         frame: Frame,
         reach: real,
         slack: real,
+        overlap: real,
         vertices: wp.array(dtype=vec2),
         vertex_normals: wp.array(dtype=vec2),
     ):
@@ -332,10 +347,16 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         x = frame.x
         m = Manifold()
         back = inverse_of(frame)
-        sep_a, edge_a = max_separation(a, b, frame, vertices, vertex_normals)
-        sep_b, edge_b = max_separation(b, a, back, vertices, vertex_normals)
-        if wp.max(sep_a, sep_b) > reach + a.radius + b.radius:
+        sep_a, edge_a, second_a = max_separation(a, b, frame, vertices, vertex_normals)
+        sep_b, edge_b, second_b = max_separation(b, a, back, vertices, vertex_normals)
+        radii = a.radius + b.radius
+        if wp.max(sep_a, sep_b) > reach + radii:
             return m
+        touching = radii - overlap
+        beside = second_a >= touching or second_b >= touching
+        if sep_a >= touching and sep_b >= touching:
+            facing = wp.dot(vertex_normals[first_a + edge_a], rotate(c, s, vertex_normals[b.first + edge_b]))
+            beside = beside or facing > real(PARALLEL)
         # prefer A's edge, so that round-off does not switch between the two
         if sep_b > sep_a + slack:
             m = clip(edge_b, True, False, sep_b, slack, b, a, back, vertices, vertex_normals)
@@ -376,6 +397,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
                         bad = wp.dot(m.normal, own) * wp.length(theirs) < wp.dot(theirs, own)
             if bad:
                 m = clip(face, False, True, real(0.0), real(1e30), a, b, frame, vertices, vertex_normals)
+        m.beside = beside or m.corner
         return m
 
     return SimpleNamespace(

@@ -5,11 +5,12 @@ from typing import Any
 
 import warp as wp
 
+from dc_kernels._warp.collide.closing import closing_functions
 from dc_kernels._warp.collide.manifold import manifold_functions
 from dc_kernels._warp.common import cross, kernel_module, rotate, rotate_back
 from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.native import native_code
-from dc_kernels._warp.solve.laws import linear_speed, relative_speed
+from dc_kernels._warp.solve.laws import inverse_or_zero, linear_speed, relative_speed
 from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 
@@ -19,6 +20,7 @@ STATIC = wp.constant(int(BodyType.STATIC))
 CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
 INVALID = wp.constant(int(Flag.INVALID))
 SHIFT_A = wp.constant(wp.int64(KEY_SHAPE_BITS + KEY_FEATURE_BITS))
+SLOPS = wp.constant(2.0)  # overlap up to which shapes touch: what rests a slop deep meets a tile a slop higher
 SHIFT_B = wp.constant(wp.int64(KEY_FEATURE_BITS))
 
 
@@ -37,10 +39,19 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     contiguous = contiguous_groups(dtype)
     shapes = manifold_functions(dtype, only_discs)
     Manifold, hull_of, frame_of = shapes.Manifold, shapes.hull_of, shapes.frame_of
-    disc_disc, hull_disc, hull_hull = shapes.disc_disc, shapes.hull_disc, shapes.hull_hull
+    moving = closing_functions(dtype, only_discs)
+    disc_disc_moving, hull_disc_moving = moving.disc_disc_moving, moving.hull_disc_moving
+    hull_hull_moving, Approach = moving.hull_hull_moving, moving.Approach
 
     @wp.func_native(native_code("collide/store_contact.h", dtype=dtype))
     def store_contact(contacts: t.Contacts, i: wp.int32, contact: Contact): ...
+
+    @wp.func(module=module)
+    def velocity_at(ba: int, bb: int, arm_a: vec2, arm_b: vec2, state: t.State):
+        """Velocity of a point of B against one of A, before the step's forces: what rests does not fall."""
+        turning = vec2(-arm_b[1], arm_b[0]) * state.angular_velocity[bb]
+        turning -= vec2(-arm_a[1], arm_a[0]) * state.angular_velocity[ba]
+        return state.velocity[bb] - state.velocity[ba] + turning
 
     @wp.kernel(module=module, enable_backward=False)
     def narrowphase(
@@ -65,7 +76,12 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
             return
         dt = motion.step_dt[w]
         speculative = motion.reach[w]
+        slop = config.slop * model.length_scale[w]
         slack = config.slack * model.length_scale[w]
+        toward = Approach()
+        toward.dt = dt
+        toward.slack = slack
+        toward.overlap = real(SLOPS) * slop
         shape0 = model.shape_start[w]
         start = contacts.contact_start[w]
         capacity = contacts.contact_start[w + 1] - start
@@ -98,13 +114,20 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     far += dt * (wp.abs(va[2]) * wp.length(center_a) + wp.abs(vb[2]) * wp.length(center_b))
                 d = pb - pa
                 if wp.dot(d, d) <= far * far:
-                    m = disc_disc(pa, ra, pb, rb)
+                    dv = vec2(vb[0] - va[0], vb[1] - va[1])
+                    if wp.static(not only_discs):
+                        to_a = pa - xa
+                        to_b = pb - xb
+                        dv += vec2(-to_b[1], to_b[0]) * vb[2] - vec2(-to_a[1], to_a[0]) * va[2]
+                    m = disc_disc_moving(pa, ra, pb, rb, dv, dt, slop)
             elif kind_a == DISC:
                 c = wp.cos(state.angle[bb])
                 s = wp.sin(state.angle[bb])
                 pa = xa + rotate(wp.cos(state.angle[ba]), wp.sin(state.angle[ba]), center_a)
                 hull = hull_of(b, kind_b, rb, model.vertex_start)
-                m = hull_disc(hull, rotate_back(c, s, pa - xb), ra, model.vertices, model.vertex_normals)
+                toward.velocity = rotate_back(c, s, velocity_at(bb, ba, pa - xb, pa - xa, state))
+                local = rotate_back(c, s, pa - xb)
+                m = hull_disc_moving(hull, local, ra, toward, model.vertices, model.vertex_normals)
                 m.normal = -rotate(c, s, m.normal)
                 m.point0 = rotate(c, s, m.point0) + xb
             elif kind_b == DISC:
@@ -112,7 +135,9 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                 s = wp.sin(state.angle[ba])
                 pb = xb + rotate(wp.cos(state.angle[bb]), wp.sin(state.angle[bb]), center_b)
                 hull = hull_of(a, kind_a, ra, model.vertex_start)
-                m = hull_disc(hull, rotate_back(c, s, pb - xa), rb, model.vertices, model.vertex_normals)
+                toward.velocity = rotate_back(c, s, velocity_at(ba, bb, pb - xa, pb - xb, state))
+                local = rotate_back(c, s, pb - xa)
+                m = hull_disc_moving(hull, local, rb, toward, model.vertices, model.vertex_normals)
                 m.normal = rotate(c, s, m.normal)
                 m.point0 = rotate(c, s, m.point0) + xa
             else:
@@ -123,14 +148,17 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     sb = wp.sin(state.angle[bb])
                     c = ca * cb + sa * sb
                     s = ca * sb - sa * cb
-                    dv = vec2(vb[0] - va[0], vb[1] - va[1])
+                    drift = vec2(vb[0] - va[0], vb[1] - va[1])
                     arms_a = wp.abs(va[2]) * (wp.length(center_a) + model.shape_extent[a])
                     arms_b = wp.abs(vb[2]) * (wp.length(center_b) + model.shape_extent[b])
-                    within = speculative + dt * (wp.length(dv) + arms_a + arms_b)
+                    within = speculative + dt * (wp.length(drift) + arms_a + arms_b)
                     hull_a = hull_of(a, kind_a, ra, model.vertex_start)
                     hull_b = hull_of(b, kind_b, rb, model.vertex_start)
                     frame = frame_of(c, s, rotate_back(ca, sa, xb - xa))
-                    m = hull_hull(hull_a, hull_b, frame, within, slack, model.vertices, model.vertex_normals)
+                    arm_b = rotate(cb, sb, center_b)
+                    toward.velocity = rotate_back(ca, sa, velocity_at(ba, bb, rotate(ca, sa, center_a), arm_b, state))
+                    toward.share = vb[3] * inverse_or_zero(va[3] + vb[3])
+                    m = hull_hull_moving(hull_a, hull_b, frame, toward, within, model.vertices, model.vertex_normals)
                     m.normal = rotate(ca, sa, m.normal)
                     m.point0 = rotate(ca, sa, m.point0) + xa
                     m.point1 = rotate(ca, sa, m.point1) + xa
