@@ -333,9 +333,12 @@ def resting_ball(quick: bool) -> Iterator[Check]:
 
 @cases.add
 def bounce_threshold(quick: bool) -> Iterator[Check]:
-    """Below ``restitution_threshold`` a contact does not bounce, above it does with e: the setting's definition."""
+    """Below ``restitution_threshold`` a contact does not bounce, above it does with e: the setting's definition.
+
+    It is a multiple of sqrt(gravity length_scale), here 1 m/s by a pull of 1 m/s^2 along the floor.
+    """
     for speed, rebound in ((0.9, 0.0), (1.1, 0.55)):
-        builder = world((0.0, 0.0))
+        builder = world((1.0, 0.0), length_scale=1.0)
         floor(builder, restitution=0.5)
         body = disc(builder, (0.0, 0.6), 0.5, velocity=(0.0, -speed))
         sim = simulation(builder, restitution_threshold=1.0)

@@ -70,9 +70,7 @@ def sizes_similar(quick: bool) -> Iterator[Check]:
 
 def similar(name: str, size: float, dtype: str, steps: int) -> dc.Simulation:
     """A scene of a size after so many steps that are similar for each size."""
-    config = dc.SolverConfig(
-        tolerance={"float32": 1e-4, "float64": 1e-12}[dtype] * size**2.5, restitution_threshold=size**0.5
-    )
+    config = dc.SolverConfig(tolerance={"float32": 1e-4, "float64": 1e-12}[dtype] * size**2.5)
     sim = simulation(scene_of_size(name, size), dtype, config)
     sim.run(steps, DT * size**0.5)
     return sim

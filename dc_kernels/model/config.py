@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
+
 from dc_kernels.model.fields import Field
 from dc_kernels.model.settings import (
     Count,
@@ -109,8 +111,9 @@ class SolverConfig(Settings):
     contacts, but none above this [length_scale]."""
     margin: NotNegative = 0.1
     """Broadphase boxes are this much larger on each side, so that pairs last several steps [length_scale]."""
-    restitution_threshold: NotNegative = 1.0
-    """Approach speed below which a contact does not bounce [m/s]."""
+    restitution_threshold: NotNegative = 0.32
+    """Approach speed below which a contact does not bounce unless it is elastic: that of a fall from a twentieth of the
+    length scale, 1 m/s for 1 m on Earth [sqrt(gravity length_scale)]."""
     history: bool = False
     """Whether to keep the largest impulse change of every sweep (``SolveStats.history``)."""
 
@@ -132,6 +135,15 @@ class SolverConfig(Settings):
     def corrects_positions(self) -> bool:
         """Whether a step has the position phase."""
         return self.position_correction == "ngs" and self.position_iterations > 0
+
+    def restitution_speed(self, gravity: np.ndarray, length_scale: np.ndarray) -> np.ndarray:
+        """Approach speed below which contacts of each world do not bounce, unless they are elastic, (W,) [m/s].
+
+        Args:
+            gravity: (W, 2) [m/s^2].
+            length_scale: (W,) [m].
+        """
+        return np.asarray(self.restitution_threshold * np.sqrt(np.hypot(gravity[:, 0], gravity[:, 1]) * length_scale))
 
     def kernel_values(self) -> dict[str, Any]:
         """The settings as kernels take them: a choice is its number, and inf is a large one."""

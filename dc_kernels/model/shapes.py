@@ -14,6 +14,7 @@ import numpy as np
 
 from dc_kernels.model.settings import numeric
 
+MAX_POINTS = 64  # given for a polygon, of which those within a side are left out
 MAX_VERTICES = 8  # of a polygon: a feature id of 4 bits an edge or vertex fits the key with room to spare
 
 LARGEST = 1e60
@@ -137,23 +138,32 @@ def points(values: Any, where: str, low: int = 1, high: int | None = None) -> np
 def convex_polygon(values: Any, where: str = "vertices") -> np.ndarray:
     """Checked vertices of a convex polygon in counter-clockwise order, beginning with the first one given.
 
+    A vertex that lies on the line between its neighbours (sine of the turn up to 1e-6) is left out.
+
     Args:
-        values: (n, 2) [m], 3 <= n <= 8, in either order.
+        values: (n, 2) [m], in either order; 3 to 8 of them, besides those that are left out.
         where: what the error messages call them.
 
     Raises:
         ValueError: naming ``where`` and the index: wrong shape or count, NaN or inf; two vertices closer than
             1e-6 of the polygon's size (the diagonal of its bounding box); an area below 1e-6 of the size squared;
-            a self-intersection; three successive vertices in a line (sine of the turn up to 1e-6); a concave corner.
+            a self-intersection, also that of a side that runs back on itself; a concave corner.
     """
-    vertices = points(values, where, 3, MAX_VERTICES)
+    vertices = points(values, where)
     size = math.hypot(*np.ptp(vertices, axis=0))
+    if 3 <= len(vertices) <= MAX_POINTS:
+        vertices, index = _corners(vertices)
+        if len(vertices) < 3:
+            raise ValueError(f"{where}: zero area, all vertices lie in a line")
+    if not 3 <= len(vertices) <= MAX_VERTICES:
+        raise ValueError(f"{where}: {len(vertices)} points; there must be 3 to {MAX_VERTICES} corners")
     apart = vertices[:, None] - vertices[None]
     close = np.hypot(apart[..., 0], apart[..., 1]) <= TOLERANCE * size
     if close.sum() > len(vertices):
         i, j = (int(k) for k in np.argwhere(np.triu(close, 1))[0])
+        i, j, at = index[i], index[j], vertices[j]
         raise ValueError(
-            f"{where}[{j}] = {tuple(map(float, vertices[j]))} repeats {where}[{i}]; "
+            f"{where}[{j}] = {tuple(map(float, at))} repeats {where}[{i}]; "
             f"two vertices must be further apart than {TOLERANCE:g} of the polygon's size {size:g}"
         )
     edges = np.roll(vertices, -1, axis=0) - vertices  # edge i leaves vertex i
@@ -163,22 +173,36 @@ def convex_polygon(values: Any, where: str = "vertices") -> np.ndarray:
     start = vertices - vertices[0]
     end = np.roll(start, -1, axis=0)
     area = float((start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]).sum() / 2)
-    flat = np.abs(sine) <= TOLERANCE
-    if flat.all():
-        raise ValueError(f"{where}: zero area, all vertices lie in a line")
-    if flat.any():
-        i = int(flat.argmax())
-        raise ValueError(
-            f"{where}[{i}] is collinear with its neighbours (sine of the turn {sine[i]:.1e}); "
-            f"it must exceed {TOLERANCE:g}: leave the vertex out"
-        )
+    back = np.abs(sine) <= TOLERANCE  # those that go on ahead are left out
+    if back.any():
+        i = index[int(back.argmax())]
+        raise ValueError(f"{where}[{i}] is the tip of a side that runs back on itself; the polygon must be convex")
     turns = np.arctan2(cross, (before * edges).sum(-1))
     winding = round(float(turns.sum()) / (2 * math.pi))
     if abs(winding) != 1:
         raise ValueError(f"{where}: the polygon intersects itself (it winds {winding} times); it must be convex")
     wrong = turns * winding < 0
     if wrong.any():
-        raise ValueError(f"{where}[{int(wrong.argmax())}] is a concave corner; the polygon must be convex")
+        raise ValueError(f"{where}[{index[int(wrong.argmax())]}] is a concave corner; the polygon must be convex")
     if abs(area) <= TOLERANCE * size**2:
         raise ValueError(f"{where}: area {abs(area):g} m^2; it must exceed {TOLERANCE:g} of the size squared")
     return vertices if winding > 0 else np.roll(vertices[::-1], 1, axis=0)
+
+
+def _corners(vertices: np.ndarray) -> tuple[np.ndarray, list[int]]:
+    """Leave out vertices on the line between their neighbours; returns the others, and their places.
+
+    The one that turns least goes first, so that of several in a row each is judged by the corners that remain.
+    """
+    index = list(range(len(vertices)))
+    while len(index) > 2:
+        kept = vertices[index]
+        before, after = kept - np.roll(kept, 1, axis=0), np.roll(kept, -1, axis=0) - kept
+        lengths = np.hypot(before[:, 0], before[:, 1]) * np.hypot(after[:, 0], after[:, 1])
+        turn = np.abs(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0])
+        ahead = (before * after).sum(axis=1) > 0  # not back, nor a vertex that repeats its neighbour
+        flat = ahead & (turn <= TOLERANCE * lengths)
+        if not flat.any():
+            break
+        del index[int(np.where(flat, turn / np.where(ahead, lengths, 1.0), np.inf).argmin())]
+    return vertices[index], index

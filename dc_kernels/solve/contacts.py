@@ -94,6 +94,7 @@ class ContactSolver:
         joint_start: Any = None,
         length_scale: Any = 1.0,
         weight: Any = 0.0,
+        gravity: Any = 0.0,
         discs: bool = False,
         config: SolverConfig | None = None,
         threads: int = 1,
@@ -111,8 +112,7 @@ class ContactSolver:
             body_b: body B, (C,) int32.
             point: contact points in the coordinates of ``position``, (C, 2) [m]; None: arms are given.
             normal: unit vectors from A to B, (C, 2).
-            gap: distance of the surfaces, negative where they overlap, (C,) [m]: one above the slop may close within
-                the time step, and no faster.
+            gap: distance of the surfaces, < 0 where they overlap, (C,) [m]; one above the slop may close in the step.
             friction: Coulomb coefficients, (C,), or one of all.
             restitution: coefficients in [0, 1], (C,), or one of all; bounces are those of ``SolverConfig``.
             inv_mass: inverse masses, (N,) [1/kg].
@@ -128,8 +128,7 @@ class ContactSolver:
             velocity: of the centres of mass, with the forces of the step applied, (N, 2) [m/s]; then the solution.
                 This and the next four may also be given with each call.
             angular_velocity: counter-clockwise, (N,) [rad/s]; then the solution.
-            velocity_before: before the forces of the step, (N, 2) [m/s], which bounces and joints go by; None: as
-                ``velocity``.
+            velocity_before: before the step's forces, (N, 2) [m/s], for bounces and joints; None: as ``velocity``.
             angular_velocity_before: before the torques of the step, (N,) [rad/s].
             impulse: normal and tangential start impulses, (C, 2) [N s]; then the solution. None: own memory,
                 ``exchange.impulse``, zero at first.
@@ -139,8 +138,8 @@ class ContactSolver:
             contact_start: first contact of each world and C, (W + 1,); None: one world.
             joint_start: first joint of each world and their number, (W + 1,); None: one world.
             length_scale: typical diameter, which the lengths of the settings are multiples of, (W,) or one [m].
-            weight: of a typical body, (W,) or one [N], which ``relative_tolerance`` is relative to; 0: ``tolerance``
-                alone counts.
+            weight: of a typical body, (W,) or one [N], to which ``relative_tolerance`` is relative; 0: to nothing.
+            gravity: (W,) or one [m/s^2], to which, with ``length_scale``, ``restitution_threshold`` is relative.
             discs: all bodies that contacts turn are discs about their centres, whose normals have no arm: less work.
             config: settings of the solver.
             threads: at most so many Python threads share the worlds.
@@ -171,7 +170,7 @@ class ContactSolver:
         self._shards = Shards(worlds, lengths["body"], options.threads)
         self.threads = self._shards.threads
         self.variant = "joints" if lengths["joint"] else "discs" if discs else "general"
-        self._make_groups({**lengths, "world": worlds, "world+1": worlds + 1}, starts, length_scale, weight)
+        self._make_groups({**lengths, "world": worlds, "world+1": worlds + 1}, starts, length_scale, weight, gravity)
         share_all(self.model, {"inv_mass": inv_mass, "inv_inertia": inv_inertia})
         share_all(self.state, {"position": position, "angle": angle})
         share_all(self.contacts, {"body_a": body_a, "body_b": body_b, "normal": normal, "gap": gap})
@@ -188,7 +187,7 @@ class ContactSolver:
         self._bind_all()
 
     def _make_groups(
-        self, sizes: dict[str, int], starts: Mapping[str, np.ndarray], length_scale: Any, weight: Any
+        self, sizes: dict[str, int], starts: Mapping[str, np.ndarray], length_scale: Any, weight: Any, gravity: Any
     ) -> None:
         """Allocate the groups that kernels work on; some of their fields are then shared."""
         memory = (self.dtype, self.device, self.backend)
@@ -199,6 +198,7 @@ class ContactSolver:
         self.model.assign("joint_start", starts["joint"])
         self.contacts.assign("contact_start", starts["contact"])
         self.model.assign("length_scale", for_each("length_scale", length_scale, sizes["world"], positive=True))
+        self.model.numpy("gravity")[:, 1] = for_each("gravity", gravity, sizes["world"])
         weights = for_each("weight", weight, sizes["world"]).astype(self.dtype)
         shards = len(self._shards.ranges)
         self._integrator = Integrator(self.model, shards, self._config.method, weights)

@@ -68,7 +68,7 @@ The label solves this to label_tolerance where step/label_reached is 1, the impu
 BIAS_LAW = """
 gap / dt where gap > world/slop, as the gap may close within the step; else 0. Where the contact's restitution e is not
 0, with w the normal speed before the step, of the velocities in motion:
-  max(bias, e w) if w > 0;  min(bias, e w) if w < -world/restitution_threshold;
+  max(bias, e w) if w > 0;  min(bias, e w) if w < -world/restitution_threshold, or w < 0 if e is 1;
   1e6 gap / dt, so that it does not act, if gap > world/slop and the speeds with gravity applied leave the gap open.
 With position_correction "baumgarte", where gap < -slop, not 0 but
   max(position_factor (gap + slop), -max_correction length_scale) / dt.
@@ -143,7 +143,7 @@ LAYOUT: dict[str, dict[str, DatasetSpec]] = {
         **_field_specs(MODEL, "gravity", "origin", "length_scale"),
         "slop": spec_of("float32", "m", "overlap that is left alone, and gap that counts as closed", rule=NOT_NEGATIVE),
         "restitution_threshold": spec_of(
-            "float32", "m/s", "approach speed below which a contact does not bounce", rule=NOT_NEGATIVE
+            "float32", "m/s", "approach speed below which what is not elastic does not bounce", rule=NOT_NEGATIVE
         ),
         "body_start": spec_of("int64", "1", "first row of each world in body"),
         "shape_start": spec_of("int64", "1", "first row of each world in shape"),

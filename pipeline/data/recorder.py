@@ -204,7 +204,9 @@ class Recorder:
         fixed = {
             **{f"world/{name}": model.numpy(name) for name in ("gravity", "origin", "length_scale")},
             "world/slop": self.recipe.solver.slop * model.numpy("length_scale"),
-            "world/restitution_threshold": np.full(worlds, self.recipe.solver.restitution_threshold),
+            "world/restitution_threshold": self.recipe.solver.restitution_speed(
+                model.numpy("gravity"), model.numpy("length_scale")
+            ),
             "world/body_start": body_start,
             "world/shape_start": shape_start,
             "world/step_start": np.arange(worlds + 1) * steps,

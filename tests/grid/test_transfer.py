@@ -305,6 +305,26 @@ def test_particles_of_one_cell_add_up(kernel):
 
 
 @pytest.mark.parametrize("backend", ["warp", "numpy"])
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("kernel", ["poly6", *SEPARABLE])
+def test_a_point_as_far_as_its_scalar_goes_has_a_nearest_node(kernel, dtype, backend):
+    """In spacings of half a metre its place is beyond what the scalar holds."""
+    far = 0.9 * float(np.finfo(dtype).max)
+    points = np.array([[far, 1.0], [-far, far], [0.9, -far], [0.6 * far, -0.6 * far], [2.0, 2.0]], dtype)
+    sizes = ((9, 11), (300, 700)) if backend == "warp" else ((9, 11),)
+    for rows, columns in sizes:  # the larger image is splatted tile by tile
+        grid = Grid(rows=rows, columns=columns, spacing=0.5, origin=(-0.25, 0.5))
+        image = splat(points, np.ones((5, 1), dtype), grid, Stencil(kernel), backend=backend)[0, 0]
+        assert image.sum() == pytest.approx(5.0, rel=1e-6)
+        for row, column in ((1, -1), (-1, 0), (0, 2), (0, -1)):
+            assert image[row, column] > 0.2
+        plane = np.arange(float(rows * columns)).reshape(1, 1, rows, columns).astype(dtype)
+        found = gather(plane, points, grid, Stencil(kernel), backend=backend)[:, 0]
+        assert found[3] == columns - 1
+        assert found[1] == (rows - 1) * columns
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
 def test_what_reaches_no_node_goes_to_the_nearest_or_is_lost(backend):
     """One point in a cell's middle, one just outside, one far outside, one inside; h is a third of the spacing."""
     grid = Grid(rows=4, columns=5, spacing=0.75)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import dc_kernels as dc
 from dc_kernels.model.shapes import box_vertices, convex_polygon, edge_normals, mass_properties
 
 real = st.floats(-10, 10)
@@ -178,6 +179,38 @@ STAR = [(math.cos(0.8 * math.pi * i), math.sin(0.8 * math.pi * i)) for i in rang
 
 
 @pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        ([(0, 0), (1, 0), (2, 0), (0, 1)], [0, 2, 3]),
+        ([(0, 0), (1, 1e-7), (2, 0), (0, 1)], [0, 2, 3]),
+        ([(0, 0), (1, -1e-7), (2, 0), (0, 1)], [0, 2, 3]),
+        ([(1, 0), (2, 0), (0, 1), (0, 0)], [1, 2, 3]),
+        ([(0, 0), (0, 1), (2, 0), (1, 0)], [0, 1, 2]),
+        ([(0, 0), (1, 1e-5), (2, 0), (0, -1)], [0, 1, 2, 3]),
+    ],
+)
+def test_a_vertex_on_the_line_between_its_neighbours_is_left_out(given, kept):
+    corners = convex_polygon(given)
+    assert {tuple(p) for p in corners.tolist()} == {tuple(map(float, given[i])) for i in kept}
+    assert np.allclose(corners[0], given[kept[0]], rtol=0, atol=0)
+
+
+def test_a_polygon_may_have_more_points_than_corners():
+    square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
+    sides = np.concatenate(
+        [a + (b - a) * np.linspace(0, 1, 10)[:-1, None] for a, b in zip(square, np.roll(square, -1, 0))]
+    )
+    assert len(sides) == 36
+    assert convex_polygon(sides).tolist() == square.tolist()
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_polygon(builder.add_body(), sides, density=2.0)
+    model, _, _ = builder.finalize("float64")
+    assert model.numpy("vertex_start").tolist() == [0, 4]
+    assert model.numpy("mass") == pytest.approx([2.0])
+
+
+@pytest.mark.parametrize(
     ("vertices", "message"),
     [
         ([(0, 0), (1, 0)], "2 points; there must be 3 to 8"),
@@ -190,8 +223,8 @@ STAR = [(math.cos(0.8 * math.pi * i), math.sin(0.8 * math.pi * i)) for i in rang
         ([(0, 0), (1, 0), (1, 0), (0, 1)], r"vertices\[2\] .* repeats vertices\[1\]"),
         ([(0, 0), (1, 0), (0, 1), (1e-7, 0)], r"vertices\[3\] .* repeats vertices\[0\]"),
         ([(5, 5)] * 3, r"vertices\[1\] .* repeats vertices\[0\]"),
-        ([(0, 0), (1, 0), (2, 0), (0, 1)], r"vertices\[1\] is collinear"),
-        ([(0, 0), (1, 1e-7), (2, 0), (0, 1)], r"vertices\[1\] is collinear"),
+        ([(0, 0), (2, 0), (1, 0), (1, 1)], r"vertices\[1\] is the tip of a side that runs back"),
+        ([(0, 0), (1, 0), (2, 0), (2, 1), (1, 0.2), (0, 1)], r"vertices\[4\] is a concave corner"),
         ([(0, 0), (1, 1), (2, 2)], "zero area"),
         ([(0, 0), (1, 0), (2, 1e-7)], "zero area"),
         ([(0, 0), (2, 0), (2, 2), (1, 0.5)], r"vertices\[3\] is a concave corner"),

@@ -163,3 +163,38 @@ def test_a_box_at_rest_stays_at_rest(dtype):
     np.testing.assert_allclose(sim.state.numpy("position")[body, 0], 0.3, atol=1e-5)
     assert abs(sim.state.numpy("angle")[body]) < 1e-5
     assert np.abs(sim.state.numpy("velocity")[body]).max() < 1e-4
+
+
+# ---------------------------------------------------------------- bounces of every size
+
+
+def bounces(size, restitution=0.7, steps=240, **options):
+    """Heights over the size of a disc of that size after each step of a fall, in time steps of sqrt(size) / 64."""
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0, -10))
+    floor = builder.add_body(type=dc.BodyType.STATIC)
+    builder.add_box(floor, 50 * size, 0.5 * size, center=(0, -0.5 * size), restitution=restitution)
+    body = builder.add_body((0, 2 * size))
+    builder.add_disc(body, 0.5 * size, restitution=restitution)
+    sim = dc.Simulation(*builder.finalize(), config=dc.SolverConfig(**options))
+    heights = []
+    for _ in range(steps):
+        sim.step(size**0.5 / 64)
+        heights.append(sim.state.numpy("position")[body, 1] / size)
+    return np.array(heights)
+
+
+@pytest.mark.parametrize("size", [4.0, 0.25, 1 / 16, 1 / 64])
+def test_bounces_scale_with_the_world(size):
+    """The speed below which nothing bounces is relative: a scene scaled by a power of four keeps its bits."""
+    assert np.array_equal(bounces(size), bounces(1.0))
+
+
+@pytest.mark.parametrize("size", [1.0, 1 / 64])
+def test_only_what_is_not_elastic_comes_to_rest(size):
+    inelastic, elastic = bounces(size, 0.7, steps=600), bounces(size, 1.0, steps=600)
+    assert np.ptp(inelastic[-100:]) < 1e-5
+    assert elastic[-150:].max() > 1.9
+    low = bounces(size, 1.0, steps=600, restitution_threshold=100.0)
+    assert np.array_equal(low, elastic)
+    assert np.ptp(bounces(size, 0.9, steps=600, restitution_threshold=100.0)[-100:]) < 1e-5

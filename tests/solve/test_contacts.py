@@ -61,6 +61,7 @@ def arrays_of(sim, warm=True):
         "angular_velocity_before": state.numpy("angular_velocity").copy(),
         "length_scale": model.numpy("length_scale").copy(),
         "weight": sim.motion.numpy("weight").copy(),
+        "gravity": np.hypot(*model.numpy("gravity").T),
         "discs": sim.variant == "discs",
     }
     if model.joint_count:
@@ -277,7 +278,12 @@ def test_contacts_change_from_call_to_call_within_their_room():
     held = {name: np.zeros((240, *first[name].shape[1:]), first[name].dtype) for name in CONTACT_ARRAYS}
     bodies = {name: first[name].copy() for name in BODY_ARRAYS}
     rest = {"point": None, "body_start": first["body_start"], "length_scale": first["length_scale"]}
-    rest |= {"weight": first["weight"], "config": sim.config, "count": np.zeros(3, np.int32)}
+    rest |= {
+        "weight": first["weight"],
+        "gravity": first["gravity"],
+        "config": sim.config,
+        "count": np.zeros(3, np.int32),
+    }
     solver = dc.ContactSolver(**held, **bodies, **rest, contact_start=room)
     counts = set()
     for _ in range(6):
@@ -562,7 +568,7 @@ def test_whatever_stands_in_any_array_is_named_or_harmless():
     """Wrong numbers put into any array at random: an error that names an array, or finite velocities."""
     draw = np.random.default_rng(5)
     good = arrays_of(pile(joints=True))
-    fixed = ("contact_start", "body_start", "joint_start", "length_scale", "weight")
+    fixed = ("contact_start", "body_start", "joint_start", "length_scale", "weight", "gravity")
     held = {name: array.copy() if isinstance(array, np.ndarray) else array for name, array in good.items()}
     held["joints"] = {name: array.copy() for name, array in good["joints"].items()}
     solver = dc.ContactSolver(**held)

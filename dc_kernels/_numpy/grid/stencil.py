@@ -11,6 +11,7 @@ from dc_kernels.grid.layout import CHUNK
 from dc_kernels.grid.stencil import Normalize
 from dc_kernels.sph.smoothing import STENCILS, smoothing, smoothing_gradient
 
+FAR = 1e150  # [m], where a point lies that is farther: its square is a number still
 _NAME = {code: name for name, code in STENCILS.items()}
 
 
@@ -77,7 +78,7 @@ def stencil_weights(stencil: Any, shape: tuple[int, int], offset: Array) -> Weig
     if not np.isfinite(offset).all():
         return _NOTHING
     kernel, spacing, h = _NAME[stencil.kernel], float(stencil.spacing), float(stencil.h)
-    x, y = (float(value) for value in offset)
+    x, y = (min(max(float(value), -FAR), FAR) for value in offset)
     rows, columns = shape
     if kernel in ("bilinear", "bspline"):
         c, wx, dx, outside_x = axis_weights(kernel, x / spacing, columns)

@@ -237,7 +237,7 @@ def test_the_bias_is_that_of_its_law(file, flat):
     bounced = np.where(
         before > 0.0,
         np.maximum(bias, e * before),
-        np.where(before < -threshold, np.minimum(bias, e * before), bias),
+        np.where(before < -threshold * (e < 1.0), np.minimum(bias, e * before), bias),
     )
     bounced = np.where((gap > slop) & (gap + dt * closing >= 0.0), 1e6 * gap / dt, bounced)
     bias = np.where(e > 0.0, bounced, bias)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels._numpy.common import tangent
+from dc_kernels._numpy.common import dot, tangent
 from dc_kernels._numpy.solve.laws import direction
 from dc_kernels._numpy.solve.row import PackedRow, effective_mass, velocities
 from dc_kernels.model.config import POSITION_CORRECTIONS
@@ -40,10 +40,12 @@ def make_contact_row(
         bias, counted = OPEN * g / dt, False  # what another impact pushes across it bounces in the next step
     elif e > 0:
         before = jn @ velocities(state, a, b)
+        scale = np.sqrt(dot(model.gravity[w], model.gravity[w])) * model.length_scale[w]
+        threshold = config.restitution_threshold * np.sqrt(scale) if e < 1 else 0.0
         if before > 0:
             # Moreau (1988): a separating contact may be left approaching with e times its speed at most
             bias = max(bias, e * before)
-        elif before < -config.restitution_threshold:
+        elif before < -threshold:
             bias = min(bias, e * before)  # Newton's impact law, of the speed before the step's forces
     square = (en * (un + bias)) ** 2 + (en * ut) ** 2 if counted else 0.0
     return PackedRow(a, b, n, jn, jt, en, et, bias, contacts.friction[c], g + slop, 0.0, square)

@@ -77,8 +77,8 @@ auto gather_linear = [&]() {
                 q = xy;
             }
             const Vector a = *(const Vector*)q, b = *(const Vector*)(q + LANES);
-            Vector u = (__builtin_shufflevector(a, b, 0, 2, 4, 6, 8, 10, 12, 14) - origin_x) * inv;
-            Vector v = (__builtin_shufflevector(a, b, 1, 3, 5, 7, 9, 11, 13, 15) - origin_y) * inv;
+            Vector u = in_spacings(__builtin_shufflevector(a, b, 0, 2, 4, 6, 8, 10, 12, 14), origin_x);
+            Vector v = in_spacings(__builtin_shufflevector(a, b, 1, 3, 5, 7, 9, 11, 13, 15), origin_y);
             const auto valid = (u - u == 0) & (v - v == 0);
             u = __builtin_elementwise_min(__builtin_elementwise_max(valid ? u : zero, zero),
                                           (Vector)(Real)(columns - 1));

@@ -28,11 +28,13 @@ auto slide = [&](int c0, int c1) {
     if (first + vectors * LANES > columns) first = columns > vectors * LANES ? columns - vectors * LANES : 0;
     one = vectors == 1 && first + LANES <= columns && r1 - r0 < WINDOW_ROWS;
 };
-// LANES points at a time: their coordinates, then in spacings, NaN and inf kept
+// LANES points at a time: their coordinates, then in spacings, NaN and inf kept; what is finite stays so, far outside
+const Real far_outside = sizeof(Real) == 4 ? (Real)1e37 : (Real)1e300;
+auto in_spacings = [&](Vector p, Real origin) { return clamp((p - origin) * inv, zero + far_outside) + (p - p); };
 Real xs[LANES] = {0}, ys[LANES] = {0};
 auto to_grid = [&]() {
-    *(Vector*)xs = (*(const Vector*)xs - origin_x) * inv;
-    *(Vector*)ys = (*(const Vector*)ys - origin_y) * inv;
+    *(Vector*)xs = in_spacings(*(const Vector*)xs, origin_x);
+    *(Vector*)ys = in_spacings(*(const Vector*)ys, origin_y);
 };
 auto is_finite = [](Real u, Real v) { return u - u == 0 && v - v == 0; };
 // a grid narrower than the window: what lies beyond it has no weight and is not touched
@@ -61,9 +63,10 @@ auto store_columns = [&](Real* p, int v, Vector w) {
         if (j < n) p[j] = w[j];
 };
 auto finite = [&](int i) {
-    x = (places[pitch * i] - origin_x) * inv;
-    y = (places[pitch * i + 1] - origin_y) * inv;
-    return is_finite(x, y);
+    const Real px = places[pitch * i], py = places[pitch * i + 1];
+    x = clip((px - origin_x) * inv, -far_outside, far_outside);
+    y = clip((py - origin_y) * inv, -far_outside, far_outside);
+    return is_finite(px, py);
 };
 auto nearest_node = [&](Real u, int nodes) { return (int)(clip(u, 0, nodes - 1) + (Real)0.5); };
 auto outside = [&](Real u, Real v) { return u < 0 || v < 0 || u > (Real)(columns - 1) || v > (Real)(rows - 1); };

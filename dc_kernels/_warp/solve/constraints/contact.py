@@ -40,11 +40,11 @@ def contact_row(dtype: str, variant: str) -> Any:
 
         Bias velocity: a gap may close within the step (gap / dt), but one below the slop counts as closed: the
         round-off of resting gaps would change the problem in each step and cost the warm start a tenth of its gain.
-        A contact that hits within the step faster than the threshold leaves with -e times the speed that it had before
-        the step's forces: bounces then mirror semi-implicit Euler, and an elastic ball returns to its height to
-        round-off for ever. A gap of a bouncing pair that stays open is left alone: what another impact pushes across it
-        bounces in the next step. A closed separating contact of such a pair may be left approaching with e times its
-        speed at most (Moreau 1988), without which several impacts at once can gain energy.
+        A contact that hits within the step faster than the threshold, which is 0 where e is 1, leaves with -e times the
+        speed that it had before the step's forces: bounces then mirror semi-implicit Euler, and an elastic ball returns
+        to its height to round-off for ever. A gap of a bouncing pair that stays open is left alone: what another impact
+        pushes across it bounces in the next step. A closed separating contact of such a pair may be left approaching
+        with e times its speed at most (Moreau 1988), without which several impacts at once can gain energy.
         """
         dt = motion.step_dt[w]
         per_dt = real(1.0) / dt
@@ -85,8 +85,13 @@ def contact_row(dtype: str, variant: str) -> Any:
                 before = relative_speed(n, v0a, v0b, ran, rbn)
                 if before > real(0.0):
                     bias = wp.max(bias, e * before)
-                elif before < -config.restitution_threshold:
-                    bias = wp.min(bias, e * before)
+                else:
+                    threshold = real(0.0)
+                    if e < real(1.0):
+                        scale = wp.length(model.gravity[w]) * model.length_scale[w]
+                        threshold = config.restitution_threshold * wp.sqrt(scale)
+                    if before < -threshold:
+                        bias = wp.min(bias, e * before)
         ma = va[3]
         mb = vb[3]
         en = inverse_or_zero(ma + mb + ia * ran * ran + ib * rbn * rbn)
