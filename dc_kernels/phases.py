@@ -98,9 +98,10 @@ class Phases:
         self._turn.ran = "advance"
         left: int | list[int] = steps
         try:
-            while self._shards.run(self._phase_rounds("step"), left):
+            while self._shards.run(rounds, left):
                 left = self._shards.left
                 self._mend()
+                rounds = self._phase_rounds("step")
         except BaseException:
             with uninterrupted():
                 self._mend()

@@ -93,7 +93,7 @@ class Shards:
             if self.threads > 1 and self.bodies * longest >= WORTH_THREADS:
                 self._share(shards)
             elif longest == min(self.left):
-                at_once, n = self._at_once, len(self.left)
+                at_once, n = max(AT_ONCE // self.bodies, 1), len(self.left)
                 while longest and not whole.halt[0]:
                     whole.take(min(longest, at_once))
                     longest -= whole.count()
