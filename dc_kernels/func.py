@@ -65,9 +65,10 @@ def shapes(dtype: str = "float32") -> SimpleNamespace:
     - ``hull_disc(hull, p, r, vertices, vertex_normals)``: a hull and a disc at p in the hull's frame; normal from the
       hull to the disc. The normals are those of the edges from each vertex to the next, counter-clockwise.
     - ``frame_of(c, s, x)``: the ``Frame`` that turns by an angle of cosine c and sine s, then moves by x.
-    - ``hull_hull(a, b, frame, reach, slack, vertices, vertex_normals)``: two hulls in the frame of A, to which
+    - ``hull_hull(a, b, frame, reach, slack, overlap, vertices, vertex_normals)``: two hulls in the frame of A, to which
       ``frame`` takes that of B. Nothing where they are farther apart than ``reach`` [m]; two separating axes within
-      ``slack`` [m] count as equal. By separating axes and clipping, as in Box2D v3.
+      ``slack`` [m] count as equal; ``beside`` of the manifold tells whether another axis parts them too, up to an
+      ``overlap`` [m]. By separating axes and clipping, as in Box2D v3.
 
     Args:
         dtype: "float32" or "float64".

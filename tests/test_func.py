@@ -46,7 +46,7 @@ def meet_boxes(
     b = hull_of(i, POLYGON, radius[i], vertex_start)
     x = dc.func.rotate_back(c, s, position[i] - position[0])
     frame = frame_of(wp.cos(angle[i] - angle[0]), wp.sin(angle[i] - angle[0]), x)
-    m = hull_hull(a, b, frame, 0.1, 1e-5, vertices, vertex_normals)
+    m = hull_hull(a, b, frame, 0.1, 1e-5, 1e-3, vertices, vertex_normals)
     count[i] = m.count
     normal[i] = dc.func.rotate(c, s, m.normal)
     gap[i, 0] = m.gap0

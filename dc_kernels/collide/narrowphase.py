@@ -12,7 +12,7 @@ from dc_kernels.collide.contacts import FoundContacts
 from dc_kernels.collide.shapes import Shapes, whole_group
 from dc_kernels.model.arrays import kernel_array, kernel_vectors, to_numpy
 from dc_kernels.model.config import CONFIG, SLACK, SolverConfig
-from dc_kernels.model.enums import Flag, ShapeType
+from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import LAUNCH, MOTION, ROWS
 from dc_kernels.model.room import starts
 from dc_kernels.runtime.backends import Launch, bind, kernel_file, make_kernels
@@ -159,12 +159,12 @@ class Narrowphase:
             setattr(self, name, contacts.array(name))
         self.count, self.contact_start = contacts.contact_count, contacts.contact_start
         point = np.zeros((contacts.sizes["contact"], 2), dtype)
-        motion = {
-            "step_dt": np.zeros(worlds, dtype),
-            "reach": np.full(worlds, self.reach, dtype),
-            "predicted": np.zeros((self.shapes.bodies, 4), dtype),
-        }
-        settings = {"slack": SLACK * SolverConfig().slop, "uniform_friction": -1.0, "uniform_restitution": -1.0}
+        # nothing moves; the share of a body in what parts two goes by its inverse mass
+        still = np.zeros((self.shapes.bodies, 4), dtype)
+        still[:, 3] = arrays.get("inv_mass", arrays["body_type"] == BodyType.DYNAMIC)
+        motion = {"step_dt": np.zeros(worlds, dtype), "reach": np.full(worlds, self.reach, dtype), "predicted": still}
+        slop = SolverConfig().slop
+        settings = {"slop": slop, "slack": SLACK * slop, "uniform_friction": -1.0, "uniform_restitution": -1.0}
         values = {
             "model": self.shapes.group(),
             "state": self._state,

@@ -81,7 +81,11 @@ class Shapes:
         """
         position = check_array("position", position, (self.bodies, 2), self.dtype)
         angle = check_array("angle", angle, (self.bodies,), self.dtype)
-        given = {"position": position, "angle": angle, **arrays}
+        rest = {
+            "velocity": np.zeros((self.bodies, 2), self.dtype),
+            "angular_velocity": np.zeros(self.bodies, self.dtype),
+        }
+        given = {"position": position, "angle": angle, **rest, **arrays}
         return whole_group("state", self.dtype, STATE, given, self.backend)
 
 
