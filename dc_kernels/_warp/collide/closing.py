@@ -30,7 +30,7 @@ def closing_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
     real, vec2 = t.real, t.vec2
     module = kernel_module("narrowphase", dtype, "discs" if only_discs else "all")
     shapes = manifold_functions(dtype, only_discs)
-    Hull, Frame = shapes.Hull, shapes.Frame
+    Hull, Frame, Manifold = shapes.Hull, shapes.Frame, shapes.Manifold
     disc_disc, hull_disc, hull_hull, frame_of = shapes.disc_disc, shapes.hull_disc, shapes.hull_hull, shapes.frame_of
 
     class ApproachFields:
@@ -133,18 +133,17 @@ def closing_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         a: Hull,
         b: Hull,
         frame: Frame,
+        m: Manifold,
         approach: Approach,
-        reach: real,
         vertices: wp.array(dtype=vec2),
         vertex_normals: wp.array(dtype=vec2),
     ):
-        """Two hulls in the frame of A, of which B moves."""
+        """Two hulls in the frame of A, of which B moves; ``m`` is their manifold of now, beside another axis."""
         w = approach.velocity
         dt = approach.dt
         slack = approach.slack
         overlap = approach.overlap
-        m = hull_hull(a, b, frame, reach, slack, overlap, vertices, vertex_normals)
-        if m.count == 0 or not m.beside or wp.dot(w, w) * dt * dt <= slack * slack:
+        if wp.dot(w, w) * dt * dt <= slack * slack:
             return m
         c = frame.c
         s = frame.s

@@ -39,6 +39,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     contiguous = contiguous_groups(dtype)
     shapes = manifold_functions(dtype, only_discs)
     Manifold, hull_of, frame_of = shapes.Manifold, shapes.hull_of, shapes.frame_of
+    hull_hull = shapes.hull_hull
     moving = closing_functions(dtype, only_discs)
     disc_disc_moving, hull_disc_moving = moving.disc_disc_moving, moving.hull_disc_moving
     hull_hull_moving, Approach = moving.hull_hull_moving, moving.Approach
@@ -155,10 +156,15 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     hull_a = hull_of(a, kind_a, ra, model.vertex_start)
                     hull_b = hull_of(b, kind_b, rb, model.vertex_start)
                     frame = frame_of(c, s, rotate_back(ca, sa, xb - xa))
-                    arm_b = rotate(cb, sb, center_b)
-                    toward.velocity = rotate_back(ca, sa, velocity_at(ba, bb, rotate(ca, sa, center_a), arm_b, state))
-                    toward.share = vb[3] * inverse_or_zero(va[3] + vb[3])
-                    m = hull_hull_moving(hull_a, hull_b, frame, toward, within, model.vertices, model.vertex_normals)
+                    m = hull_hull(
+                        hull_a, hull_b, frame, within, slack, toward.overlap, model.vertices, model.vertex_normals
+                    )
+                    if m.count > 0 and m.beside:
+                        arm_b = rotate(cb, sb, center_b)
+                        drift = velocity_at(ba, bb, rotate(ca, sa, center_a), arm_b, state)
+                        toward.velocity = rotate_back(ca, sa, drift)
+                        toward.share = vb[3] * inverse_or_zero(va[3] + vb[3])
+                        m = hull_hull_moving(hull_a, hull_b, frame, m, toward, model.vertices, model.vertex_normals)
                     m.normal = rotate(ca, sa, m.normal)
                     m.point0 = rotate(ca, sa, m.point0) + xa
                     m.point1 = rotate(ca, sa, m.point1) + xa
