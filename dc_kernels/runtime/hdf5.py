@@ -8,6 +8,8 @@ looks at all links and datasets of a file before any value is read, and refuses
 - values that are not stored, and sizes that the file cannot hold: more than ``MOST_RATIO`` bytes of values for a byte
   that is stored, which is as far as gzip goes.
 
+A file that was found fine is not looked at again by this process while it is as it was (``Identity``).
+
 What is written is built in memory first (``image``): HDF5 itself crashes a process when a write fails.
 """
 
@@ -17,15 +19,45 @@ import contextlib
 import io
 import math
 import os
+import time
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 from dc_kernels.runtime.files import check_regular
 from dc_kernels.runtime.optional import require
 
 MOST_RATIO = 1032
 """Bytes of values that a stored byte may stand for; gzip's format allows no more [1]."""
+KEPT = 1024
+"""Files of which a process remembers that they were fine."""
+SETTLE_NS = 2 * 10**9
+"""Age at which a file is remembered: more than the tick of any file system's clock [ns]."""
 _DAMAGED = (ArithmeticError, AttributeError, LookupError, OSError, RuntimeError, TypeError)
+
+
+class Identity(NamedTuple):
+    """Which file it is, and as of which change: another one's, or one of another content, differs."""
+
+    device: int
+    inode: int
+    size: int
+    mtime_ns: int
+    ctime_ns: int
+
+    @property
+    def settled(self) -> bool:
+        """Whether any later change shows: one within the same tick of the file system's clock would not."""
+        return time.time_ns() - max(self.mtime_ns, self.ctime_ns) > SETTLE_NS
+
+
+_fine: OrderedDict[tuple[Identity, bool], None] = OrderedDict()
+
+
+def identity(file: Any) -> Identity:
+    """Return the identity of an open ``h5py.File``: of what is open, whatever stands under its name by now."""
+    found = os.fstat(file.id.get_vfd_handle())
+    return Identity(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
 
 
 @contextlib.contextmanager
@@ -54,7 +86,7 @@ def reading(path: str | os.PathLike[str], *, virtual: bool = False) -> Iterator[
         raise ValueError(f"{os.fspath(path)} is not an HDF5 file, or is truncated: {error}") from error
     with file:
         try:
-            _check(file, os.path.getsize(path), virtual)
+            _check_once(file, virtual)
             yield file
         except ValueError as error:
             if os.fspath(path) in str(error):
@@ -62,6 +94,17 @@ def reading(path: str | os.PathLike[str], *, virtual: bool = False) -> Iterator[
             raise ValueError(f"{os.fspath(path)}: {error}") from error
         except _DAMAGED as error:
             raise ValueError(f"{os.fspath(path)} is damaged: {error}") from error
+
+
+def dataset(file: Any, name: str) -> Any:
+    """Return the ``h5py.Dataset`` of a path in an open file, in half the time that ``file[name]`` takes.
+
+    Raises:
+        KeyError: there is none.
+        TypeError, ValueError: there is something else.
+    """
+    h5py = require("h5py", "pipeline")
+    return h5py.Dataset(h5py.h5d.open(file.id, name.encode()))
 
 
 def image(build: Callable[[Any], None], **options: Any) -> memoryview:
@@ -77,6 +120,18 @@ def plain_name(name: str) -> bool:
     return bool(name) and name not in (".", "..") and not set(name) & set("/\\:%\0")
 
 
+def _check_once(file: Any, virtual: bool) -> None:
+    """Look at a file unless it was found fine before."""
+    known = identity(file)
+    if (known, virtual) in _fine:
+        return
+    _check(file, known.size, virtual)
+    if known.settled:
+        _fine[known, virtual] = None
+    while len(_fine) > KEPT:
+        _fine.popitem(last=False)
+
+
 def _check(file: Any, size: int, virtual: bool) -> None:
     """Raise ``ValueError`` for the first link or dataset that is refused."""
     h5py = require("h5py", "pipeline")
@@ -85,25 +140,26 @@ def _check(file: Any, size: int, virtual: bool) -> None:
     seen: set[int] = set()
     stored = 0
     for name, kind in links:
-        text = name.decode(errors="replace")
         if kind == h5py.h5l.TYPE_SOFT:
             continue  # within the file: what it leads to is looked at where it stands
         if kind != h5py.h5l.TYPE_HARD:
             what = "to another file" if kind == h5py.h5l.TYPE_EXTERNAL else f"of the user's type {kind}"
-            raise ValueError(f"{text} is a link {what}, which is not followed")
+            raise ValueError(f"{name.decode(errors='replace')} is a link {what}, which is not followed")
         found = h5py.h5o.open(file.id, name)
+        if not isinstance(found, h5py.h5d.DatasetID):
+            continue
         address = h5py.h5o.get_info(found).addr
-        if not isinstance(found, h5py.h5d.DatasetID) or address in seen:
+        if address in seen:
             continue
         seen.add(address)
-        stored += _stored(found, text, virtual)
+        text = name.decode(errors="replace")
+        stored += _stored(h5py.h5d, found, text, virtual)
         if stored > size:
             raise ValueError(f"{text}: the datasets up to this one take {stored} bytes; the file has {size}")
 
 
-def _stored(data: Any, name: str, virtual: bool) -> int:
+def _stored(h5d: Any, data: Any, name: str, virtual: bool) -> int:
     """Return the bytes that a dataset takes in the file, checked against what it declares."""
-    h5d = require("h5py", "pipeline").h5d
     properties = data.get_create_plist()
     if properties.get_external_count():
         raise ValueError(f"{name} has its values in another file (external storage), which are not read")
@@ -114,15 +170,17 @@ def _stored(data: Any, name: str, virtual: bool) -> int:
         if bad or not virtual:
             raise ValueError(f"{name} is virtual: it shows values of {bad[:3]}, which are not read")
         return 0
-    declared = math.prod(data.shape or (0,)) * data.get_type().get_size()
+    shape = data.shape  # each look at these makes an object of HDF5 anew
+    width = data.get_type().get_size()
+    declared = math.prod(shape or (0,)) * width
     stored = data.get_storage_size()
     held = declared
     if layout == h5d.CHUNKED and declared:
-        chunk = properties.get_chunk()
-        held = math.prod(chunk) * data.get_type().get_size() * data.get_num_chunks()
-        places = math.prod(-(-n // c) for n, c in zip(data.shape, chunk))
-        if places != data.get_num_chunks():
-            raise ValueError(f"{name} of shape {data.shape} has {data.get_num_chunks()} of its {places} chunks stored")
+        chunk, chunks = properties.get_chunk(), data.get_num_chunks()
+        held = math.prod(chunk) * width * chunks
+        places = math.prod(-(-n // c) for n, c in zip(shape, chunk))
+        if places != chunks:
+            raise ValueError(f"{name} of shape {shape} has {chunks} of its {places} chunks stored")
     most = stored * (MOST_RATIO if properties.get_nfilters() else 1)
     if max(held, declared) > most:
         raise ValueError(

@@ -11,6 +11,7 @@ import numpy as np
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.rules import Number
 from dc_kernels.model.validate import check_rule
+from dc_kernels.runtime.hdf5 import dataset
 from pipeline.data.layout import MOTION, STAGES, described
 
 
@@ -88,7 +89,7 @@ class World:
         """
 
         def part(name: str, first: int, last: int) -> np.ndarray:
-            return file[name][(slice(None),) * len(SPECS[name].lead) + (slice(first, last),)]
+            return dataset(file, name)[(slice(None),) * len(SPECS[name].lead) + (slice(first, last),)]
 
         def rows(name: str, first: int, last: int, valid: np.ndarray | None = None) -> np.ndarray:
             values, spec = part(name, first, last), SPECS[name]

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.runtime.hdf5 import plain_name
+from dc_kernels.runtime.hdf5 import Identity, identity, plain_name
 from pipeline.data.layout import INDEX, STARTS
 from pipeline.data.shards import check_shapes, config_of, difference, opened
 
@@ -60,6 +60,7 @@ class Folders:
         if not given:
             raise ValueError("there is no folder to read")
         self.parts: list[Part] = []
+        self._whole: dict[int, Identity] = {}  # shards that were checked, as they were then
         configs = []
         for path in given:
             index = index_of(path)
@@ -102,7 +103,7 @@ class Folders:
 
     @contextmanager
     def shard(self, number: int) -> Iterator[Any]:
-        """Open a shard.
+        """Open a shard; it is checked unless it is as it was when it was last.
 
         Raises:
             ValueError: it is foreign or damaged, or holds less than the index shows.
@@ -110,13 +111,11 @@ class Folders:
         """
         part = self.parts[number]
         with opened(part.path) as file:
-            check_shapes(file, part.path)
-            text = difference(_shared(config_of(file)), _shared(part.config))
-            if text:
-                raise ValueError(f"{part.path} was made with {text} as in {INDEX}; make the index anew")
-            found = file["world/seed"].shape[0]
-            if found < part.worlds:
-                raise ValueError(f"{part.path} holds {found} worlds, of which {INDEX} shows {part.worlds}")
+            now = identity(file)
+            if self._whole.get(number) != now:  # worlds are read one by one, and a shard is opened for each
+                _check_part(file, part)
+                if now.settled:
+                    self._whole[number] = now
             yield file
 
     def gather(self, *names: str) -> tuple[dict[str, np.ndarray], dict[str, int]]:
@@ -142,6 +141,17 @@ class Folders:
         for name in set(names) & STARTS.keys():
             found[name].append(np.array([total[STARTS[name]]]))
         return {name: np.concatenate(parts) for name, parts in found.items()}, total
+
+
+def _check_part(file: Any, part: Part) -> None:
+    """Raise ``ValueError`` unless a shard is whole, of its folder's configuration, and as long as the index says."""
+    check_shapes(file, part.path)
+    text = difference(_shared(config_of(file)), _shared(part.config))
+    if text:
+        raise ValueError(f"{part.path} was made with {text} as in {INDEX}; make the index anew")
+    found = file["world/seed"].shape[0]
+    if found < part.worlds:
+        raise ValueError(f"{part.path} holds {found} worlds, of which {INDEX} shows {part.worlds}")
 
 
 def row_counts(file: Any, worlds: int) -> dict[str, int]:

@@ -14,10 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.runtime.hdf5 import reading
+from dc_kernels.runtime.hdf5 import dataset, reading
 from pipeline.data.layout import INDEX, LAYOUT, SCHEMA, STARTS, VERSION, DatasetSpec, described
 from pipeline.data.packing import ROWS, damaged_row, file_image, pack
 from pipeline.files import versions
+
+SPECS = described()
+_COUNTED = {
+    axis: next((name, len(spec.lead)) for name, spec in specs.items() if f"{axis}/{name}" not in STARTS)
+    for axis, specs in LAYOUT.items()
+}
+"""Of each axis a dataset that is not one of offsets, and which of its axes that is."""
 
 
 def shard_image(
@@ -33,7 +40,7 @@ def shard_image(
     Returns:
         The bytes of its file.
     """
-    specs = {**described(), **extra}
+    specs = {**SPECS, **extra}
     packed = {}
     for name, values in arrays:
         spec = specs[name]
@@ -133,15 +140,17 @@ def check_shapes(file: Any, path: Path) -> dict[str, int]:
     Raises:
         ValueError: naming the file and the dataset.
     """
-    sizes = {axis: row_count(file, axis) for axis in LAYOUT}
-    for name, spec in described().items():
+    found = {name: dataset(file, name) for name in SPECS}
+    shapes = {name: data.shape for name, data in found.items()}
+    sizes = {axis: int(shapes[f"{axis}/{name}"][lead]) for axis, (name, lead) in _COUNTED.items()}
+    for name, spec in SPECS.items():
         axis = name.split("/")[0]
         shape = (*spec.lead, sizes[axis] + (name in STARTS), *spec.shape)
-        data = file[name]
-        if (data.shape, data.dtype) != (shape, spec.dtype):
-            raise ValueError(f"{path} is damaged: {name} is {data.shape}, {data.dtype}; not {shape}, {spec.dtype}")
+        if (shapes[name], found[name].dtype) != (shape, spec.dtype):
+            text = f"{shapes[name]}, {found[name].dtype}; not {shape}, {spec.dtype}"
+            raise ValueError(f"{path} is damaged: {name} is {text}")
     for name, rows in STARTS.items():
-        start = file[name][...]
+        start = found[name][...]
         if start[0] != 0 or start[-1] != sizes[rows] or (np.diff(start) < 0).any():
             raise ValueError(f"{path} is damaged: {name} must ascend from 0 to {sizes[rows]}")
     return sizes
@@ -156,5 +165,5 @@ def datasets(file: Any) -> Iterator[tuple[str, Any]]:
 
 def row_count(file: Any, axis: str) -> int:
     """Count the rows of an axis, by a dataset that is not one of offsets."""
-    name, spec = next((n, c) for n, c in LAYOUT[axis].items() if f"{axis}/{n}" not in STARTS)
-    return int(file[f"{axis}/{name}"].shape[len(spec.lead)])
+    name, lead = _COUNTED[axis]
+    return int(dataset(file, f"{axis}/{name}").shape[lead])

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import resource
+import time
 import zlib
 
 import h5py
 import numpy as np
 import pytest
 
+from dc_kernels.runtime import hdf5
 from dc_kernels.runtime.hdf5 import image, plain_name, reading
 
 
@@ -132,3 +134,30 @@ def test_what_is_no_file_is_not_opened(tmp_path):
             reading(tmp_path / "file.h5"),
         ):
             pass
+
+
+def test_a_file_is_looked_at_once_until_it_changes(tmp_path, monkeypatch):
+    looks, check = [], hdf5._check
+    monkeypatch.setattr(hdf5, "_check", lambda *args: (looks.append(1), check(*args)))
+    path, good, bad = tmp_path / "file.h5", image(virtual("part.h5")), image(virtual("p/rt.h5"))
+    assert len(good) == len(bad)
+    path.write_bytes(good)
+    for _ in range(2):  # it is too young: a change within the clock's tick would not show
+        with reading(path, virtual=True):
+            pass
+    assert len(looks) == 2
+    monkeypatch.setattr(hdf5, "SETTLE_NS", 0)
+    for _ in range(3):
+        with reading(path, virtual=True):
+            pass
+    assert len(looks) == 3
+    with pytest.raises(ValueError, match="is virtual"), reading(path):  # what may be shown there is no matter here
+        pass
+    before = path.stat()
+    time.sleep(0.02)
+    with open(path, "r+b") as file:
+        file.write(bad)
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert (path.stat().st_size, path.stat().st_mtime_ns) == (before.st_size, before.st_mtime_ns)
+    with pytest.raises(ValueError, match="a/shown is virtual"), reading(path, virtual=True):
+        pass

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+import shutil
 
+import h5py
 import numpy as np
 import pytest
 
 import dc_kernels as dc
 from dc_kernels.measure import contact_slots
+from dc_kernels.runtime import hdf5
 
 torch = pytest.importorskip("torch")
 
-from pipeline.data import layout  # noqa: E402
+from pipeline.data import folders, layout  # noqa: E402
 from pipeline.data.dataset import Batch, BatchOrder, States, collate, describe, loader  # noqa: E402
 from pipeline.data.generate import generate  # noqa: E402
 from pipeline.data.recipe import SOLVER, GenerateOptions, Recipe  # noqa: E402
@@ -275,3 +278,20 @@ def test_bad_arguments_and_folders_are_named(folder, tmp_path):
     (tmp_path / layout.INDEX).write_bytes(b"no data set")
     with pytest.raises(ValueError, match="not an HDF5 file"):
         States(tmp_path)
+
+
+def test_a_shard_that_changes_is_checked_anew(folder, tmp_path, monkeypatch):
+    checks, check = [], folders.check_shapes
+    monkeypatch.setattr(folders, "check_shapes", lambda *args: (checks.append(1), check(*args)))
+    monkeypatch.setattr(hdf5, "SETTLE_NS", 0)
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    states = States(copy)
+    shards = len(checks)
+    first, last = np.unique(states.world_of(np.arange(len(states))), return_index=True)[1][[0, -1]]
+    assert len(states[first]) == len(states[last]) == 1 and len(checks) == shards  # checked when the index was read
+    for path in copy.glob("shard-*.h5"):
+        with h5py.File(path, "r+") as file:
+            file["step/motion_start"][-1] += 1
+    states = pickle.loads(pickle.dumps(states))  # as a worker has it, which knows what was checked
+    with pytest.raises(ValueError, match=r"shard-.*h5 is damaged: step/motion_start must ascend"):
+        states[last]
