@@ -142,17 +142,30 @@ def _chained(pair: tuple[int, int], segment: Array, body: Array, first: Array) -
     return one, two
 
 
+def parted(p: Array, q: Array, normal: Array) -> float:
+    """How far two hulls are parted along a unit vector from p to q; never more than their distance."""
+    return float((q @ normal).min() - (p @ normal).max())
+
+
 def lost_contacts(sim: dc.Simulation, bound: float) -> list[str]:
-    """Pairs closer than the look-ahead without a contact, contacts twice, and gaps that are not the hulls'."""
+    """Pairs closer than the look-ahead without a contact, contacts twice, and gaps that are not the hulls'.
+
+    A gap is the distance along the contact's normal, which is the axis that the motion closes last and not always that
+    of the least distance.
+    """
     table, model = contact_table(sim), sim.model
     faults = []
     if len(np.unique(np.stack([table["world"], table["key"]]), axis=1).T) != len(table["key"]):
         faults.append("a key occurs twice")
     segment, body = model.numpy("shape_type") == dc.ShapeType.SEGMENT, model.numpy("shape_body")
+    hulls = [core(sim, shape) for shape in range(model.shape_count)]
     seen: dict[tuple[int, int], float] = {}
-    for a, b, gap in zip(table["shape_a"], table["shape_b"], table["gap"], strict=True):
+    lack: dict[tuple[int, int], float] = {}  # by how much a gap is less than what parts its hulls
+    for a, b, gap, normal in zip(*(table[field] for field in ("shape_a", "shape_b", "gap", "normal")), strict=True):
         name = _chained((a, b), segment, body, model.numpy("body_shape_start"))
         seen[name] = min(gap, seen.get(name, math.inf))
+        (p, p_radius), (q, q_radius) = hulls[a], hulls[b]
+        lack[name] = max(parted(p, q, normal) - p_radius - q_radius - gap, lack.get(name, -math.inf))
     world = np.repeat(np.arange(model.world_count), np.diff(model.numpy("shape_start")))
     scale, reach = model.numpy("length_scale"), sim.motion.numpy("reach")
     for pair, gap in closest(sim).items():
@@ -160,7 +173,7 @@ def lost_contacts(sim: dc.Simulation, bound: float) -> list[str]:
         slack = bound * float(scale[w])
         if gap < reach[w] - slack and pair not in seen:
             faults.append(f"shapes {pair} are {gap:g} m apart, look-ahead {reach[w]:g} m: no contact")
-        if pair in seen and gap > slack and seen[pair] < gap - slack:
+        if pair in seen and gap > slack and lack[pair] > slack:
             faults.append(f"shapes {pair} are {gap:g} m apart, their contact says {seen[pair]:g} m")
     return faults
 

@@ -205,6 +205,8 @@ def numeric(name: str, values: Any, wanted: str = "numbers", kinds: str = "iuf")
             array = np.asarray(values)
         except (TypeError, ValueError, OverflowError, RuntimeError):  # ragged, of anybody's class, of torch
             array = None
+        if array is not None and not array.size and isinstance(values, list | tuple):
+            array = array.astype(np.intp if "i" in kinds else bool)  # an empty list holds nothing of another kind
     if array is None or array.dtype.kind not in kinds:
         found = f"has dtype {values.dtype}" if isinstance(values, np.ndarray) else f"is {shown(values)}"
         raise WrongType(f"{name} {found}; it must be {wanted}") from None

@@ -45,7 +45,7 @@ def element(value, place=-1):
 
 
 WRONG = {
-    "model/body_start": (element(-1), r"model/body_start\[1\] is -1; it must be at least the one before it"),
+    "model/body_start": (element(-1), r"model/body_start\[1\] is -1; it must be ascending, at least the one before it"),
     "model/shape_body": (
         element(2**31 - 1),
         r"model/shape_body\[\d+\] is 2147483647; it must be a body of its world 0",

@@ -105,7 +105,7 @@ def test_at_the_labels_a_loss_on_contacts_vanishes(batch, name):
 def test_a_loss_knows_the_bias_that_overlaps_have(tmp_path):
     """Labels of a solver with velocity biases are where its sweeps stay."""
     solver = dc.SolverConfig(min_sweeps=1, position_correction="baumgarte")
-    recipe = Recipe(scene=Mixed(bodies=6), options=GenerateOptions(worlds=2, steps=70, dt=0.02), solver=solver)
+    recipe = Recipe(scene=Mixed(bodies=8), options=GenerateOptions(worlds=2, steps=70, dt=0.02), solver=solver)
     generate(recipe, tmp_path / "data", threads=1, progress=False)
     states = dataset.States(tmp_path / "data", min_contacts=6)
     batch = states.batch(range(0, len(states), 5))
