@@ -24,9 +24,11 @@ from dc_kernels.solve.exchange import (
     VELOCITIES,
     WRITTEN,
     for_each,
+    gravity_of,
     length_of,
     make_exchange,
     offsets,
+    refuse_lacking,
     refuse_same,
     scalar_of,
     share_all,
@@ -94,7 +96,7 @@ class ContactSolver:
         joint_start: Any = None,
         length_scale: Any = 1.0,
         weight: Any = 0.0,
-        gravity: Any = 0.0,
+        gravity: Any = None,
         discs: bool = False,
         config: SolverConfig | None = None,
         threads: int = 1,
@@ -139,7 +141,8 @@ class ContactSolver:
             joint_start: first joint of each world and their number, (W + 1,); None: one world.
             length_scale: typical diameter, which the lengths of the settings are multiples of, (W,) or one [m].
             weight: of a typical body, (W,) or one [N], to which ``relative_tolerance`` is relative; 0: to nothing.
-            gravity: (W,) or one [m/s^2], to which, with ``length_scale``, ``restitution_threshold`` is relative.
+            gravity: (W,) or one [m/s^2], to which the threshold of bounces is relative (``SolverConfig``); needed
+                unless ``restitution`` is the number 0 or 1.
             discs: all bodies that contacts turn are discs about their centres, whose normals have no arm: less work.
             config: settings of the solver.
             threads: at most so many Python threads share the worlds.
@@ -151,12 +154,7 @@ class ContactSolver:
         """
         options = SimulationOptions(config, threads, schedule)
         discs, config = check_truth("discs", discs), options.config or SolverConfig()
-        if (point is None) == (arm_a is None) or (arm_a is None) != (arm_b is None):
-            raise ValueError("either point or both of arm_a and arm_b must be given")
-        if point is not None and position is None:
-            raise ValueError("point needs position: arms begin at the centres of mass")
-        if joints is not None and (position is None or angle is None):
-            raise ValueError("joints need position and angle: anchors turn with the bodies")
+        refuse_lacking(point, arm_a, arm_b, position, angle, joints)
         self.dtype, self.device = scalar_of("normal", normal), "cpu"
         self.backend, self.schedule, self._config, self.discs = check_backend(backend), schedule, config, int(discs)
         lines = dict(joints or {})
@@ -170,7 +168,8 @@ class ContactSolver:
         self._shards = Shards(worlds, lengths["body"], options.threads)
         self.threads = self._shards.threads
         self.variant = "joints" if lengths["joint"] else "discs" if discs else "general"
-        self._make_groups({**lengths, "world": worlds, "world+1": worlds + 1}, starts, length_scale, weight, gravity)
+        pull = gravity_of(gravity, restitution)
+        self._make_groups({**lengths, "world": worlds, "world+1": worlds + 1}, starts, length_scale, weight, pull)
         share_all(self.model, {"inv_mass": inv_mass, "inv_inertia": inv_inertia})
         share_all(self.state, {"position": position, "angle": angle})
         share_all(self.contacts, {"body_a": body_a, "body_b": body_b, "normal": normal, "gap": gap})

@@ -172,6 +172,31 @@ def for_each(name: str, values: Any, worlds: int, positive: bool = False) -> np.
     return array
 
 
+def gravity_of(gravity: Any, restitution: Any) -> Any:
+    """Gravity as given, or 0 where no bounce depends on it.
+
+    Raises:
+        ValueError: without any, for a coefficient between 0 and 1, or an array, which may come to hold one.
+    """
+    fixed = isinstance(restitution, int | float | np.number) and restitution in (0, 1)
+    if gravity is None and not fixed:
+        raise ValueError(
+            "gravity is None; it must be given [m/s^2, 0 without any] unless restitution is the number 0 or 1: "
+            "what approaches more slowly than restitution_threshold sqrt(gravity length_scale) does not bounce"
+        )
+    return 0.0 if gravity is None else gravity
+
+
+def refuse_lacking(point: Any, arm_a: Any, arm_b: Any, position: Any, angle: Any, joints: Any) -> None:
+    """Raise ValueError where contacts have neither points nor arms, or joints no places and angles of bodies."""
+    if (point is None) == (arm_a is None) or (arm_a is None) != (arm_b is None):
+        raise ValueError("either point or both of arm_a and arm_b must be given")
+    if point is not None and position is None:
+        raise ValueError("point needs position: arms begin at the centres of mass")
+    if joints is not None and (position is None or angle is None):
+        raise ValueError("joints need position and angle: anchors turn with the bodies")
+
+
 def refuse_same(name: str, a: np.ndarray, b: np.ndarray, part: slice) -> None:
     """Raise ValueError, naming the index, where body B is body A.
 

@@ -176,7 +176,7 @@ EXACT = dc.SolverConfig(tolerance=1e-13)
         ({}, (1.5, 0.0), (4.0, 0.0)),
         ({"friction": 0.25}, (1.0, 0.0), (4.0, -1.0)),  # slides: the tangent is (n_y, -n_x) = (1, 0)
         ({"friction": 1.0}, (0.0, 0.0), (4.0, -3.0)),  # sticks
-        ({"restitution": 0.5}, (1.5, 1.0), (6.0, 0.0)),
+        ({"restitution": 0.5, "gravity": 9.81}, (1.5, 1.0), (6.0, 0.0)),
         ({"gap": np.array([0.01])}, (1.5, -1.0), (2.0, 0.0)),  # the gap may close in a step of 0.01 s
         ({"gap": np.array([0.03])}, (1.5, -2.0), (0.0, 0.0)),
         ({"inv_mass": np.zeros(2)}, (1.5, -2.0), (0.0, 0.0)),  # nothing moves
@@ -202,8 +202,34 @@ def test_a_rolling_disc_in_closed_form():
 
 def test_a_bounce_goes_by_the_velocity_before_the_forces():
     given = drop(velocity_before=np.array([[0.0, 0.0], [1.5, -3.0]]), angular_velocity_before=np.zeros(2))
-    dc.ContactSolver(**given, restitution=0.5, config=EXACT).solve(DT)
+    dc.ContactSolver(**given, restitution=0.5, gravity=9.81, config=EXACT).solve(DT)
     np.testing.assert_allclose(given["velocity"][1], (1.5, 1.5), atol=1e-12)
+
+
+@pytest.mark.parametrize("restitution", [0.5, np.float32(0.1), np.zeros(1), np.ones(1)], ids=str)
+def test_bounces_need_gravity(restitution):
+    """An array may come to hold any coefficient, as it is read at each call."""
+    with pytest.raises(
+        ValueError, match=r"gravity is None; it must be given .* unless restitution is the number 0 or 1"
+    ):
+        dc.ContactSolver(**drop(), restitution=restitution)
+    for gravity in (0.0, 9.81, np.full(1, 9.81)):
+        dc.ContactSolver(**drop(), restitution=restitution, gravity=gravity)
+
+
+@pytest.mark.parametrize(("gravity", "bounces"), [(0.0, True), (9.81, False)])
+def test_what_rests_under_gravity_does_not_bounce(gravity, bounces):
+    """A step's fall of 0.1 m/s is far below 0.32 sqrt(gravity length_scale) = 1 m/s."""
+    given = drop(velocity=np.array([[0.0, 0.0], [0.0, -0.1]]))
+    dc.ContactSolver(**given, restitution=0.5, gravity=gravity, config=EXACT).solve(DT)
+    np.testing.assert_allclose(given["velocity"][1, 1], 0.05 if bounces else 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("restitution", [0, 0.0, 1, 1.0, np.float32(1.0)])
+def test_numbers_at_which_no_threshold_matters_need_no_gravity(restitution):
+    given = drop()
+    dc.ContactSolver(**given, restitution=restitution, config=EXACT).solve(DT)
+    np.testing.assert_allclose(given["velocity"][1, 1], restitution * 2.0, atol=1e-12)
 
 
 def test_a_joint_in_closed_form():
@@ -494,7 +520,7 @@ def test_a_graph_takes_the_arrays_of_its_call():
 )
 def test_values_out_of_range_are_named_and_nothing_is_written(name, index, value, message, backend):
     given = drop(friction=np.full(1, 0.5), restitution=np.zeros(1), count=np.ones(1, np.int32))
-    solver = dc.ContactSolver(**given, backend=backend)
+    solver = dc.ContactSolver(**given, gravity=9.81, backend=backend)
     good = given[name][index]
     given[name][index] = value
     before = {key: array.copy() for key, array in given.items()}
