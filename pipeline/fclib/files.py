@@ -23,6 +23,8 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.delassus import DelassusProblem, assemble_blocks
+from dc_kernels.model.rules import FINITE, NOT_NEGATIVE, POSITIVE, BrokenRule, Number
+from dc_kernels.model.validate import check_rule
 from dc_kernels.runtime.hdf5 import image, reading
 from dc_kernels.runtime.optional import require
 from pipeline.files import write_bytes
@@ -49,7 +51,11 @@ class FclibProblem:
 
 
 class _Reader:
-    """Reads datasets of an open file; an error names the file and the dataset."""
+    """Reads datasets of an open file; an error names the file and the dataset.
+
+    FCLIB's integers come in any width, its matrices in three layouts, and nothing has worlds: the checks of shapes and
+    layouts are its own. Values are held to the rules of the field tables, with which a contact of ours agrees.
+    """
 
     def __init__(self, path: Path, file: Any) -> None:
         self.path, self.file = path, file
@@ -74,13 +80,17 @@ class _Reader:
         except OSError as error:
             raise self.fail(name, f"cannot be read: the file is damaged or cut short ({error})") from None
 
-    def vector(self, name: str, length: int) -> np.ndarray:
-        """Read finite numbers, (length,) float64."""
-        values = self.array(name, "fiu", (length,)).astype(np.float64)
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            raise self.fail(f"{name}[{bad[0]}]", f"is {values[bad[0]]}; it must be finite")
+    def hold(self, name: str, values: np.ndarray, rule: Number = FINITE) -> np.ndarray:
+        """Return values that keep to a rule."""
+        try:
+            check_rule(name, values, rule)
+        except BrokenRule as error:
+            raise self.fail(error.place, error.text) from None
         return values
+
+    def vector(self, name: str, length: int, rule: Number = FINITE) -> np.ndarray:
+        """Read numbers that keep to a rule, (length,) float64."""
+        return self.hold(name, self.array(name, "fiu", (length,)).astype(np.float64), rule)
 
     def integer(self, name: str) -> int:
         """Read an integer, which is a scalar or an array of one element."""
@@ -122,13 +132,8 @@ class _Reader:
             ("i", index, limits[1 if nz >= 0 else 0]),
             ("p", first, limits[0 if nz >= 0 else 1]),
         ):
-            bad = np.flatnonzero((array < 0) | (array >= limit))
-            if len(bad):
-                raise self.fail(f"{name}/{what}[{bad[0]}]", f"is {array[bad[0]]}; it must lie in [0, {limit})")
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            raise self.fail(f"{name}/x[{bad[0]}]", f"is {values[bad[0]]}; it must be finite")
-        return size, rows, columns, values
+            self.hold(f"{name}/{what}", array, Number(0, limit - 1))
+        return size, rows, columns, self.hold(f"{name}/x", values)
 
     def text(self, name: str) -> str | None:
         """Read a string; None where there is none."""
@@ -166,19 +171,14 @@ def _read(reader: _Reader) -> FclibProblem:
         raise reader.fail(f"{ROOT}/W", f"is {size[0]} x {size[1]}; it must be square, of 2 rows a contact")
     n = size[0] // 2
     q = reader.vector(f"{ROOT}/vectors/q", 2 * n)
-    mu = reader.vector(f"{ROOT}/vectors/mu", n)
-    negative = np.flatnonzero(mu < 0.0)
-    if len(negative):
-        raise reader.fail(f"{ROOT}/vectors/mu[{negative[0]}]", f"is {mu[negative[0]]}; it must not be negative")
+    mu = reader.vector(f"{ROOT}/vectors/mu", n, NOT_NEGATIVE)
     equations = 0
     if f"{ROOT}/V" in file or f"{ROOT}/R" in file:
         (_, equations), v_rows, v_columns, v_values = reader.matrix(f"{ROOT}/V", (2 * n, None))
         _, r_rows, r_columns, r_values = reader.matrix(f"{ROOT}/R", (equations, equations))
         s = reader.vector(f"{ROOT}/vectors/s", equations)
         own = np.bincount(r_rows[r_rows == r_columns], r_values[r_rows == r_columns], equations)
-        bad = np.flatnonzero(~(own > 0.0))
-        if len(bad):
-            raise reader.fail(f"{ROOT}/R[{bad[0]}, {bad[0]}]", f"is {own[bad[0]]}; it must be > 0")
+        reader.hold(f"the diagonal of {ROOT}/R", own, POSITIVE)
         at = 2 * n + 2 * np.arange(equations)
         rows = np.concatenate([rows, v_rows, at[v_columns], at[r_rows]])
         columns = np.concatenate([columns, at[v_columns], v_rows, at[r_columns]])

@@ -15,6 +15,7 @@ import itertools
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
+from pathlib import Path
 from threading import Event
 from typing import Any
 
@@ -126,7 +127,7 @@ class GridTraining:
         self.train = self.loader("train", rank=group.rank, world_size=group.size)
         self.held = self.loader("validation")
         if not len(self.train):
-            raise ValueError(f"{options.data} has fewer training states than a batch of {options.batch_size}")
+            raise ValueError(f"{_shown(options.data)} has fewer training states than a batch of {options.batch_size}")
 
     def _build_network(self) -> None:
         """Build the network with random weights, scale it, and choose what is minimized."""
@@ -418,4 +419,10 @@ class GridTraining:
 
 def _plain_options(options: TrainOptions) -> dict[str, Any]:
     """Return options with their paths as text, for JSON."""
-    return {name: str(value) if name in ("data", "out") else value for name, value in asdict(options).items()}
+    data = [str(path) for path in options.data] if isinstance(options.data, tuple) else str(options.data)
+    return {**asdict(options), "data": data, "out": str(options.out)}
+
+
+def _shown(data: Path | tuple[Path, ...]) -> str:
+    """Return the folder of a data set, or all of them, as text."""
+    return ", ".join(map(str, data)) if isinstance(data, tuple) else str(data)

@@ -17,8 +17,8 @@ CACHED = ("impulse_n", "impulse_t")
 class TrainOptions(Settings):
     """Options of a training: the data, the network, the loss, the steps, and the files."""
 
-    data: Path = Path("out/data")
-    """Data set, of ``deep-contact generate``."""
+    data: Path | tuple[Path, ...] = Path("out/data")
+    """Data set, of ``deep-contact generate``: a folder, or several that differ in worlds and seeds alone."""
     out: Path = Path("out/train")
     """Folder of the files, made if missing; files of an earlier training are replaced."""
     resume: bool = False

@@ -299,3 +299,31 @@ def test_two_processes_train_as_one(data, tmp_path, undrawn):
             assert (fresh[name] - tensor).abs().max() > 1e-3  # round-off is not all that was compared
     with pytest.raises(ValueError, match="batch_size is 7; 2 processes cannot share it evenly"):
         grid_training.GridTraining("pressure", replace(alone, batch_size=7), Processes(0, 2))
+
+
+def test_several_folders_are_trained_on_as_one(data, tmp_path, undrawn, capsys):
+    more, out = tmp_path / "more", tmp_path / "out"
+    generate(Recipe(scene=SCENE, options=GenerateOptions(worlds=2, steps=70, seed=8)), more, threads=1, progress=False)
+    short = [
+        "--width",
+        "0.25",
+        "--nodes",
+        "17",
+        "--stride",
+        "20",
+        "--epochs",
+        "1",
+        "--batch-size",
+        "8",
+        "--out",
+        str(out),
+    ]
+    assert main(["train", "pressure", *short, "--json", "--data", str(data), str(more)]) == 0
+    summary = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert summary["options"]["data"] == [str(data), str(more)]
+    assert summary["data"]["worlds"] == 10 and summary["data"]["seeds"] == [0, 10]
+    assert load_checkpoint(out / "last.safetensors")[1]["options"]["data"] == [str(data), str(more)]
+    with pytest.raises(ValueError, match="there is no folder to read"):
+        train_grid_network("pressure", options((), out), progress=False)
+    with pytest.raises(ValueError, match=f"{data}, {more} has fewer training states"):
+        train_grid_network("pressure", options((data, more), out, stride=69, batch_size=100), progress=False)

@@ -137,3 +137,20 @@ def test_a_log_that_goes_on_drops_what_came_after(tmp_path):
     assert [row["step"] for row in rows] == [5, 10, 12]
     assert log.series("train/loss") == ([5, 10, 12], [0.2, 0.1, 0.5])
     assert list((tmp_path / "tensorboard").iterdir())
+
+
+def test_a_log_that_was_cut_anywhere_goes_on_without_its_last_line(tmp_path):
+    log = Log(tmp_path)
+    for step in (5, 10):
+        log.add(step, {"train/loss": 1.0 / step})
+    log.close()
+    whole = (tmp_path / "metrics.jsonl").read_bytes()
+    last = whole.index(b"\n") + 1
+    for cut in (1, 8, last - 2, last, last + 1, last + 9, len(whole) - 2, len(whole) - 1):
+        (tmp_path / "metrics.jsonl").write_bytes(whole[:cut])
+        log = Log(tmp_path, 10)
+        log.add(12, {"train/loss": 0.5})
+        log.close()
+        kept = (cut >= last - 1) + (cut >= len(whole) - 1)  # a line is whole without its end, too
+        rows = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
+        assert [row["step"] for row in rows] == [*[5, 10][:kept], 12]
