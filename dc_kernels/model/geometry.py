@@ -66,12 +66,17 @@ def _as_complex(points: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(points).view(f"c{2 * points.itemsize}")[:, 0]
 
 
+def _columns(points: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Some of the points (n, 2), as x and y, (2, m) float64, each in one piece."""
+    return np.ascontiguousarray(points.take(chosen, axis=0).T, np.float64)
+
+
 def _check_kind(model: Arrays, chosen: np.ndarray, kind: int, count: int, label: str) -> None:
     """Check the shapes of one type with so many vertices; arrays of a vertex each are faster than short rows."""
     n = 2 if kind == ShapeType.SEGMENT else count
     first = model["vertex_start"][chosen]
-    corners = [model["vertices"][first + k].astype(np.float64).T for k in range(n)]
-    center = model["shape_center"][chosen].astype(np.float64).T
+    corners = [_columns(model["vertices"], first + k) for k in range(n)]
+    center = _columns(model["shape_center"], chosen)
     epsilon = ROUNDINGS * float(np.finfo(model["vertices"].dtype).eps)
     size = np.max([np.maximum(abs(x), abs(y)) for x, y in corners], axis=0)
     rounding = epsilon * (size + np.maximum(abs(center[0]), abs(center[1])))
@@ -91,7 +96,7 @@ def _check_kind(model: Arrays, chosen: np.ndarray, kind: int, count: int, label:
         length = np.hypot(*edge)
         unit.append(edge / length)
         blur.append(np.nan_to_num(epsilon * size / length, nan=np.inf) + NEAR)
-        normal = model["vertex_normals"][first + k].astype(np.float64).T
+        normal = _columns(model["vertex_normals"], first + k)
         off = np.hypot(normal[0] - unit[k][1], normal[1] + unit[k][0])
         bad = (off > blur[k]) | ~(np.abs(np.hypot(*normal) - 1.0) <= NEAR)
         _refuse_first(label, "vertex_normals", model, first + k, bad, "the unit normal of the edge from its vertex")
