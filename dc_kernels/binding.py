@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from dc_kernels.model.arrays import ArrayGroup, Model, uniform
 from dc_kernels.model.config import CONFIG, SolverConfig
 from dc_kernels.model.fields import LAUNCH
@@ -20,16 +22,19 @@ class Binding:
         values: groups and settings as kernels take them; made anew by ``renew``.
     """
 
-    def __init__(self, kernels: Mapping[str, Any], model: Model, ranges: Sequence[tuple[int, int]]) -> None:
+    def __init__(
+        self, kernels: Mapping[str, Any], model: Model, ranges: Sequence[tuple[int, int]], cut: np.ndarray
+    ) -> None:
         """Prepare.
 
         Args:
             kernels: of the backend, by name.
             model: of the simulation.
             ranges: first world and number of worlds of each shard.
+            cut: an int32 that ends all sweeping on the CPU when it is not 0.
         """
         self.kernels, self.ranges = kernels, list(ranges)
-        self.model = model
+        self.model, self._cut = model, cut
         self._groups = kernel_file(self.model.backend, "groups")
         self.values: dict[str, Any] = {}
         self._settings: dict[str, Any] = {}
@@ -69,6 +74,7 @@ class Binding:
             "past_step": 0 if in_turn else width,
             "resume": 0,
             "pause": NEVER,
+            "cut": self._cut.ctypes.data if self.model.device == "cpu" else 0,
             **{name: value for name, value in changed.items() if name in LAUNCH},
         }
         values = {**self.values, "launch": self._scalars("launch", launch)}

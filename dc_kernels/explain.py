@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dc_kernels.model.enums import BodyType, Flag, ShapeType
+from dc_kernels.model.enums import BodyType, ShapeType, flag_names
 from dc_kernels.solve.rows import LANES, SERIAL_COLOR
 from dc_kernels.stages import PHASES, of_phase
 
@@ -85,5 +85,5 @@ def explain(sim: Simulation) -> str:
         lines.append("history of sweeps: not kept")
     flags = sim.state.numpy("flags")
     for w in np.flatnonzero(flags):
-        lines.append(f"world {w}: frozen ({Flag(int(flags[w])).name})")
+        lines.append(f"world {w}: frozen ({flag_names(flags[w])})")
     return "\n".join(lines)

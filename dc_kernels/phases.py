@@ -23,7 +23,10 @@ class Phases:
     """The part of a simulation that takes its worlds through phases and steps, together whatever happens.
 
     An interrupt arrives when a phase, or a step, has ended in all worlds or in none; only where Python makes the
-    launches (the backend numpy, schedule "color") it may fall into one.
+    launches (the backend numpy, schedule "color") it may fall into one. It is not kept waiting: where the phase or step
+    takes longer than ``stepping.GRACE`` from then on, solves and position corrections end after the sweep that they are
+    in, as if it were the last that ``max_sweeps`` or ``position_iterations`` allow, and worlds cut short are not
+    ``finished`` in ``stats.iteration``. A solve called by itself that is cut short does not count as ``phase``.
     """
 
     state: State
@@ -63,7 +66,12 @@ class Phases:
 
         # only collide runs out of room; to look costs a GPU copies for which the host waits
         watch = self._watch if "collide" in phases else self._watch._replace(stop_at=0, used=())
-        return self._shards.rounds(bind, watch, together)
+        sweeps = 0
+        if "solve" in phases:
+            sweeps = (changed or {}).get("max_sweeps", self._config.max_sweeps)
+        if "advance" in phases and self._config.corrects_positions:
+            sweeps = max(sweeps, self._config.position_iterations)
+        return self._shards.rounds(bind, watch, together, sweeps=sweeps)
 
     def _take(self, phase: Phase, rounds: list[Rounds] | None = None) -> bool:
         """Run a phase in all worlds, or record it; whether one ran out of room."""
@@ -72,7 +80,8 @@ class Phases:
             if self._shards.run(rounds, 1):
                 return True
         finally:
-            if not (self._shards.halted or any(self._shards.left)):
+            shards = self._shards
+            if not (shards.halted or any(shards.left) or (shards.disturbed and shards.cut_flag[0])):
                 self._turn.ran = phase
         if recording():
             self._turn.recorded = phase
@@ -108,6 +117,14 @@ class Phases:
                 while self._shards.level(self._phase_rounds("step")):
                     self._mend()
             raise
+
+    def cut_short(self) -> None:
+        """Let a step or phase that another thread is in end soon: each sweep is the last, as after an interrupt.
+
+        For a program that gives up what its threads compute: they cannot be interrupted. Nothing is done where no call
+        is under way, and what comes after that call is not cut short.
+        """
+        self._shards.cut_short()
 
     def _mend(self) -> None:
         """Make room for worlds that ran out of it, and take the step that they stayed behind with."""

@@ -46,7 +46,8 @@ class Simulation(Phases):
     Worlds are independent: the result of each has the same bits whatever the others, ``threads`` and the schedule.
 
     Several Python threads may call simulations at once, and one simulation in turn; a call during that of another
-    thread raises RuntimeError, by which neither is harmed. An interrupt (Ctrl-C) leaves all worlds at the same time.
+    thread raises RuntimeError, by which neither is harmed. An interrupt (Ctrl-C) leaves all worlds at the same time;
+    solves that take longer than half a second from then on are cut short (``running``).
 
     A call on the CPU within ``wp.ScopedCapture`` becomes part of that graph, or raises RuntimeError before anything is
     recorded; ``phase`` stays that of the calls that ran. The graph cannot grow: a world that runs out of room stays
@@ -131,7 +132,7 @@ class Simulation(Phases):
             shards=len(self._shards.ranges),
             at_once=at_once,
         )
-        self._binding = Binding(self.kernels, model, self._shards.ranges)
+        self._binding = Binding(self.kernels, model, self._shards.ranges, self._shards.cut_flag)
         self._turn = Turn()
         self.calls = OneCaller(
             f"the simulation of {model.world_count} worlds and {model.body_count} bodies",
@@ -321,7 +322,7 @@ class Simulation(Phases):
 
     @property
     def running(self) -> np.ndarray:
-        """Worlds whose solve is paused, bool (W,)."""
+        """Worlds whose solve is paused, or was cut short by an interrupt, bool (W,)."""
         done = self.stats.numpy("iteration")["finished"] != 0
         return ~done & (self.state.numpy("flags") == 0)
 

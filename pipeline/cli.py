@@ -11,6 +11,7 @@ import io
 import itertools
 import json
 import operator
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,6 +26,7 @@ from pipeline.commands.simulate import Explain, Simulate
 from pipeline.commands.train import Train, TrainContactnet
 from pipeline.data.recipe import load_recipe
 from pipeline.networks.registry import load_plugin
+from pipeline.process import terminable
 
 Command = Simulate | Demo | Protocol | Evaluate | Explain | Figures | Generate | Train | TrainContactnet | Fclib
 
@@ -76,21 +78,36 @@ def _commands(conf: Any, arguments: Sequence[str]) -> Any:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return 0, or exit with 2 (130 if interrupted) after one line on stderr."""
-    try:
-        command = parse(arguments)
-        for path in command.plugin:
-            load_plugin(path)
-        result = command()
-    except (ValueError, OverflowError, MemoryError, ImportError, OSError) as error:
-        print(f"deep-contact: {' '.join(str(error).split())}", file=sys.stderr)
-        raise SystemExit(2) from None
-    except KeyboardInterrupt:
-        print("deep-contact: interrupted", file=sys.stderr)
-        raise SystemExit(130) from None
-    if command.json:
-        print(json.dumps(result))
+    """Run the command line; return 0, or exit with another code after one line on stderr.
+
+    With ``--json`` stdout is one line of JSON; whatever else is printed goes to stderr.
+
+    Raises:
+        SystemExit: 2 for what cannot be done; 130 after Ctrl-C, 143 after SIGTERM, with what is done so far kept.
+    """
+    with terminable() as ending:
+        try:
+            command = parse(arguments)
+            with contextlib.redirect_stdout(sys.stderr) if command.json else contextlib.nullcontext():
+                for path in command.plugin:
+                    load_plugin(path)
+                result = command()
+            if command.json:
+                print(json.dumps(result), flush=True)
+            if not result.get("complete", True):
+                raise KeyboardInterrupt
+        except (ValueError, OverflowError, MemoryError, ImportError, OSError) as error:
+            _say(" ".join(str(error).split()))
+            raise SystemExit(2) from None
+        except KeyboardInterrupt:
+            _say("interrupted" if ending.number == signal.SIGINT else "terminated")
+            raise SystemExit(ending.code) from None
     return 0
+
+
+def _say(text: str) -> None:
+    """Print a line on stderr."""
+    print(f"deep-contact: {text}", file=sys.stderr)
 
 
 if __name__ == "__main__":

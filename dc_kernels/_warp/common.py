@@ -25,6 +25,17 @@ def kernel_module(name: str, dtype: str, *variant: object) -> wp.Module:
     return module
 
 
+# read anew at each call, as another thread may set it; never on a GPU
+@wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+return address != 0 && __atomic_load_n((const int*)address, __ATOMIC_RELAXED) != 0;
+#else
+return 0;
+#endif
+""")
+def is_set(address: wp.uint64) -> wp.int32: ...
+
+
 @wp.func
 def cross(a: Any, b: Any):
     return a[0] * b[1] - a[1] * b[0]

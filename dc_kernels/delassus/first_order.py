@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -18,9 +19,12 @@ from dc_kernels.delassus.groups import (
     SearchState,
 )
 from dc_kernels.model.config import SolverConfig
+from dc_kernels.model.dtypes import aligned_zeros
 from dc_kernels.runtime.backends import bind, kernel_file, make_kernels
+from dc_kernels.runtime.threads import in_main_thread, run_apart, uninterrupted
 
 WINDOW = 5  # earlier sweeps that Anderson's combination takes
+LONG = 10_000_000  # contacts times sweeps from which an interrupt is looked for: 0.1 to 0.3 s
 GROWTH = 1.0  # of a step's squared norm at which its last combination is taken back
 DEFAULT = SolverConfig()
 AITKEN = ("aitken_period", "aitken_period_max", "aitken_cap", "aitken_threshold")  # settings taken from it
@@ -52,6 +56,7 @@ class FirstOrder:
         self._kernel = delassus_kernels(backend, dtype)["solve_delassus"]
         groups = kernel_file(backend, "groups")
         self.acceleration, self.looks = acceleration, looks
+        self._compiled, self._cut = backend == "warp", aligned_zeros((1,), np.dtype(np.int32))
         state = SearchState({"contact": n, "look": looks}, dtype, backend=backend)
         self.impulse, self.best, self._direction, self.history = (
             state.numpy(name) for name in ("impulse", "best", "direction", "history")
@@ -69,6 +74,7 @@ class FirstOrder:
             "omega": 1.0,
             "window": WINDOW,
             "growth": GROWTH,
+            "cut": self._cut.ctypes.data,
             **{name: getattr(DEFAULT, name) for name in AITKEN},
         }
         self._settings = groups.group("delassus_settings", dtype, SETTINGS, values)
@@ -94,8 +100,18 @@ class FirstOrder:
         self._direction[...] = start if self.acceleration is Acceleration.HYBRID else 0.0
         for name, value in settings.items():
             setattr(self._settings, name, value)
-        bind(self._kernel, 1, self._values, "cpu")()
+        launch = bind(self._kernel, 1, self._values, "cpu")
+        if self._compiled and in_main_thread() and len(self.impulse) * self._settings.max_sweeps > LONG:
+            run_apart(launch, self._interrupt)
+        else:
+            launch()
         return self._progress[0]
+
+    def _interrupt(self, ended: threading.Event) -> None:
+        """End the solve after the sweep that it is in."""
+        with uninterrupted():
+            self._cut[0] = 1
+            ended.wait()
 
 
 @contextlib.contextmanager

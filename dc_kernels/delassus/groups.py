@@ -79,6 +79,7 @@ SETTINGS = field_table(
     ("aitken_threshold", "launch", "real", "1", "ratio of two periods' steps above which the next is longer"),
     ("window", "launch", "int32", "1", "earlier sweeps that Anderson's combination takes"),
     ("growth", "launch", "real", "1", "of the squared step, at which Anderson's last combination is taken back"),
+    ("cut", "launch", "uint64", "1", "address of an int32: not 0 ends the solve; 0 for none"),
 )
 
 PROGRESS = field_table(

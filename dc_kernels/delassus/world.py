@@ -10,6 +10,7 @@ from dc_kernels.delassus.problem import DelassusProblem, assemble_blocks
 from dc_kernels.delassus.search import DelassusSolution
 from dc_kernels.delassus.solver import solve
 from dc_kernels.model.arrays import to_numpy
+from dc_kernels.model.enums import flag_names
 from dc_kernels.model.settings import checker
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_positive, check_simulation, check_whole
@@ -44,8 +45,8 @@ def _from_world(sim: Simulation, world: int) -> DelassusProblem:
     if sim.phase == "advance":
         raise ValueError("the contacts are those of a finished step: call collide(dt) first")
     world = check_world(sim, world)
-    if sim.state.numpy("flags")[world]:
-        raise ValueError(f"world {world} does not advance (flags {sim.state.numpy('flags')[world]}): it has no problem")
+    if flags := sim.state.numpy("flags")[world]:
+        raise ValueError(f"world {world} does not advance ({flag_names(flags)}): it has no problem")
     return _from_rows(sim, world)
 
 

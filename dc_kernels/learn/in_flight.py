@@ -33,6 +33,7 @@ from dc_kernels.runtime.program import Fed, Kernel, Program
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
 
+GATHERS = 8  # numbers of channels whose gathers are kept
 RATE_NODES = 3  # spacings between the nodes that rates are taken at: 6 diameters at a spacing of 2
 PLACES = ("place", "place_a", "place_b")
 
@@ -157,6 +158,8 @@ class SolveReader:
             )
         channels = shape[1]
         if channels not in self._gathers:
+            if len(self._gathers) >= GATHERS:
+                self._gathers.clear()
             self._gathers[channels] = self._bind_gather(channels)
         values, launches = self._gathers[channels]
         for launch in launches:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum, IntFlag
+from typing import Any
 
 
 class BodyType(IntEnum):
@@ -30,6 +31,11 @@ class Flag(IntFlag):
     ROW_OVERFLOW = 4  # more blocks of solver rows than reserved
     NONFINITE = 8  # a velocity or position became NaN or inf: the world keeps its last finite state
     INVALID = 16  # arrays from outside that a stage was given are out of range: it did nothing
+
+
+def flag_names(flags: Any) -> str:
+    """Name the bits of ``State.flags`` of a world, as "PAIR_OVERFLOW, NONFINITE"; empty without any."""
+    return ", ".join(str(flag.name) for flag in Flag if flag and flag & int(flags))
 
 
 CAPACITY_FLAGS = Flag.PAIR_OVERFLOW | Flag.CONTACT_OVERFLOW | Flag.ROW_OVERFLOW

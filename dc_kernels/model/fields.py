@@ -258,6 +258,7 @@ LAUNCH = field_table(
     ("past_step", "launch", "int32", "1", "from a world's part to the next; 0: worlds take turns"),
     ("resume", "launch", "int32", "1", "1: go on with a solve that paused"),
     ("pause", "launch", "int32", "1", "sweeps until a pause"),
+    ("cut", "launch", "uint64", "1", "address of an int32: not 0 ends all sweeping; 0 for none"),
 )
 
 # Where a world's part of the rows lies, and when its solve stops; made once in a solve.

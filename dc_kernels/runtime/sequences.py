@@ -74,10 +74,19 @@ class Rounds:
 
     Attributes:
         halt: an int32, not 0 once a round has halted; several shards may share it.
+        sweeps: over all bodies, that a round may make.
     """
 
     def __init__(
-        self, launches: Sequence[Launch], first: int, count: int, watch: Watch, peak: np.ndarray, halt: np.ndarray
+        self,
+        launches: Sequence[Launch],
+        first: int,
+        count: int,
+        watch: Watch,
+        peak: np.ndarray,
+        halt: np.ndarray,
+        *,
+        sweeps: int = 0,
     ) -> None:
         """Bind what is launched.
 
@@ -88,8 +97,9 @@ class Rounds:
             watch: what is looked at after each round.
             peak: an int32 for each kind of room, raised to the most that a world used after any round.
             halt: of int32, of which the first is set when a flag says so, and looked at before each round.
+            sweeps: over all bodies, that a round may make.
         """
-        self.launches, self.watch, self.peak, self.halt = list(launches), watch, peak, halt
+        self.launches, self.watch, self.peak, self.halt, self.sweeps = list(launches), watch, peak, halt, sweeps
         self._worlds = slice(first, first + count)
         self._done = aligned_zeros((CACHE_LINE,), np.dtype(np.int64))
         self._counted = 0

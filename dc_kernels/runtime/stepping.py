@@ -12,11 +12,13 @@ from dc_kernels.model.dtypes import aligned_zeros
 from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import recording
 from dc_kernels.runtime.sequences import CACHE_LINE, Rounds, Watch
-from dc_kernels.runtime.threads import run_together, uninterrupted
+from dc_kernels.runtime.threads import in_main_thread, run_apart, run_together, uninterrupted
 
 SHARDS_PER_THREAD = 2  # who is done first takes on what is left
 CHUNK = 10  # rounds that a thread takes of a shard at a time: 250 at once leaves one idle at the end for 3 %
 AT_ONCE = 20_000  # bodies times rounds between two looks for an interrupt: 10 to 40 ms
+SWEPT = 10_000_000  # bodies times sweeps between two looks, if no solve converges: 0.1 to 0.6 s
+GRACE = 0.5  # that an interrupted round has to end by itself, before its sweeps are cut short [s]
 WORTH_THREADS = 1_000  # bodies times rounds from which a second thread gains: to hand work over takes 80 us
 INT = np.dtype(np.int32)
 
@@ -30,6 +32,8 @@ class Shards:
         peak: the most that a world used of each kind of room, an int32 for each kind in the row of a shard, or of all.
         left: rounds that each shard has still to take.
         halted: whether one of the rounds taken last halted.
+        disturbed: whether the rounds taken last were interrupted or cut short.
+        cut_flag: an int32 that kernels look at after each sweep: not 0 once an interrupt has cut sweeps short.
     """
 
     def __init__(self, worlds: int, bodies: int, threads: int) -> None:
@@ -42,31 +46,44 @@ class Shards:
         self.peak = aligned_zeros((count + 1, CACHE_LINE), INT)
         self.left = [0] * count
         self.halted = False
+        self.cut_flag = aligned_zeros((CACHE_LINE,), INT)
         self._lock = threading.Lock()
         self._busy: set[int] = set()
         self._stop = False
+        self.disturbed = False
+        self._timer: threading.Timer | None = None
 
-    @property
-    def _at_once(self) -> int:
-        """Rounds that are taken between two looks for an interrupt."""
-        return max(AT_ONCE // self.bodies, 1)
+    def _at_once(self, rounds: Rounds) -> int:
+        """Count the rounds that are taken between two looks for an interrupt."""
+        return max(min(AT_ONCE, SWEPT // max(rounds.sweeps, 1)) // self.bodies, 1)
 
-    def rounds(self, bind: Callable[[int, int], Sequence[Launch]], watch: Watch, together: bool) -> list[Rounds]:
+    def rounds(
+        self, bind: Callable[[int, int], Sequence[Launch]], watch: Watch, together: bool, *, sweeps: int = 0
+    ) -> list[Rounds]:
         """Rounds of each shard, and if there are several of all shards as one.
 
         Args:
             bind: launches of a round over so many worlds from a first one.
             watch: what is looked at after each round.
             together: whether a shard that halts halts the others too.
+            sweeps: over all bodies, that a round may make.
         """
         shared = aligned_zeros((CACHE_LINE,), INT)
         found = [
-            Rounds(bind(*shard), *shard, watch, peak, shared if together else aligned_zeros((CACHE_LINE,), INT))
+            Rounds(
+                bind(*shard),
+                *shard,
+                watch,
+                peak,
+                shared if together else aligned_zeros((CACHE_LINE,), INT),
+                sweeps=sweeps,
+            )
             for shard, peak in zip(self.ranges, self.peak)
         ]
         if len(found) > 1:
             launches = [launch for shard in found for launch in shard.launches]
-            found.append(Rounds(launches, 0, sum(count for _, count in self.ranges), watch, self.peak[-1], shared))
+            worlds = sum(count for _, count in self.ranges)
+            found.append(Rounds(launches, 0, worlds, watch, self.peak[-1], shared, sweeps=sweeps))
         return found
 
     def run(self, rounds: Sequence[Rounds], count: int | Sequence[int]) -> bool:
@@ -78,7 +95,8 @@ class Shards:
 
         Raises:
             BaseException: an interrupt, when no thread is at work any more; compiled rounds are then taken on until
-                each shard has come as far as that which came farthest, unless one has halted.
+                each shard has come as far as that which came farthest, unless one has halted. Where that would take
+                longer than ``GRACE``, sweeps end early: then ``cut_flag`` is set.
         """
         self.left = [count] * len(self.ranges) if isinstance(count, int) else list(count)
         shards, whole = rounds[: len(self.ranges)], rounds[-1]
@@ -89,20 +107,16 @@ class Shards:
             return False
         for one in rounds:
             one.halt[0] = 0
+        if self.disturbed:
+            if self._timer is not None:
+                self._timer.cancel()
+                self._timer.join()
+            self.disturbed, self._stop, self._timer, self.cut_flag[0] = False, False, None, 0
         try:
-            if self.threads > 1 and self.bodies * longest >= WORTH_THREADS:
-                self._share(shards)
-            elif longest == min(self.left):
-                at_once, n = max(AT_ONCE // self.bodies, 1), len(self.left)
-                while longest and not whole.halt[0]:
-                    whole.take(min(longest, at_once))
-                    longest -= whole.count()
-                    self.left = [longest] * n
-                self.halted = bool(whole.halt[0])
-                return self.halted
+            if self.bodies * whole.sweeps > SWEPT and whole.compiled and in_main_thread():
+                run_apart(lambda: self._run(rounds, longest), self._interrupt)
             else:
-                for i in range(len(shards)):
-                    self._take_one(rounds, i, 0)
+                self._run(rounds, longest)
         except BaseException:
             with uninterrupted():
                 taken = whole.count()
@@ -111,13 +125,45 @@ class Shards:
                 if not self.halted:
                     self.level(rounds)
             raise
-        self.halted = any(shard.halt[0] for shard in shards)
         return self.halted
+
+    def cut_short(self) -> None:
+        """Let what another thread has under way end after the sweep that it is in."""
+        self.disturbed = True
+        self.cut_flag[0] = 1
+
+    def _interrupt(self, ended: threading.Event) -> None:
+        """Wait for what is under way; what takes longer than ``GRACE`` from now on, leveling too, sweeps no more."""
+        with uninterrupted():
+            self._stop = self.disturbed = True
+            self._timer = threading.Timer(GRACE, self.cut_flag.__setitem__, (0, 1))
+            self._timer.daemon = True
+            self._timer.start()
+            ended.wait()
+
+    def _run(self, rounds: Sequence[Rounds], longest: int) -> None:
+        """Take the rounds ``left``, of which ``longest`` is the most."""
+        shards, whole = rounds[: len(self.ranges)], rounds[-1]
+        if self.threads > 1 and self.bodies * longest >= WORTH_THREADS:
+            self._share(shards)
+        elif longest == min(self.left):
+            at_once, n = 1 if longest == 1 else self._at_once(whole), len(self.left)
+            while longest and not (whole.halt[0] or self._stop):
+                whole.take(min(longest, at_once))
+                longest -= whole.count()
+                self.left = [longest] * n
+            self.halted = bool(whole.halt[0])
+            return
+        else:
+            for i in range(len(shards)):
+                self._take_one(rounds, i, 0)
+        self.halted = any(shard.halt[0] for shard in shards)
 
     def level(self, rounds: Sequence[Rounds]) -> bool:
         """Take compiled rounds until each shard has as few ``left`` as any, or one halts; whether one did."""
         if not all(one.compiled for one in rounds):
             return False
+        self._stop = False
         for one in rounds:
             one.halt[0] = 0
         ahead = min(self.left)
@@ -127,27 +173,26 @@ class Shards:
         return self.halted
 
     def _take_one(self, rounds: Sequence[Rounds], i: int, least: int) -> None:
-        """Take rounds of a shard until so few are left, as long as it doesn't halt."""
-        while self.left[i] > least and not rounds[i].halt[0]:
-            rounds[i].take(min(self.left[i] - least, self._at_once))
+        """Take rounds of a shard until so few are left, as long as it doesn't halt and no interrupt arrives."""
+        while self.left[i] > least and not (rounds[i].halt[0] or self._stop):
+            rounds[i].take(min(self.left[i] - least, self._at_once(rounds[i])))
             self.left[i] -= rounds[i].count()
 
     def _share(self, shards: Sequence[Rounds]) -> None:
         """All threads take chunks of shards."""
-        self._stop = False
         self._busy.clear()
-        most = min(CHUNK, self._at_once)
+        most = min(CHUNK, self._at_once(shards[0]))
+
+        def stop() -> None:
+            self._stop = self.disturbed = True
 
         def work() -> None:
             try:
                 while self._take_chunk(shards, most):
                     pass
             except BaseException:
-                self._stop = True
+                stop()
                 raise
-
-        def stop() -> None:
-            self._stop = True
 
         run_together(work, self.threads, stop)
 

@@ -75,11 +75,16 @@ class OneCaller:
         self.end()
 
 
+def in_main_thread() -> bool:
+    """Tell whether the caller runs on the one thread that Python interrupts."""
+    return threading.get_ident() == threading.main_thread().ident
+
+
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
     """Hold back an interrupt (Ctrl-C, SIGINT) until the block has ended: for work that must not be left half done."""
     handler = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+    if not in_main_thread() or not callable(handler):
         yield  # Python interrupts the main thread alone, and only by a handler of its own
         return
     held: list[tuple[Any, Any]] = []
@@ -140,6 +145,39 @@ def run_together(work: Callable[[], Any], threads: int, stop: Callable[[], Any] 
             raise
     for other in begun:
         other.result()
+
+
+def run_apart(work: Callable[[], Any], interrupted: Callable[[threading.Event], Any]) -> None:
+    """Call ``work``, which may take long without Python, on a thread of its own: an interrupt is not kept waiting.
+
+    Args:
+        work: what is done.
+        interrupted: called when the present thread is interrupted, with an event that is set when ``work`` has ended.
+
+    Raises:
+        BaseException: what ``work`` raises, or the interrupt after ``interrupted`` has returned.
+    """
+    ended, failed, begun = threading.Event(), [], False
+
+    def call() -> None:
+        try:
+            work()
+        except BaseException as error:
+            failed.append(error)
+        finally:
+            ended.set()
+
+    try:
+        with uninterrupted():
+            threading.Thread(target=call, name="dc_kernels apart", daemon=True).start()
+            begun = True
+        ended.wait()
+    except BaseException:
+        if begun:
+            interrupted(ended)
+        raise
+    if failed:
+        raise failed[0]
 
 
 def map_threads(function: Callable[[Given], Result], items: Iterable[Given], threads: int) -> list[Result]:

@@ -216,7 +216,7 @@ class ContactSolver:
         for file, *options in FILES:
             chosen = (getattr(self, option) for option in options)
             self.kernels |= make_kernels(self.backend, file, self.dtype.name, *chosen)
-        self._binding = Binding(self.kernels, self.model, self._shards.ranges)
+        self._binding = Binding(self.kernels, self.model, self._shards.ranges, self._shards.cut_flag)
 
     @property
     def _in_turn(self) -> bool:
@@ -404,7 +404,8 @@ class ContactSolver:
             self._exchanges.append(receive)
             return found
 
-        self._rounds[call, config] = self._shards.rounds(launches, Watch(self.state.flags, STOPS, ()), together=False)
+        watch, sweeps = Watch(self.state.flags, STOPS, ()), (config or self._config).max_sweeps
+        self._rounds[call, config] = self._shards.rounds(launches, watch, together=False, sweeps=sweeps)
 
     @np.errstate(over="ignore", invalid="ignore")
     def _explain(self, call: Call) -> None:

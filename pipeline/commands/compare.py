@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,8 @@ class Demo(Common):
         pairs: list[tuple[str, Acceleration]] = [(start, "none") for start in options.starts]
         pairs += [("cnn", "none"), ("none", "aitken"), ("builtin", "aitken"), ("cnn", "aitken")]
         runs, result = run_protocol(options, pairs, self.out, self.json)
+        if not result["complete"]:
+            return result
         summary, sim = simulate(
             Thesis(bodies=self.bodies),
             RunOptions(seed=options.seed),
@@ -56,7 +59,7 @@ class Demo(Common):
         side = Thesis(bodies=self.bodies).side
         grid = Grid.from_box((0.0, 0.0), (side, side), Grid.thesis().spacing)
         save_figure(grids_figure(sim, grid), self.out / "grids.png")
-        result.update(world=summary, wall_s=time.perf_counter() - began)
+        result.update(world=summary, complete=summary["complete"], wall_s=time.perf_counter() - began)
         if not self.json:
             print(f"{self.out / 'grids.png'}: what a network reads of that world's end, and what it is to answer")
             print(f"{self.out / 'demo.png'}: the picture of it all; {result['wall_s']:.0f} s")
@@ -87,6 +90,27 @@ class Evaluate(Common):
         return run_evaluation(self.evaluation, self.out, self.json)
 
 
+class Runs(list[Run]):
+    """Runs that are done.
+
+    Attributes:
+        complete: whether these are all.
+    """
+
+    complete = False
+
+
+@contextlib.contextmanager
+def several() -> Iterator[Runs]:
+    """Give a list for runs; Ctrl-C ends the block, unless none is done."""
+    runs = Runs()
+    try:
+        yield runs
+    except KeyboardInterrupt:
+        if not runs:
+            raise
+
+
 def run_protocol(
     options: ProtocolOptions,
     pairs: Sequence[tuple[str, Acceleration]] | None,
@@ -95,8 +119,10 @@ def run_protocol(
 ) -> tuple[list[Run], dict[str, Any]]:
     """Run the protocol, write protocol.json and protocol.png, and print the table unless ``quiet``."""
     check_writable(out, "protocol.json", "protocol.png")
-    runs = protocol(options, pairs, progress=not quiet)
-    result = {**report(options, runs), "out": str(out)}
+    with several() as runs:
+        protocol(options, pairs, not quiet, runs)
+        runs.complete = True
+    result = {**report(options, runs, runs.complete), "out": str(out)}
     write_json(out / "protocol.json", result)
     title = f"thesis protocol: {options.worlds} worlds of {options.bodies} discs, start and solver"
     save_figure(protocol_figure(runs, title), out / "protocol.png")
@@ -108,11 +134,15 @@ def run_protocol(
 def run_evaluation(options: EvaluationOptions, out: Path, quiet: bool) -> dict[str, Any]:
     """Evaluate, write evaluate.json and the figures, and print the tables unless ``quiet``."""
     check_writable(out, "evaluate.json")
-    runs = evaluation(options, progress=not quiet)
-    result = {**report(options, runs), "out": str(out), "figures": []}
+    with several() as runs:
+        evaluation(options, None, not quiet, runs)
+        runs.complete = True
+    result = {**report(options, runs, runs.complete), "out": str(out), "figures": []}
     for loop in dict.fromkeys(run.loop for run in runs):
         for solver in dict.fromkeys(run.solver for run in runs):
             chosen = [run for run in runs if (run.loop, run.solver) == (loop, solver)]
+            if not chosen:
+                continue
             path = out / f"{loop}-{solver.lower().replace(' + ', '-')}.png"
             worlds = f"{options.worlds} worlds of {options.bodies} discs, {options.steps} steps of {options.dt:g} s"
             save_figure(evaluation_figure(chosen, f"{solver}, {loop} loop: {worlds}"), path)

@@ -29,7 +29,7 @@ from pipeline.networks.checkpoint import all_versions, commit, load_training, sa
 from pipeline.options import RunOptions
 from pipeline.plots.contactnet import contact_curves_figure, contact_predictions_figure
 from pipeline.plots.style import save_figure
-from pipeline.process import interruptible, progress_bar
+from pipeline.process import Stop, interruptible, progress_bar
 from pipeline.scenes import Thesis
 from pipeline.seeds import HELD_OUT_SEED, TUNING_SEED, VALIDATION_SEED
 from pipeline.starts.learned import grid_of
@@ -58,7 +58,7 @@ def settings_of(options: ContactTrainOptions) -> tuple[Setting, ...]:
 
 
 def train_contactnet(options: ContactTrainOptions | None = None, progress: bool = True) -> dict[str, Any]:
-    """Train a ContactNet; Ctrl-C ends it after the round under way, with whole files to resume from.
+    """Train a ContactNet; Ctrl-C ends it, with whole files to resume from: those of the last round that is done.
 
     Under ``torchrun`` each process records worlds of its own and the gradients are averaged.
 
@@ -77,7 +77,9 @@ def train_contactnet(options: ContactTrainOptions | None = None, progress: bool 
     options = options or ContactTrainOptions()
     torch.set_num_threads(options.threads)
     with processes() as group, interruptible() as stop:
-        return ContactTraining(options, group).run(stop, progress and group.first)
+        with stop.urgent():
+            training = ContactTraining(options, group)
+        return training.run(stop, progress and group.first)
 
 
 class ContactTraining:
@@ -115,25 +117,17 @@ class ContactTraining:
         self.log = Log(options.out, self.round * options.steps, enabled=group.first)
         self.grids: dict[int, Any] = {}
 
-    def run(self, stop: Any, progress: bool) -> dict[str, Any]:
+    def run(self, stop: Stop, progress: bool) -> dict[str, Any]:
         """Run the rounds that are left, and return the summary."""
         options = self.options
-        self.validation = self.record(-1)
+        with stop.urgent():
+            self.validation = self.record(-1)
         total = options.rounds * options.steps
         bar = progress_bar(total=total, initial=self.round * options.steps, desc="train contactnet", show=progress)
         while self.round < options.rounds and not self.group.any(stop.is_set()):
             began = time.perf_counter()
-            bar.set_postfix_str("recording")
-            calls = self.record(self.round)
-            self.model.train()
-            generator = np.random.default_rng([options.seed, self.round, self.group.rank, 1])
-            for i in range(options.steps):
-                step = self.round * options.steps + i
-                loss = self.step(self.batch(calls, generator), step)
-                bar.update()
-                if i % 20 == 0:
-                    self.log.add(step + 1, {"train/gain": loss, "train/rate": self.optimizer.param_groups[0]["lr"]})
-                    bar.set_postfix(gain=f"{loss:.3f}", refresh=False)
+            with stop.urgent():
+                self.train(bar)
             self.round += 1
             self.seconds += time.perf_counter() - began
             self.log.add(self.round * options.steps, self.validate())
@@ -149,6 +143,21 @@ class ContactTraining:
         bar.close()
         self.log.close()
         return self.finish() if self.group.first else {}
+
+    def train(self, bar: Any) -> None:
+        """Record the calls of a round and make its steps."""
+        options = self.options
+        bar.set_postfix_str("recording")
+        calls = self.record(self.round)
+        self.model.train()
+        generator = np.random.default_rng([options.seed, self.round, self.group.rank, 1])
+        for i in range(options.steps):
+            step = self.round * options.steps + i
+            loss = self.step(self.batch(calls, generator), step)
+            bar.update()
+            if i % 20 == 0:
+                self.log.add(step + 1, {"train/gain": loss, "train/rate": self.optimizer.param_groups[0]["lr"]})
+                bar.set_postfix(gain=f"{loss:.3f}", refresh=False)
 
     def record(self, round_: int) -> list[Recorded]:
         """Record the calls of a round; round -1 are those of validation."""

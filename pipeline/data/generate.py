@@ -8,23 +8,22 @@ of a Dask scheduler the same function runs on its workers, which send the shard 
 from __future__ import annotations
 
 import functools
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
-import dc_kernels as dc
+from dc_kernels.model.enums import flag_names
 from dc_kernels.runtime.inputs import check_whole
 from dc_kernels.runtime.optional import require
 from pipeline.data.index import write_index
 from pipeline.data.layout import INDEX, shard_path
 from pipeline.data.recipe import Recipe
-from pipeline.data.recorder import make_shard
+from pipeline.data.recorder import Halt, make_shard
 from pipeline.data.shards import check_shard, opened, remove_partial
 from pipeline.files import sole_writer, write_bytes
-from pipeline.process import cores, interruptible, progress_bar
+from pipeline.process import Stop, cores, interruptible, progress_bar
 
 TICK = 0.2
 """Time between two looks at what is finished [s]."""
@@ -92,10 +91,10 @@ Image = bytes | memoryview
 
 
 def on_threads(
-    threads: int, recipe: Recipe, numbers: Sequence[int], stop: threading.Event, progress: Progress
+    threads: int, recipe: Recipe, numbers: Sequence[int], stop: Stop, progress: Progress
 ) -> Iterator[tuple[int, Image]]:
     """Make shards on threads of this process; each comes as soon as it is made, until ``stop``."""
-    halt = threading.Event()
+    halt = Halt()
     left: list[int] = list(reversed(numbers))
     running: dict[Any, int] = {}
     with ThreadPoolExecutor(threads) as pool:
@@ -110,12 +109,15 @@ def on_threads(
                     progress.finish(number)
                 progress.show()
         finally:
-            halt.set()
-            pool.shutdown(cancel_futures=True)
+            pool.shutdown(wait=False, cancel_futures=True)
+            halt.hurry()
+            begun = [future for future in running if not future.cancelled()]
+            while wait(begun, TICK).not_done:
+                halt.hurry()  # a shard may have begun another solve
 
 
 def on_cluster(
-    address: str, recipe: Recipe, numbers: Sequence[int], stop: threading.Event, progress: Progress
+    address: str, recipe: Recipe, numbers: Sequence[int], stop: Stop, progress: Progress
 ) -> Iterator[tuple[int, Image]]:
     """Make shards on the workers of a Dask scheduler; a worker that dies costs what it was at, which others repeat.
 
@@ -223,7 +225,7 @@ def _summary(recipe: Recipe, out: Path, kept: int, made: int, complete: bool, se
             summary["contacts_mean"] = float(file["contact/gap"].shape[0] / summary["states"])
             summary["bytes_per_state"] = summary["bytes"] / summary["states"]
             summary["label_reached"] = float(file.attrs["label_reached"])
-            summary["flags"] = int(file.attrs["flags"])
+            summary["flags"] = flag_names(file.attrs["flags"])
     return summary
 
 
@@ -241,8 +243,7 @@ def describe(summary: dict[str, Any]) -> str:
         f"{100.0 * summary['label_reached']:.1f} % of the labels reached their tolerance"
     )
     if summary["flags"]:
-        names = ", ".join(str(flag.name) for flag in dc.Flag if flag & summary["flags"])
-        lines.append(f"worlds stopped ({names}); step/flags marks their states")
+        lines.append(f"worlds stopped ({summary['flags']}); step/flags marks their states")
     lines.append(
         f"{summary['out']}: {summary['bytes'] / 1e6:.1f} MB, {summary['bytes_per_state']:.0f} bytes a state; "
         f"{INDEX} shows all shards as one"

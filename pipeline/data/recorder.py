@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import threading
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
@@ -23,8 +24,27 @@ class Stopped(Exception):
     """Tells that a shard was given up because the run is to end."""
 
 
+class Halt(threading.Event):
+    """Tells the threads that make shards to give them up."""
+
+    def __init__(self) -> None:
+        """Begin with no shard in the making."""
+        super().__init__()
+        self._sims: weakref.WeakSet[dc.Simulation] = weakref.WeakSet()
+
+    def watch(self, sim: dc.Simulation) -> None:
+        """Let ``hurry`` end the solves of a simulation."""
+        self._sims.add(sim)
+
+    def hurry(self) -> None:
+        """Give up all shards: also solves under way end, whose results nobody gets."""
+        self.set()
+        for sim in list(self._sims):
+            sim.cut_short()
+
+
 def make_shard(
-    recipe: Recipe, number: int, progress: Callable[[int], None] | None = None, stop: threading.Event | None = None
+    recipe: Recipe, number: int, progress: Callable[[int], None] | None = None, stop: Halt | None = None
 ) -> memoryview:
     """Simulate the worlds of a shard.
 
@@ -43,10 +63,12 @@ def make_shard(
     seeds = recipe.options.seeds(number)
     builder, drawn, dt = _build(recipe, seeds)
     recorder = Recorder(recipe, builder)
+    if stop is not None:
+        stop.watch(recorder.sim)
     for step in range(recipe.options.steps):
+        recorder.step(dt)
         if stop is not None and stop.is_set():
             raise Stopped
-        recorder.step(dt)
         if progress is not None:
             progress(step + 1)
     config = recipe.config()

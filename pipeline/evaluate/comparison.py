@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
@@ -17,6 +18,7 @@ def protocol(
     options: ProtocolOptions | None = None,
     pairs: Sequence[tuple[str, Acceleration]] | None = None,
     progress: bool = True,
+    runs: list[Run] | None = None,
 ) -> list[Run]:
     """Run the thesis protocol, in closed loop.
 
@@ -24,6 +26,7 @@ def protocol(
         options: of the protocol; the theses' if None.
         pairs: start and acceleration of each run; None: every combination in the options.
         progress: show a bar on stderr.
+        runs: where each goes when it is done, so that Ctrl-C leaves those before; None: a new list.
 
     Returns:
         One ``Run`` for each pair, in order.
@@ -33,13 +36,14 @@ def protocol(
         ValueError: for an option out of its range.
     """
     options = options or ProtocolOptions()
-    return _run_all(options, pairs, ("closed",), progress)
+    return _run_all(options, pairs, ("closed",), progress, runs)
 
 
 def evaluation(
     options: EvaluationOptions | None = None,
     pairs: Sequence[tuple[str, Acceleration]] | None = None,
     progress: bool = True,
+    runs: list[Run] | None = None,
 ) -> list[Run]:
     """Run all starts and networks on the same worlds, in each of the loops.
 
@@ -47,12 +51,13 @@ def evaluation(
         options: of the evaluation; the defaults if None.
         pairs: start and acceleration of each run; None: every combination in the options.
         progress: show a bar on stderr.
+        runs: where each goes when it is done, so that Ctrl-C leaves those before; None: a new list.
 
     Returns:
         One ``Run`` for each loop and pair: the loops in order, the pairs in order in each.
     """
     options = options or EvaluationOptions()
-    return _run_all(options, pairs, options.loops, progress)
+    return _run_all(options, pairs, options.loops, progress, runs)
 
 
 def _run_all(
@@ -60,8 +65,9 @@ def _run_all(
     pairs: Sequence[tuple[str, Acceleration]] | None,
     loops: Sequence[Loop],
     progress: bool,
+    runs: list[Run] | None,
 ) -> list[Run]:
-    """Run each pair in each loop, after all that can fail has been tried."""
+    """Run each pair in each loop, after all that can fail has been tried, into ``runs``."""
     pairs = pairs or [(start, acceleration) for acceleration in options.accelerations for start in options.starts]
     makers = {}
     for start, _ in pairs:  # before anything is computed
@@ -69,16 +75,15 @@ def _run_all(
         if is_network(name) and options.dtype != "float32":
             raise ValueError(f"dtype is {options.dtype!r}; the network {name} answers in float32")
         makers[start] = maker(name, options.seed)
-    runs = []
+    runs = [] if runs is None else runs
     total = len(loops) * len(pairs) * options.steps
     with torch_threads(options.threads), progress_bar(total=total, unit="step", show=progress) as bar:
-        for loop in loops:
-            for start, acceleration in pairs:
-                bar.set_description(f"{split_label(start)[0]}, {acceleration}, {loop} loop")
-                runs.append(run_worlds(options, start, acceleration, bar, loop=loop, make=makers[start]))
+        for loop, (start, acceleration) in itertools.product(loops, pairs):
+            bar.set_description(f"{split_label(start)[0]}, {acceleration}, {loop} loop")
+            runs.append(run_worlds(options, start, acceleration, bar, loop=loop, make=makers[start]))
     return runs
 
 
-def report(options: ProtocolOptions, runs: Sequence[Run]) -> dict[str, Any]:
+def report(options: ProtocolOptions, runs: Sequence[Run], complete: bool = True) -> dict[str, Any]:
     """Return what ``--json`` prints and the JSON file holds."""
-    return {"options": asdict(options), "runs": summaries(runs)}
+    return {"options": asdict(options), "complete": complete, "runs": summaries(runs)}

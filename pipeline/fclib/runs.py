@@ -74,7 +74,8 @@ def export(
         progress: show a bar on stderr.
 
     Returns:
-        ``files``: path, step, world, contacts and residuals of each; ``empty``: (step, world) without contacts.
+        ``files``: path, step, world, contacts and residuals of each; ``empty``: (step, world) without contacts;
+        ``complete``: False where Ctrl-C ended it early.
 
     Raises:
         ValueError: for an option out of its range, or a pattern that gives one name to several problems.
@@ -92,7 +93,7 @@ def export(
     for path in paths:
         check_writable(path.parent, path.name)
     text = f"deep-contact {versions()['deep-contact']}: {asdict(scene)}, dt {run.dt:g} s, seed {run.seed}, {run.dtype}"
-    files, empty = [], []
+    files, empty, done = [], [], 0
     by_step: dict[int, list[tuple[int, Path]]] = {}
     for (step, world), path in zip(wanted, paths, strict=True):
         by_step.setdefault(step, []).append((world, path))
@@ -108,7 +109,13 @@ def export(
                     made.append((world, path, problem, read_impulses(sim, problem)))
                 else:
                     empty.append([step, world])
-            sim.solve()
+            try:
+                with stop.urgent():
+                    sim.solve()
+            except KeyboardInterrupt:
+                if not stop.is_set():
+                    raise
+                break
             for world, path, problem, guess in made:
                 found = read_impulses(sim, problem)
                 title = {"title": f"{scene.name}, step {step}, world {world}", "description": text, "math_info": ""}
@@ -118,7 +125,8 @@ def export(
                     | {"residual": problem.natural_map(found), "scaled_residual": problem.scaled_map(found)}
                 )
             sim.advance()
-    return {"scene": scene.name, "files": files, "empty": empty}
+            done = step
+    return {"scene": scene.name, "complete": done == steps[-1], "files": files, "empty": empty}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,8 +151,9 @@ def solve_files(path: Path, options: SolveOptions, progress: bool = True) -> dic
     """Solve a file, or all files of a folder.
 
     Returns:
-        ``method``, ``tolerance``, ``converged`` (of all), and ``files``: for each name contacts, converged, residual,
-        scaled_residual, sweeps, pivotings, factorizations, seconds.
+        ``method``, ``tolerance``, ``converged`` (of all), ``complete``: False where Ctrl-C ended it early, and
+        ``files``: for each name contacts, converged, residual, scaled_residual, sweeps, pivotings, factorizations,
+        seconds.
 
     Raises:
         ValueError: naming the file, for one that cannot be read; an option out of its range.
@@ -168,14 +177,17 @@ def solve_files(path: Path, options: SolveOptions, progress: bool = True) -> dic
         if start is None and options.start != "zero":
             raise ValueError(f"{file}: there is no {options.start} in it to start from")
         began = time.perf_counter()
-        solution = solve(
-            content.problem,
-            options.method,
-            tolerance=options.tolerance,
-            max_sweeps=options.max_sweeps,
-            scaled=options.scaled,
-            start=start,
-        )
+        try:
+            solution = solve(
+                content.problem,
+                options.method,
+                tolerance=options.tolerance,
+                max_sweeps=options.max_sweeps,
+                scaled=options.scaled,
+                start=start,
+            )
+        except KeyboardInterrupt:
+            break
         results[file.name] = {
             "contacts": content.problem.count,
             "converged": solution.converged,
@@ -192,6 +204,7 @@ def solve_files(path: Path, options: SolveOptions, progress: bool = True) -> dic
         "method": options.method,
         "tolerance": options.tolerance,
         "converged": all(row["converged"] for row in results.values()),
+        "complete": len(results) == len(paths),
         "files": results,
     }
 
@@ -209,7 +222,7 @@ def describe_export(result: dict[str, Any]) -> str:
 
 def describe_solve(result: dict[str, Any]) -> str:
     """Write a line for each file."""
-    width = max(map(len, result["files"]))
+    width = max(map(len, result["files"]), default=0)
     lines = [f"{'file'.ljust(width)}  contacts  sweeps  pivotings   LU  natural map   scaled       ms"]
     for name, row in result["files"].items():
         lines.append(

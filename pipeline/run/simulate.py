@@ -93,6 +93,8 @@ def simulate(
 def record(start: Start, run: RunOptions, output: Output, config: dict[str, Any], progress: bool) -> Recording:
     """Step a simulation and write its trajectory, until all steps are done or Ctrl-C ends it.
 
+    A step that then takes longer than ``process.PATIENCE`` is broken off, and not recorded.
+
     Args:
         start: of the simulation that is stepped.
         run: time step and threads.
@@ -113,7 +115,13 @@ def record(start: Start, run: RunOptions, output: Output, config: dict[str, Any]
     ):
         while done < output.steps and not stop.is_set():
             before = time.perf_counter()
-            step(start, run.dt)
+            try:
+                with stop.urgent():
+                    step(start, run.dt)
+            except KeyboardInterrupt:
+                if not stop.is_set():
+                    raise
+                break  # the step is not recorded
             spent += time.perf_counter() - before
             done += 1
             measured = measure(sim)

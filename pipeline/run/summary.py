@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-import dc_kernels as dc
+from dc_kernels.model.enums import flag_names
 from pipeline.files import plain, versions
 from pipeline.run.trajectory import Recording
 from pipeline.starts.start import Start
@@ -38,7 +38,7 @@ def summarize(start: Start, recording: Recording, config: dict[str, Any]) -> dic
         "contacts_last": float(series["pressing_count"][-1].mean()) if done else 0.0,
         "penetration_max_mm": 1e3 * float(series["penetration_max"].max(initial=0.0)),
         "penetration_last_mean_mm": 1e3 * float(series["penetration_mean"][-1].mean()) if done else 0.0,
-        "flagged_worlds": {str(w): str(dc.Flag(int(flags[w]))) for w in np.flatnonzero(flags)},
+        "flagged_worlds": {str(w): flag_names(flags[w]) for w in np.flatnonzero(flags)},
         "simulation_s": recording.seconds,
         "worlds_per_s": worlds / recording.seconds if recording.seconds and recording.complete else 0.0,
         "capacity": plain(sim.capacity()),

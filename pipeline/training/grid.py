@@ -16,7 +16,6 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 from dc_kernels.grid.image_spec import ImageSpec
@@ -35,7 +34,7 @@ from pipeline.networks.checkpoint import (
 )
 from pipeline.plots import training as training_plots
 from pipeline.plots.style import save_figure
-from pipeline.process import interruptible, progress_bar
+from pipeline.process import Stop, interruptible, progress_bar
 from pipeline.training.log import Log
 from pipeline.training.losses import Decoder, Loss
 from pipeline.training.optimizer import check_loss, clip_gradients, make_optimizer, make_schedule
@@ -80,7 +79,8 @@ def train_grid_network(network: str, options: TrainOptions | None = None, progre
     check_network(network)
     torch.set_num_threads(options.threads)
     with processes() as group, interruptible() as stop:
-        run = GridTraining(network, options, group)
+        with stop.urgent():
+            run = GridTraining(network, options, group)
         try:
             return run.run(stop, progress and group.first)
         finally:
@@ -205,7 +205,7 @@ class GridTraining:
 
     # ------------------------------------------------------------------ steps
 
-    def run(self, stop: Event, progress: bool) -> dict[str, Any]:
+    def run(self, stop: Stop, progress: bool) -> dict[str, Any]:
         """Train to the end or until ``stop``, write all files, and return the summary."""
         options = self.options
         began, stopped = time.perf_counter(), False

@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels._warp.common import kernel_module
+from dc_kernels._warp.common import is_set, kernel_module
 from dc_kernels._warp.delassus import accelerate
 from dc_kernels._warp.delassus.groups import search_types
 from dc_kernels._warp.groups import contiguity
@@ -152,7 +152,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             progress[0].sweeps = sweeps
             if sweeps % settings.every == 0 or sweeps >= settings.max_sweeps:
                 running = look(settings, problem, search, progress)
-            if sweeps >= settings.max_sweeps:
+            if sweeps >= settings.max_sweeps or is_set(settings.cut) == 1:
                 running = 0
             if running == 1:
                 if moving:

@@ -5,7 +5,7 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels._warp.common import kernel_module
+from dc_kernels._warp.common import is_set, kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.lanes import has_lanes, lane_functions
 from dc_kernels._warp.solve.row import row_functions
@@ -58,5 +58,7 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
             for k in range(first * N_LANES, last * N_LANES):
                 pushed = wp.max(pushed, push_row(k / N_LANES, k % N_LANES, rows, motion.displacement, factor, limit))
             iteration += 1
+            if is_set(launch.cut) == 1:
+                break
 
     return {"correct_positions": correct_positions}

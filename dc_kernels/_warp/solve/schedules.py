@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels._warp.common import kernel_module
+from dc_kernels._warp.common import is_set, kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.accelerate import accelerate_functions, aitken, nncg
 from dc_kernels._warp.solve.iteration import GOES_ON, PAUSES, iteration_functions
@@ -80,6 +80,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             prepare_sweep(span, config, motion)
             largest = sweep(span, config, omega, motion, rows)
             done = conclude_sweep(span, largest, config, motion, rows, stats)
+            if is_set(launch.cut) == 1:
+                break
         report(span, motion, rows, stats)
 
     @wp.kernel(module=module, enable_backward=False)
@@ -96,7 +98,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     ):
         """The solve of a world, to its end or to a pause after some ``pause`` sweeps; ``resume`` goes on from there.
 
-        Without ``replaced`` a solve that pauses ends with the bits of one that does not.
+        Without ``replaced`` a solve that pauses ends with the bits of one that does not. One that ``cut`` ends after
+        the sweep that it is in stays unfinished.
         """
         tid = wp.tid()
         if state.flags[tid + launch.world_offset] != 0:
