@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+import threading
 
 import warp as wp
 from hypothesis import HealthCheck, settings
@@ -11,6 +13,9 @@ from dc_kernels.runtime import stepping
 
 wp.config.log_level = wp.LOG_WARNING
 stepping.WORTH_THREADS = 0  # scenes of tests are small, and still their threads are to be tested
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_thread() is threading.main_thread():
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell has it ignored by what it runs in the background
 
 # Kernels compile in the first example of a property test, so neither a deadline nor a slow start means anything.
 settings.register_profile(

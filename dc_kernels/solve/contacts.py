@@ -32,6 +32,7 @@ from dc_kernels.solve.exchange import (
     refuse_same,
     scalar_of,
     share_all,
+    stays,
     view_of,
 )
 from dc_kernels.solve.integrate import Integrator
@@ -176,10 +177,9 @@ class ContactSolver:
         share_all(self.contacts, {"arm_a": arm_a, "arm_b": arm_b, "friction": friction, "restitution": restitution})
         share_all(self.joints, lines, writes=("joint_impulse",))
         self._has_positions, self._has_angles = position is not None, angle is not None
-        given = {"count": count, "point": point, "color": color, "impulse": impulse}
-        given |= {"velocity": velocity, "angular_velocity": angular_velocity}
-        given |= {"velocity_before": velocity_before, "angular_velocity_before": angular_velocity_before}
-        self._given = {name: array for name, array in given.items() if array is not None}
+        given = dict(zip(PER_CALL, (velocity, angular_velocity, impulse, velocity_before, angular_velocity_before)))
+        given |= {"count": count, "point": point, "color": color}
+        self._given, self._at = {name: array for name, array in given.items() if array is not None}, dict[str, int]()
         self.exchange = make_exchange(self.contacts, lengths["body"], self._given)
         self.calls = OneCaller(f"the solver of {lengths['contact']} contacts and {lengths['body']} bodies")
         self._packed = self._complete = False
@@ -340,7 +340,7 @@ class ContactSolver:
     def _run(self, call: Call, config: SolverConfig | None, given: Sequence[Any]) -> None:
         """Take the arrays of a call, run its kernels, and say what they found out of range."""
         for name, array in zip(PER_CALL, given):
-            if array is not None and array is not self._given.get(name):
+            if array is not None and not stays(array, self._given.get(name), self._at.get(name)):
                 self._take(name, array)
         if not self._complete:
             self._check_complete()
@@ -369,7 +369,7 @@ class ContactSolver:
         if name in BEFORE:
             self.exchange.sizes["body before"] = self.exchange.sizes["body"]
         view = view_of(self.exchange, name, array, writes=name in WRITTEN)
-        self._given[name] = array
+        self._given[name], self._at[name] = array, view.ctypes.data
         if self.backend == "warp":
             for launch in self._exchanges if view.size else ():
                 launch.point(f"exchange.{name}", view.ctypes.data, view.shape)  # type: ignore[attr-defined]

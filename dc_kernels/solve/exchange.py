@@ -80,6 +80,11 @@ def view_of(group: ArrayGroup, name: str, array: Any, *, writes: bool = False) -
     return check_layout(name, array, shape, scalar, writes=writes)
 
 
+def stays(array: Any, before: Any, at: int | None) -> bool:
+    """Whether an array is the one of the call before; a tensor's memory may have been exchanged since."""
+    return array is before and (not hasattr(array, "data_ptr") or array.data_ptr() == at)
+
+
 def share_all(group: ArrayGroup, arrays: Mapping[str, Any], writes: Container[str] = ()) -> None:
     """Let fields of a group lie in the memory of given arrays, which live as long as the group.
 

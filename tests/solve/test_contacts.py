@@ -402,6 +402,16 @@ def test_arrays_may_be_others_at_each_call(backend):
     np.testing.assert_allclose(velocity[1], (0.0, 3.0), rtol=1e-6)
 
 
+def test_a_tensor_may_have_other_memory_at_each_call():
+    torch = pytest.importorskip("torch")
+    solver = dc.ContactSolver(**{k: v for k, v in drop("float32").items() if "velocity" not in k})
+    velocity, spin = torch.zeros(2, 2), torch.zeros(2)
+    for speed in (1.0, 2.0):
+        velocity.data = torch.tensor([[0.0, 0.0], [0.0, -speed]])
+        solver.solve(DT, velocity, spin)
+        np.testing.assert_allclose(velocity.numpy(), 0.0, atol=1e-6)
+
+
 def test_impulses_of_its_own_warm_start_the_next_call():
     given = drop()
     del given["impulse"]
