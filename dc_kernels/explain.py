@@ -13,6 +13,8 @@ from dc_kernels.stages import PHASES, of_phase
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
 
+SHOWN = 8  # frozen worlds that one line names
+
 
 def _count(number: int, name: str) -> str:
     if number == 1:
@@ -83,7 +85,21 @@ def explain(sim: Simulation) -> str:
         lines.append(f"serial colour: {_count(serial, 'contact')} swept one by one (a body has more than 63)")
     if not config.history:
         lines.append("history of sweeps: not kept")
-    flags = sim.state.numpy("flags")
-    for w in np.flatnonzero(flags):
-        lines.append(f"world {w}: frozen ({flag_names(flags[w])})")
+    lines += [f"world {w}: frozen ({why})" for w, why in _frozen(sim)]
     return "\n".join(lines)
+
+
+def describe(sim: Simulation) -> str:
+    """One line: what a simulation is of, and which worlds do not advance."""
+    model, frozen = sim.model, _frozen(sim)
+    line = f"<Simulation of {_count(model.world_count, 'world')} and {_count(model.body_count, 'body')}"
+    if frozen:
+        more = f" and {len(frozen) - SHOWN} more" * (len(frozen) > SHOWN)
+        line += f"; frozen: {', '.join(f'world {w} ({why})' for w, why in frozen[:SHOWN])}{more}"
+    return line + ">"
+
+
+def _frozen(sim: Simulation) -> list[tuple[int, str]]:
+    """Worlds that do not advance, and the names of their flags."""
+    flags = sim.state.numpy("flags")
+    return [(int(w), flag_names(flags[w])) for w in np.flatnonzero(flags)]

@@ -12,7 +12,7 @@ from dc_kernels import snapshot
 from dc_kernels.binding import Binding
 from dc_kernels.collide.broadphase import Pairs
 from dc_kernels.collide.contacts import Cache
-from dc_kernels.explain import explain
+from dc_kernels.explain import describe, explain
 from dc_kernels.model.arrays import Contacts, Joints, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig, check_config
 from dc_kernels.model.enums import CAPACITY_FLAGS
@@ -54,6 +54,9 @@ class Simulation(Phases):
     where it is, its flag set, until the next call outside the graph mends that. ``layout_version`` has changed then,
     and the graph, which knows the arrays of before, is to be made anew. On a GPU the calls of all simulations wait for
     each other, and none becomes part of a graph.
+
+    A world whose numbers become NaN or inf stops without an error and keeps its state: look at ``state.flags``, bits of
+    ``Flag``. It goes on once finite values and flags of 0 are written (``state.assign``).
 
     Attributes:
         calls: what each call holds while it works; ``with sim.calls:`` keeps other threads out of several calls.
@@ -141,6 +144,10 @@ class Simulation(Phases):
         self._rounds: dict[str, list[Rounds]] = {}
         self._solves: dict[tuple[SolverConfig | None, int | None, bool], list[Rounds]] = {}
         self._bind_all()
+
+    def __repr__(self) -> str:
+        """Number of worlds and bodies, and worlds that do not advance."""
+        return describe(self)
 
     def _bind_all(self) -> None:
         """Take arrays and settings anew; launches are bound when they are first wanted."""

@@ -17,7 +17,7 @@ import dc_kernels as dc
 from bench import timing
 from bench.cases import DT
 from bench.error_time.peers import ENGINES
-from bench.error_time.scenes import Case, State, clone
+from bench.error_time.scenes import Case, State
 from dc_kernels.measure import contact_slots
 from dc_kernels.model.config import ACCELERATIONS
 
@@ -107,12 +107,12 @@ class Gauge:
 
     def overlaps(self, position: np.ndarray, angle: np.ndarray) -> np.ndarray:
         """Of each contact point whose gap is below ``TOUCHING`` (n,) [m]; 0 where a gap is left."""
-        state = clone(self.initial)
+        state = self.initial.copy()
         state.assign("position", position.astype(np.float64))
         state.assign("angle", angle.astype(np.float64))
         state.assign("velocity", np.zeros_like(state.numpy("velocity")))
         state.assign("angular_velocity", np.zeros_like(state.numpy("angular_velocity")))
-        sim = dc.Simulation(self.model, state, clone(self.joints))
+        sim = dc.Simulation(self.model, state, self.joints.copy())
         sim.collide(1e-6)
         gap = sim.contacts.numpy("gap")[contact_slots(sim.contacts)[0]]
         return np.maximum(-gap[gap < TOUCHING * self.scale], 0.0)

@@ -148,21 +148,13 @@ class State:
         if dtype not in self.models:
             self.models[dtype] = self.scene.build(1, self.seed).finalize(dtype=dtype)
         model, state, joints = self.models[dtype]
-        state, joints = clone(state), clone(joints)
+        state, joints = state.copy(), joints.copy()  # simulations share a model, and nothing else
         sim = dc.Simulation(model, state, joints, **options)
         for name, values in self.bodies.items():
             state.assign(name, values.astype(state.numpy(name).dtype))
         contacts = {**self.contacts, "impulse": self.contacts["impulse"].astype(sim.dtype)}
         sim.restore_contacts(np.array([len(contacts["key"])]), contacts, self.dt.astype(sim.dtype))
         return sim
-
-
-def clone(group: Any) -> Any:
-    """A group of arrays of its own memory: two simulations share a model, and nothing else."""
-    copy = type(group)(group.sizes, group.dtype, group.device, group.backend)
-    for name in group.table:
-        copy.assign(name, group.numpy(name))
-    return copy
 
 
 def capture(sim: dc.Simulation, scene: scenes.Scene, seed: int, step: int) -> State:

@@ -91,7 +91,7 @@ class Narrowphase:
                 from ``pair_start`` on; a pair counts whatever its order.
             pair_start: first row of each world and the number of rows, (W + 1,); None for one world.
             pair_count: rows of each world that are pairs, (W,) int32; None: all.
-            reach: contacts are made of gaps up to this [m].
+            reach: contacts are made of gaps up to this [m]; it must cover what two shapes approach by in a step.
             max_contacts: contacts of each world that there is room for, a number or one for each, (W,): more are an
                 error; None: room grows.
             threads: Python threads that the worlds are shared among; the contacts do not depend on it.

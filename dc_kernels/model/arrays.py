@@ -7,7 +7,7 @@ One buffer serves every user: on the CPU an array is allocated once, 64-byte ali
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +19,9 @@ from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
 from dc_kernels.runtime.memory import check_memory
 from dc_kernels.runtime.optional import require
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 def allocate(field: Field, sizes: Mapping[str, int], real: np.dtype, device: str, backend: str) -> Any:
@@ -88,9 +91,12 @@ def uniform(values: np.ndarray) -> float:
 
 
 class ArrayGroup:
-    """Named arrays allocated from a table of fields; an attribute for each."""
+    """Named arrays allocated from a table of fields; an attribute for each, which is read: ``assign`` writes values."""
 
     table: Mapping[str, Field] = {}
+    live: Container[str] | None = None
+    """Fields that may be written while a simulation uses the group, and act at its next step; None: all that do not
+    lead kernels through memory."""
 
     def __init__(self, sizes: Mapping[str, int], dtype: Any, device: str = "cpu", backend: str = "warp") -> None:
         """Allocate every field of the table, zeroed.
@@ -108,10 +114,35 @@ class ArrayGroup:
         self.version = 0
         """Number of times that arrays were allocated anew."""
         self.fixed = False
-        """Whether offsets, indices and types of shapes are in use, and ``assign`` refuses others."""
+        """Whether a simulation uses the arrays: those that it has checked or derived others from are then read-only."""
         self._check_room(self.table)
         for name, field in self.table.items():
-            setattr(self, name, allocate(field, sizes, self.dtype, device, backend))
+            self.share(name, allocate(field, sizes, self.dtype, device, backend))
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set what is no field; kernels would go on with the array that a field had.
+
+        Raises:
+            AttributeError: for a field, saying how its values are written.
+        """
+        if name in self.table and value is not self.__dict__.get(name):
+            kind = type(self).__name__.lower()
+            raise AttributeError(
+                f"{kind}.{name} cannot be replaced, as kernels hold its memory; write into it: "
+                f'{kind}.assign("{name}", values), or {kind}.numpy("{name}")[...] = values on a CPU'
+            )
+        object.__setattr__(self, name, value)
+
+    def share(self, name: str, array: Any) -> None:
+        """Let a field lie in another array, laid out as ``allocate`` does; launches bound before keep the old one."""
+        self.__dict__[name] = array
+
+    def copy(self) -> Self:
+        """A group of its own memory with the values of this one, which no simulation uses yet."""
+        made = type(self)(self.sizes, self.dtype, self.device, self.backend)
+        for name in self.table:
+            made._fill(name, to_numpy(self.array(name)))
+        return made
 
     def _check_room(self, names: Iterable[str]) -> None:
         """Raise a MemoryError, naming the largest array, for arrays that do not fit into the free memory."""
@@ -141,7 +172,7 @@ class ArrayGroup:
             raise
         self.version += 1
         for name in names:
-            setattr(self, name, allocate(self.table[name], self.sizes, self.dtype, self.device, self.backend))
+            self.share(name, allocate(self.table[name], self.sizes, self.dtype, self.device, self.backend))
 
     def renew(self, **sizes: int) -> dict[str, Any]:
         """Allocate every array anew; those whose axes keep their sizes keep their values.
@@ -174,9 +205,12 @@ class ArrayGroup:
         return getattr(self, name)
 
     def numpy(self, name: str) -> np.ndarray:
-        """The array of a field as numpy (see ``to_numpy``); read-only where its values lead kernels through memory."""
+        """The array of a field as numpy (see ``to_numpy``).
+
+        It is read-only where its values lead kernels through memory, and where ``assign`` refuses others.
+        """
         array = to_numpy(getattr(self, name))
-        if self.table[name].points:
+        if self.table[name].points or (self.fixed and not self.writable(name)):
             array = array.view()
             array.flags.writeable = False
         return array
@@ -185,18 +219,32 @@ class ArrayGroup:
         """All arrays as numpy, by name."""
         return {name: self.numpy(name) for name in self.table}
 
+    def writable(self, name: str) -> bool:
+        """Whether ``assign`` takes values of a field now."""
+        return not self.fixed or (not self.table[name].points if self.live is None else name in self.live)
+
     def assign(self, name: str, values: Any) -> None:
         """Copy values into a field.
 
         Raises:
+            KeyError: for an unknown field, naming those that there are.
             ValueError: naming the field, when the shape differs, for non-finite values or a lossy integer dtype, or for
-                offsets, indices and types of shapes that a simulation has checked and goes by.
+                a field that a simulation has checked, or derived others from, and goes by (``writable``).
         """
+        kind = type(self).__name__.lower()
+        if name not in self.table:
+            raise KeyError(f"{name!r} is no field of {kind}; it must be one of {', '.join(self.table)}")
+        if not self.writable(name):
+            raise ValueError(
+                f"{name} is in use by a simulation, which has checked it and derived others from it; write into a copy "
+                f"({kind}.copy()), or make a {kind} with another one, and a new simulation of it"
+            )
         field = self.table[name]
-        if self.fixed and field.points:
-            raise ValueError(f"{name} is in use by a simulation, which has checked it; make a model with another one")
         scalar, shape = numpy_spec(field, self.dtype)
-        values = check_values(name, values, (*(self.sizes[axis] for axis in field.axes), *shape), scalar)
+        self._fill(name, check_values(name, values, (*(self.sizes[axis] for axis in field.axes), *shape), scalar))
+
+    def _fill(self, name: str, values: np.ndarray) -> None:
+        """Copy values of a field's own shape and dtype into it."""
         target = getattr(self, name)
         if isinstance(target, np.ndarray):
             target[...] = values
@@ -280,6 +328,7 @@ class Model(ArrayGroup):
     """What does not change: bodies, shapes, worlds (``model.fields.MODEL``)."""
 
     table = MODEL
+    live = ("gravity", "origin")
 
     @property
     def world_count(self) -> int:

@@ -145,7 +145,7 @@ class ContactSolver:
             gravity: (W,) or one [m/s^2], to which the threshold of bounces is relative (``SolverConfig``); needed
                 unless ``restitution`` is the number 0 or 1.
             discs: all bodies that contacts turn are discs about their centres, whose normals have no arm: less work.
-            config: settings of the solver.
+            config: settings of the solver; it has no position phase: only position_correction="baumgarte" acts.
             threads: at most so many Python threads share the worlds.
             schedule: "world" (a thread runs a world's solve) or "color" (a launch a colour).
             backend: "warp", or "numpy": the oracle, never fast.

@@ -106,7 +106,7 @@ def share_all(group: ArrayGroup, arrays: Mapping[str, Any], writes: Container[st
             continue
         view = view_of(group, name, array, writes=name in writes)
         if on_numpy(group.backend):
-            setattr(group, name, view)
+            group.share(name, view)
             continue
         import warp as wp
 
@@ -114,7 +114,7 @@ def share_all(group: ArrayGroup, arrays: Mapping[str, Any], writes: Container[st
         field = group.table[name]
         element = kernel_file(group.backend, "groups").field_type(field, group.dtype.name)
         shape = view.shape[: len(field.axes)]
-        setattr(group, name, wp.array(view, dtype=element, shape=shape, device="cpu", copy=False))
+        group.share(name, wp.array(view, dtype=element, shape=shape, device="cpu", copy=False))
 
 
 def scalar_of(name: str, array: Any) -> np.dtype:

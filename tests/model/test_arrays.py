@@ -81,7 +81,79 @@ def test_what_leads_kernels_through_memory_does_not_change_in_a_model_in_use(bac
     for name in ("contact_start", "contact_count", "body_a", "body_b", "color"):
         with pytest.raises(ValueError, match="read-only"):
             sim.contacts.numpy(name)[...] = 1
-    model.assign("shape_friction", [0.1, 0.2])  # what may change may
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_a_field_is_not_replaced_by_another_array(backend):
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_discs([(0, 0), (3, 0)], 1.0)
+    model, state, joints = builder.finalize(backend=backend)
+    sim = dc.Simulation(model, state, joints)
+    for label in ("model", "state", "joints", "contacts", "rows", "motion", "stats", "pairs", "cache"):
+        group = getattr(sim, label)
+        kind = type(group).__name__.lower()
+        for name in group.table:
+            before = group.array(name)
+            with pytest.raises(AttributeError, match=rf'{kind}\.assign\("{name}", values\)'):
+                setattr(group, name, group.numpy(name).copy())
+            assert group.array(name) is before
+    with pytest.raises(AttributeError, match=r'state\.numpy\("position"\)\[\.\.\.\] = values'):
+        state.position = np.ones((2, 2))
+    state.assign("position", [(0, 5), (3, 5)])  # as the message says: the simulation goes on from there
+    sim.step(0.01)
+    np.testing.assert_allclose(state.numpy("position"), [(0, 5), (3, 5)], atol=0.01)
+    with pytest.raises(KeyError, match="'vel' is no field of state; it must be one of position, angle, velocity, "):
+        state.assign("vel", np.zeros((2, 2)))
+
+
+def _falling(change=lambda model, joints: None):
+    """Two discs on a rope above a floor, and what changes before they are simulated."""
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    ground = builder.add_body(type=dc.BodyType.STATIC)
+    builder.add_chain(ground, [(-5, 0), (5, 0)])
+    builder.add_distance_joint(*builder.add_discs([(0, 1), (3, 1)], 1.0))
+    model, state, joints = builder.finalize()
+    change(model, joints)
+    return dc.Simulation(model, state, joints)
+
+
+def test_fields_of_a_model_in_use_act_at_the_next_step_or_are_refused():
+    def change(model, joints):
+        model.assign("gravity", [(3.0, -5.0)])
+        joints.assign("joint_length", [2.5])
+
+    late, early, plain = _falling(), _falling(change), _falling()
+    change(late.model, late.joints)
+    for sim in (late, early, plain):
+        sim.step(0.01)
+    for name in ("velocity", "position"):  # pulled aside, and together by the shorter rope
+        np.testing.assert_allclose(late.state.numpy(name), early.state.numpy(name), atol=1e-3)
+        assert abs(late.state.numpy(name) - plain.state.numpy(name)).max() > 0.01
+
+    live = {name for name in late.model.table if late.model.writable(name)}
+    assert live == set(late.model.live)
+    for name in late.model.table.keys() - live:
+        with pytest.raises(ValueError, match=rf"{name} is in use by a simulation.*model\.copy\(\)"):
+            late.model.assign(name, late.model.numpy(name))
+        with pytest.raises(ValueError, match="read-only"):
+            late.model.numpy(name)[...] = 0
+
+
+def test_a_copy_of_a_model_in_use_may_be_changed_and_simulated():
+    sim = _falling()
+    model = sim.model.copy()
+    mass = np.array([0, 2, 4])
+    model.assign("mass", mass)
+    with pytest.raises(ValueError, match="inv_mass"):  # which belongs to it
+        dc.Simulation(model, sim.state, sim.joints)
+    model.assign("inv_mass", [0, 0.5, 0.25])
+    model.assign("shape_friction", np.full(model.shape_count, 0.9))
+    other = dc.Simulation(model, sim.state, sim.joints)
+    other.run(3, 0.01)
+    assert (other.contacts.numpy("friction")[: other.contacts.numpy("contact_count")[0]] == np.float32(0.9)).all()
+    assert (sim.model.numpy("mass")[1:] != mass[1:]).all()
 
 
 def test_an_index_array_edited_in_its_memory_is_found_by_the_next_simulation():

@@ -76,6 +76,10 @@ def check_transfer(scope: dict) -> None:
 
 
 def check_stages(scope: dict) -> None:
+    impulse = np.arange(6.0).reshape(3, 2)  # contacts 2 and 9 stay, 5 goes, 1, 7 and 11 come
+    carried = scope["carry"](np.array([2, 5, 9]), impulse, np.array([1, 2, 7, 9, 11]))
+    assert carried.tolist() == [[0, 0], [0, 1], [0, 0], [4, 5], [0, 0]]
+    assert np.abs(scope["velocity"]).max() * scope["dt"] < scope["reach"]
     assert (scope["bodies"] == [[i, i + 1] for i in range(4) for _ in range(2)]).all()
     assert scope["height"] == pytest.approx([0.5 * i for i in range(4) for _ in range(2)], abs=1e-6)
     assert scope["touching"].numpy("gap") == pytest.approx([-0.1, -0.005], abs=1e-6)
@@ -191,6 +195,16 @@ def test_every_setting_of_the_solver_exists():
 def choices(name: str) -> tuple[str, ...]:
     """The values that a field of SolverConfig takes."""
     return get_args(get_type_hints(dc.SolverConfig)[name])
+
+
+def test_the_fields_of_a_model_that_act_at_the_next_step_are_named():
+    sentence = TEXTS["docs/architecture.md"].split("Of a model that a simulation uses ")[1].split(" may be")[0]
+    assert re.findall(r"`(\w+)`", sentence) == list(dc.Model.live)
+
+
+def test_every_flag_is_named():
+    found = TEXTS["docs/limits.md"].split("## Worlds that stopped")[1].split("##")[0]
+    assert set(re.findall(r"[A-Z_]{5,}", found)) == {flag.name for flag in dc.Flag if flag}
 
 
 def test_every_scene_is_named():

@@ -122,3 +122,25 @@ def test_what_is_read_only_is_not_written_to():
     image.flags.writeable = False
     with pytest.raises(ValueError, match="out is read-only; it must be writable"):
         dc.splat(points, values, dc.Grid(rows=8, columns=8, spacing=0.5), out=image)
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_a_world_that_met_nan_is_named_and_revived(backend):
+    builder = dc.ModelBuilder()
+    for _ in range(2):
+        builder.add_world()
+        builder.add_discs([(0, 0), (3, 0)], 0.5)
+    sim = dc.Simulation(*builder.finalize(backend=backend))
+    assert repr(sim) == "<Simulation of 2 worlds and 4 bodies>"
+    sim.state.numpy("velocity")[2] = np.nan
+    sim.run(3, 0.01)
+    assert sim.state.numpy("flags").tolist() == [0, dc.Flag.NONFINITE]
+    assert "frozen: world 1 (NONFINITE)" in repr(sim) and "world 1: frozen (NONFINITE)" in sim.explain()
+    assert sim.state.numpy("time") == pytest.approx([0.03, 0.0])
+
+    sim.state.assign("velocity", np.nan_to_num(sim.state.numpy("velocity")))
+    sim.state.assign("flags", np.zeros(2))
+    sim.run(3, 0.01)
+    assert not sim.state.numpy("flags").any() and "frozen" not in repr(sim) + sim.explain()
+    assert sim.state.numpy("time") == pytest.approx([0.06, 0.03])
+    assert (sim.state.numpy("velocity")[2:, 1] < -0.2).all()  # it falls

@@ -460,7 +460,7 @@ def test_a_foreign_array_is_refused(backend, change, message):
     builder.add_world()
     builder.add_discs([(0.0, 0.0), (3.0, 0.0)], 0.5)
     model, state, joints = builder.finalize("float32", backend=backend)
-    state.position = change(wp, state.position)
+    state.share("position", change(wp, state.position))
     with pytest.raises(ValueError, match=message):
         dc.Simulation(model, state, joints)
 

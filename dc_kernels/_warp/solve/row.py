@@ -1,4 +1,7 @@
-"""The scalar arithmetic of one row (Wu 2018, section 2.2.2): the oracle of the SIMD lanes, and what a GPU runs."""
+"""The sweep of one row, which clamps its friction to Coulomb's cone (Wu 2018, section 2.2.2), in scalar arithmetic.
+
+It is the oracle of the SIMD lanes, and what a GPU runs.
+"""
 
 from functools import cache
 from types import SimpleNamespace
