@@ -73,7 +73,7 @@ class Simulation(Phases):
     def __init__(
         self,
         model: Model,
-        state: State,
+        state: State | None = None,
         joints: Joints | None = None,
         *,
         config: SolverConfig | None = None,
@@ -88,7 +88,7 @@ class Simulation(Phases):
 
         Args:
             model: from ``ModelBuilder.finalize``; its backend, device and dtype are the simulation's.
-            state: evolves in place.
+            state: from there, too; evolves in place.
             joints: None for none.
             config: settings of the solver; the attribute ``config`` may be replaced between steps and solves.
             threads: at most so many Python threads share the worlds (launches release the GIL), fewer where a step is
@@ -106,7 +106,8 @@ class Simulation(Phases):
         options = SimulationOptions(
             config, threads, schedule, on_overflow, specialize, pairs_per_shape, contacts_per_body
         )
-        self.joints = joints = check_scene(model, state, joints)
+        state, self.joints = check_scene(model, state, joints)
+        joints = self.joints
         model.fixed = joints.fixed = True
         self.model = model
         self.state = state

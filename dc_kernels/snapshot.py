@@ -94,7 +94,7 @@ def load(
     """
     path = Path(check_path("path", path))
     threads = check_count("threads", threads)
-    with reading(path) as file:
+    with reading(path, schema=SCHEMA) as file:
         header = _Header(file, path)
         tables = {"model": Model.table, "state": State.table, "joints": Joints.table, "contacts": CONTACTS}
         values = {name: _read(file, path, name, table, header) for name, table in tables.items()}

@@ -54,8 +54,10 @@ def sole_writer(folder: Path) -> Iterator[bool]:
         Whether that is certain: not every system and file system has such locks.
 
     Raises:
-        OSError: another one is writing, or the folder cannot be written into.
+        OSError: another one is writing, or the folder is a file, or cannot be written into.
     """
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(f"{folder} is a file; it must be a folder, or not there yet")
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / LOCK
     try:

@@ -153,7 +153,7 @@ class Broadphase:
         self.lower = check_layout("lower", lower, (None, 2))
         self.dtype, n = self.lower.dtype, len(self.lower)
         self.upper = check_layout("upper", upper, (n, 2), self.dtype)
-        self.start = check_start("start", start, n)
+        self.start = check_start("start", start, n, "boxes")
         self.margin = check_not_negative("margin", margin)
         self.threads = check_count("threads", threads)
         self.shape_body = np.arange(n, dtype=np.int32) if shape_body is None else _filter(shape_body, "shape_body", n)

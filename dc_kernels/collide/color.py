@@ -65,8 +65,8 @@ def color(
     if moves.ndim != 1 or moves.dtype.kind not in "buif":
         raise ValueError(f"movable has shape {moves.shape}, dtype {moves.dtype}; it must be (N,) bool or numbers")
     contacts, bodies = len(body_a), len(moves)
-    first_body = check_start("body_start", body_start, bodies)
-    first_contact = check_start("contact_start", contact_start, contacts)
+    first_body = check_start("body_start", body_start, bodies, "bodies")
+    first_contact = check_start("contact_start", contact_start, contacts, "contacts")
     worlds = len(first_body) - 1
     if len(first_contact) != worlds + 1:
         raise ValueError(f"contact_start has {len(first_contact) - 1} worlds, body_start {worlds}; they must agree")

@@ -135,7 +135,7 @@ class Narrowphase:
             self._pair, self._pair_count = np.zeros((0, 2), np.int32), np.zeros(0, np.int32)
             return
         self._pair = check_layout("pairs", pairs, (None, 2), np.dtype(np.int32))
-        rows = check_start("pair_start", pair_start, len(self._pair))
+        rows = check_start("pair_start", pair_start, len(self._pair), "pairs")
         if len(rows) != worlds + 1:
             raise ValueError(f"pair_start has {len(rows) - 1} worlds; the shapes have {worlds}")
         if pair_count is None:

@@ -190,7 +190,7 @@ def _checked(given: Mapping[str, Any]) -> dict[str, np.ndarray]:
     check_index("body_type", arrays["body_type"], len(BodyType))
     for name, count in (("shape_start", n), ("body_start", bodies)):
         if name in arrays:
-            check_start(name, arrays[name], count)
+            check_start(name, arrays[name], count, "shapes" if name == "shape_start" else "bodies")
         else:
             arrays[name] = np.array([0, count], np.int32)
     if len(arrays["shape_start"]) != len(arrays["body_start"]):
@@ -209,7 +209,7 @@ def _check_vertices(arrays: Mapping[str, np.ndarray], n: int) -> None:
     check_index("shape_type", kind, len(ShapeType))
     if len(first) != n + 1:
         raise ValueError(f"vertex_start has shape {first.shape}; it must be ({n + 1},)")
-    check_start("vertex_start", first, len(arrays["vertices"]))
+    check_start("vertex_start", first, len(arrays["vertices"]), "vertices")
     low, high = np.array([COUNTS[ShapeType(k)] for k in range(len(ShapeType))])[kind].T if n else (np.zeros(0),) * 2
     count = np.diff(first)
     bad = np.flatnonzero((count < low) | (count > high))

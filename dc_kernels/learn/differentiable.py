@@ -80,8 +80,9 @@ class ContactProblem:
         """
         dtype = tensor_array("velocity", self.velocity).dtype
         bodies, contacts = len(self.velocity), len(self.body_a)
-        body_start = check_start("body_start", tensor_integers("body_start", self.body_start), bodies)
-        contact_start = check_start("contact_start", tensor_integers("contact_start", self.contact_start), contacts)
+        body_start = check_start("body_start", tensor_integers("body_start", self.body_start), bodies, "bodies")
+        starts = tensor_integers("contact_start", self.contact_start)
+        contact_start = check_start("contact_start", starts, contacts, "contacts")
         worlds = len(body_start) - 1
         if len(contact_start) != worlds + 1:
             raise ValueError(f"contact_start has {len(contact_start)} entries; body_start has {worlds + 1}")

@@ -17,7 +17,7 @@ from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.fields import COLORS, CONTACTS, JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, STATE, Field
 from dc_kernels.model.geometry import check_geometry
 from dc_kernels.model.rules import Ascending, BrokenRule, Code, Index, Number, Start, Unit, refuse
-from dc_kernels.model.settings import checker
+from dc_kernels.model.settings import WrongType, checker
 
 _model, _state, _joints = checker(Model), checker(State), checker(Joints)
 Arrays = Mapping[str, np.ndarray]
@@ -154,19 +154,21 @@ def check_start(label: str, values: np.ndarray, length: int) -> None:
     refuse(label, values[last:], np.array(values[last:] != length), f"{length}, the length of its axis", last)
 
 
-def check_scene(model: Model, state: State, joints: Joints | None) -> Joints:
+def check_scene(model: Model, state: State | None, joints: Joints | None) -> tuple[State, Joints]:
     """Hold a model, its state and joints to each other, to their memory as kernels need it, and to their rules.
 
     Returns:
-        The joints; none for None.
+        The state, and the joints, of which there are none for None.
 
     Raises:
-        TypeError: naming what is no group of arrays.
+        TypeError: naming what is no group of arrays; for a builder, how to make them from it.
         ValueError: naming group, array, index, value and limit: arrays of another model, dtype, device or backend, or
             values out of range.
     """
+    if callable(getattr(model, "finalize", None)):
+        raise WrongType(f"model is a {type(model).__name__}; give model, state and joints: *builder.finalize()")
     _model("model", model)
-    _state("state", state)
+    state = _state("state", state)
     joints = Joints({"joint": 0}, model.dtype, model.device, model.backend) if joints is None else joints
     _joints("joints", joints)
     groups: dict[str, ArrayGroup] = {"model": model, "state": state, "joints": joints}
@@ -186,7 +188,7 @@ def check_scene(model: Model, state: State, joints: Joints | None) -> Joints:
     check_model(arrays["model"])
     check_state(arrays["state"], arrays["model"])
     check_joints(arrays["joints"], arrays["model"])
-    return joints
+    return state, joints
 
 
 def check_model(model: Arrays, label: str = "model.") -> None:

@@ -125,7 +125,7 @@ def neighbor_lists(
         a, b = (getattr(array, what) for array in (queries, points))
         if (a[1:], b[1:]) != (b[1:], a[1:]) if what == "shape" else a != b:
             raise ValueError(f"queries has {what} {a}, points has {what} {b}; they must agree")
-    first_query = check_start("query_start", query_start, len(queries))
+    first_query = check_start("query_start", query_start, len(queries), "queries")
     first_point = check_start("point_start", point_start, len(points))
     worlds = len(first_query) - 1
     if len(first_point) != worlds + 1:

@@ -61,12 +61,14 @@ def identity(file: Any) -> Identity:
 
 
 @contextlib.contextmanager
-def reading(path: str | os.PathLike[str], *, virtual: bool = False) -> Iterator[Any]:
+def reading(path: str | os.PathLike[str], *, virtual: bool = False, schema: str = "") -> Iterator[Any]:
     """Open a file to read it.
 
     Args:
         path: of the file.
         virtual: let virtual datasets be, as long as they show files of plain names in the same folder.
+        schema: what the file must be; one whose attribute ``schema`` names something else is refused before its
+            datasets are looked at.
 
     Yields:
         The open ``h5py.File``. What goes wrong in the block while it is read is an error that names the file.
@@ -86,6 +88,9 @@ def reading(path: str | os.PathLike[str], *, virtual: bool = False) -> Iterator[
         raise ValueError(f"{os.fspath(path)} is not an HDF5 file, or is truncated: {error}") from error
     with file:
         try:
+            found = file.attrs.get("schema") if schema else None
+            if isinstance(found, str) and found != schema:
+                raise ValueError(f"{os.fspath(path)} is a file of schema {found[:80]!r}, not a {schema}")
             _check_once(file, virtual)
             yield file
         except ValueError as error:

@@ -62,7 +62,7 @@ def check_layout(
         raise ValueError(f"{name} has dtype {array.dtype}; it must be {dtype or ' or '.join(FLOATS)}")
     if array.ndim != len(shape) or any(b not in (None, a) for a, b in zip(array.shape, shape)):
         wanted = ", ".join("any" if n is None else str(n) for n in shape)
-        raise ValueError(f"{name} has shape {array.shape}; it must be ({wanted})")
+        raise ValueError(f"{name} has shape {array.shape}; it must be ({wanted}{',' * (len(shape) == 1)})")
     if not array.flags.c_contiguous:
         raise ValueError(f"{name} has strides {array.strides} for shape {array.shape}; it must be contiguous")
     if writes and not array.flags.writeable:
@@ -147,8 +147,14 @@ def check_places(name: str, points: Any) -> np.ndarray:
     return check_points(name, points)
 
 
-def check_start(name: str, start: Any, count: int) -> np.ndarray:
+def check_start(name: str, start: Any, count: int, what: str = "points") -> np.ndarray:
     """Offsets of the worlds' points, (W + 1,) int64; None is one world with all of them.
+
+    Args:
+        name: of the argument.
+        start: first point of each world, and their number.
+        count: number of points.
+        what: what is counted, in errors.
 
     Raises:
         ValueError: naming the first bad index.
@@ -161,7 +167,7 @@ def check_start(name: str, start: Any, count: int) -> np.ndarray:
     if array[0] != 0:
         raise ValueError(f"{name}[0] is {array[0]}; it must be 0")
     if array[-1] != count:
-        raise ValueError(f"{name}[{len(array) - 1}] is {array[-1]}; it must be the number of points, {count}")
+        raise ValueError(f"{name}[{len(array) - 1}] is {array[-1]}; it must be the number of {what}, {count}")
     falls = np.flatnonzero(array[1:] < array[:-1])
     if len(falls):
         w = int(falls[0]) + 1

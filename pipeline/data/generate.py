@@ -20,7 +20,7 @@ from dc_kernels.runtime.optional import require
 from pipeline.data.index import write_index
 from pipeline.data.layout import INDEX, shard_path
 from pipeline.data.recipe import Recipe
-from pipeline.data.recorder import Halt, make_shard
+from pipeline.data.recorder import Halt, check_scene, make_shard
 from pipeline.data.shards import check_shard, opened, remove_partial
 from pipeline.files import sole_writer, write_bytes
 from pipeline.process import Stop, cores, interruptible, progress_bar
@@ -166,14 +166,15 @@ def generate(
         What was made and what it took.
 
     Raises:
-        ValueError: for a recipe out of its range, another one than that of the shards that are there, or a damaged or
-            foreign shard, which is left as it is.
+        ValueError: for a recipe out of its range, a scene that cannot be built or has joints, another recipe than that
+            of the shards that are there, or a damaged or foreign shard, which is left as it is.
         OSError: when a file cannot be written, another process is writing into the folder, or the scheduler is not
             there or lost.
         ImportError: naming the extra, without h5py, tqdm or distributed.
     """
     threads = check_whole("threads", threads)
     options, began = recipe.options, time.perf_counter()
+    check_scene(recipe)
     with sole_writer(out) as alone:
         if alone:
             remove_partial(out)

@@ -107,6 +107,22 @@ def _build(recipe: Recipe, seeds: Sequence[int]) -> tuple[dc.ModelBuilder, list[
     return builder, drawn, dt
 
 
+def check_scene(recipe: Recipe) -> None:
+    """Build the first world of a data set, without any kernel, to know what is wrong with its scene before it is made.
+
+    Raises:
+        ValueError: for a scene that cannot be built, or has joints.
+    """
+    builder, _, _ = _build(recipe, recipe.options.seeds(0)[:1])
+    _refuse_joints(recipe, builder.finalize("float32", backend="numpy")[0])
+
+
+def _refuse_joints(recipe: Recipe, model: dc.Model) -> None:
+    """Raise ``ValueError`` for a model with joints."""
+    if model.joint_count:
+        raise ValueError(f"scene {recipe.scene.name} has joints, whose impulses a data set does not hold")
+
+
 class Recorder:
     """Steps a simulation and keeps every state, its solution and its label."""
 
@@ -117,8 +133,7 @@ class Recorder:
             ValueError: where there are joints.
         """
         model, state, joints = builder.finalize("float32")
-        if model.joint_count:
-            raise ValueError(f"scene {recipe.scene.name} has joints, whose impulses a data set does not hold")
+        _refuse_joints(recipe, model)
         self.sim = sim = dc.Simulation(model, state, joints, config=recipe.solver)
         self.recipe = recipe
         self.label_config = recipe.label_config

@@ -74,7 +74,7 @@ class _Reader:
             raise self.fail(name, f"has dtype {data.dtype}; it must be of {'integers' if kinds == 'iu' else 'numbers'}")
         if len(data.shape) != len(shape) or any(want not in (None, have) for have, want in zip(data.shape, shape)):
             wanted = ", ".join("any" if n is None else str(n) for n in shape)
-            raise self.fail(name, f"has shape {data.shape}; it must be ({wanted})")
+            raise self.fail(name, f"has shape {data.shape}; it must be ({wanted}{',' * (len(shape) == 1)})")
         try:
             return data[...]
         except OSError as error:

@@ -129,7 +129,8 @@ def record(start: Start, run: RunOptions, output: Output, config: dict[str, Any]
             if done % output.record_every == 0 or done == output.steps or stop.is_set():
                 writer.add_record(done, done * run.dt, sim.state)
             writer.commit_if_due()
-            bar.set_postfix(contacts=int(measured["contact_count"].sum()), refresh=False)
+            pressing = int(measured["pressing_count"].sum())
+            bar.set_postfix_str(f"{pressing} contacts press", refresh=False)
             bar.update()
         complete = done == output.steps
         series = writer.finish(complete)

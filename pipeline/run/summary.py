@@ -56,10 +56,10 @@ def describe(summary: dict[str, Any]) -> str:
     """Say what a run did, in a few lines."""
     lines = [
         f"{summary['scene']}: {summary['steps']} steps of {summary['worlds']} world(s), {summary['bodies']} bodies, "
-        f"{summary['simulation_s']:.2f} s in the simulation" + ("" if summary["complete"] else "; interrupted"),
+        f"{_seconds(summary['simulation_s'])} in the simulation" + ("" if summary["complete"] else "; interrupted"),
         f"sweeps: mean {summary['mean_sweeps']:.1f}, median {summary['median_sweeps']:.0f}, "
         f"unconverged {100.0 * summary['unconverged_share']:.1f} %, of the steps with contacts or joints",
-        f"contacts of a world at the end: {summary['contacts_last']:.1f}; "
+        f"contacts that press, in a world at the end: {summary['contacts_last']:.1f}; "
         f"overlap: largest {summary['penetration_max_mm']:.3g} mm, mean at the end "
         f"{summary['penetration_last_mean_mm']:.3g} mm",
         *(f"world {world} stopped: {flag}" for world, flag in summary["flagged_worlds"].items()),
@@ -69,9 +69,14 @@ def describe(summary: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _seconds(value: float) -> str:
+    """Show a time with three digits at least, and no digit beyond 0.01 s for longer ones: 0.00123 s, 12.35 s."""
+    return f"{value:.3g} s" if value < 1.0 else f"{value:.2f} s"
+
+
 def _describe_network(network: dict[str, Any]) -> list[str]:
     """Say what a network did, and the wall time of its parts; nothing where there was none."""
     if not network:
         return []
-    seconds = ", ".join(f"{part} {value:.2f} s" for part, value in network["seconds"].items())
+    seconds = ", ".join(f"{part} {_seconds(value)}" for part, value in network["seconds"].items())
     return [network["explain"], f"  wall time: {seconds}"]

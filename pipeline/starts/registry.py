@@ -57,7 +57,10 @@ def maker(name: str, seed: int = 0) -> Maker:
         return lambda sim: make(sim, seed)
     match = re.fullmatch(r"copy(\d{1,2})", lower)
     if match is None:
-        raise ValueError(f"start is {name!r}; it must be one of {tuple(STARTS)} or copyN with N decimals")
+        raise ValueError(
+            f"start is {name!r}; it must be one of {(*STARTS, *CNN)}, copyN with N decimals, or the file of a trained "
+            f"network, whose name ends with {CHECKPOINT}"
+        )
     decimals = int(match[1])
     return lambda sim: Copy(sim, decimals)
 

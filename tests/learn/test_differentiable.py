@@ -398,7 +398,7 @@ def test_bad_input_is_refused_by_name():
         (r"arm_b has shape \(12,\)", lambda: problem(arm_b=p.arm_b[:, 0].contiguous())),
         (r"effective_mass has shape", lambda: problem(effective_mass=p.bias)),
         (r"velocity has dtype torch.float16", lambda: problem(velocity=p.velocity.half())),
-        (r"body_start\[5\] is 12; it must be the number of points, 11", lambda: problem(velocity=p.velocity[1:])),
+        (r"body_start\[5\] is 12; it must be the number of bodies, 11", lambda: problem(velocity=p.velocity[1:])),
         (r"contact_start\[2\] is 3; it must be", lambda: problem(contact_start=changed("contact_start", 2, 3))),
         (r"contact_start has 2 entries; body_start has 6", lambda: problem(contact_start=torch.tensor([0, 12]))),
     ):

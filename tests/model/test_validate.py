@@ -290,6 +290,11 @@ def test_far_from_the_centre_of_mass_rounding_is_no_breach():
         builder.add_box(ground, 5e-4, 5e-4, (x, 0.3))
     model, state, joints = builder.finalize(backend="numpy")
     validate.check_scene(model, state, joints)
+    for simulation in (dc.Simulation, lambda given: dc.Simulation(given, state)):
+        with pytest.raises(TypeError, match=r"model is a ModelBuilder; give .*: \*builder\.finalize\(\)"):
+            simulation(builder)
+    with pytest.raises(TypeError, match="state is a NoneType; it must be a State"):
+        dc.Simulation(model)
 
 
 @pytest.mark.parametrize("count", [validate.PART, validate.PART + 1, 2 * validate.PART + 3])

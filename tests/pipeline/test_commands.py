@@ -13,6 +13,7 @@ import pytest
 
 import dc_kernels as dc
 from pipeline.cli import main
+from pipeline.run.summary import describe
 from pipeline.scenes import SCENES
 from pipeline.starts import registry
 from pipeline.starts.impulses import ImpulseStart
@@ -224,3 +225,33 @@ def test_a_folder_in_the_place_of_a_file_is_known_before_computing(tmp_path, cap
     with pytest.raises(SystemExit):
         main(["simulate", "thesis", "--out", str(tmp_path)])
     assert "trajectory.h5 is a folder, not a file" in capsys.readouterr().err
+
+
+def test_a_scene_with_joints_is_refused_before_anything_is_made(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(dc.Simulation, "collide", None)
+    with pytest.raises(SystemExit):
+        main(["generate", "chain", "--out", str(tmp_path / "out")])
+    assert capsys.readouterr().err == "deep-contact: scene chain has joints, whose impulses a data set does not hold\n"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_in_the_place_of_a_folder_of_data_is_named(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SystemExit):
+        main(["generate", "--out", str(tmp_path / "file")])
+    assert "file is a file; it must be a folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("start", ["cnnn", "folder", "index.h5"])
+def test_an_unknown_start_is_told_all_there_are(start, tmp_path):
+    with pytest.raises(ValueError, match=r"'none', .*'cnn', 'cnn-start'.*copyN .*ends with \.safetensors"):
+        registry.maker(start)
+
+
+@pytest.mark.parametrize(("seconds", "shown"), [(0.00123456, "0.00123 s in"), (12.3456, "12.35 s in")])
+def test_a_short_run_tells_its_time_with_digits(seconds, shown):
+    counts = ["steps", "worlds", "bodies", "mean_sweeps", "median_sweeps", "unconverged_share", "contacts_last"]
+    summary = dict.fromkeys([*counts, "penetration_max_mm", "penetration_last_mean_mm"], 1)
+    more = {"simulation_s": seconds, "complete": True, "scene": "stack", "flagged_worlds": {}, "out": "o", "files": []}
+    text = describe({**summary, **more})
+    assert shown in text and "contacts that press, in a world at the end: 1.0" in text

@@ -229,6 +229,13 @@ def test_foreign_files(tmp_path):
         file["data"] = np.zeros(3)
     with pytest.raises(ValueError, match=r"other\.h5 is not a deep-contact snapshot"):
         dc.Simulation.load(other)
+    with h5py.File(other, "w") as file:
+        file.attrs["schema"] = "deep-contact.dataset"
+        layout = h5py.VirtualLayout((3,), float)
+        layout[:] = h5py.VirtualSource("shard-00000.h5", "a", (3,))
+        file.create_virtual_dataset("a", layout)
+    with pytest.raises(ValueError, match=r"schema 'deep-contact\.dataset', not a deep-contact snapshot"):
+        dc.Simulation.load(other)
     with pytest.raises(FileNotFoundError):
         dc.Simulation.load(tmp_path / "none.h5")
 
