@@ -8,9 +8,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import io
-import itertools
 import json
 import operator
+import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -24,15 +24,25 @@ from pipeline.commands.figures import Figures
 from pipeline.commands.generate import Generate
 from pipeline.commands.simulate import Explain, Simulate
 from pipeline.commands.train import Train, TrainContactnet
+from pipeline.commands.words import chosen_scene, misspelt, refuse_empty, values_of
 from pipeline.data.recipe import load_recipe
 from pipeline.networks.registry import load_plugin
 from pipeline.process import terminable
 
 Command = Simulate | Demo | Protocol | Evaluate | Explain | Figures | Generate | Train | TrainContactnet | Fclib
+COMMANDS: dict[str, type] = {
+    re.sub(r"(?<=[a-z])(?=[A-Z])", "-", command.__name__).lower(): command for command in get_args(Command)
+}
+"""The commands by the words that choose them."""
 
 
 def parse(arguments: Sequence[str] | None = None) -> Any:
-    """Return the command that a command line describes, which runs when called; exit with 2 if it is not understood."""
+    """Load the plugins of a command line and return the command that it describes, which runs when called.
+
+    Raises:
+        ValueError: for a word, a value or a plugin that is wrong, naming it.
+        SystemExit: 2 for what else is not understood, after tyro's lines on stderr; 0 after help.
+    """
     tyro = require("tyro", "pipeline")
     conf = tyro.conf
     config = (
@@ -42,12 +52,16 @@ def parse(arguments: Sequence[str] | None = None) -> Any:
         conf.FlagCreatePairsOff,
     )
     arguments = list(sys.argv[1:] if arguments is None else arguments)
+    refuse_empty(arguments)
+    with contextlib.redirect_stdout(sys.stderr) if "--json" in arguments else contextlib.nullcontext():
+        for path in values_of("--plugin", arguments):
+            load_plugin(path)  # whose scenes are subcommands
     shown = io.StringIO()
     try:
         with contextlib.redirect_stderr(shown):
             return tyro.cli(_commands(conf, arguments), prog="deep-contact", args=arguments, config=config)
     except SystemExit as stop:
-        if refused := _refused(stop):
+        if refused := _refused(stop) or (stop.code and misspelt(COMMANDS, arguments)):
             raise ValueError(refused) from None
         sys.stderr.write(shown.getvalue())
         raise
@@ -60,16 +74,20 @@ def _refused(stop: SystemExit) -> str:
         return ""
     message, argument = str(getattr(error, "message", error)), getattr(error, "arg", "")
     flag = getattr(getattr(argument, "lowered", None), "name_or_flags", ())
+    if flag and message.startswith("Could not find valid parse"):
+        given, wanted = message.partition("arguments: ")[2], " ".join(str(argument.lowered.metavar).split())
+        help_text = argument.field.helptext
+        meaning = (help_text() if callable(help_text) else help_text) or ""
+        message = f"{given} is not of the form {wanted}. {meaning}"
     return f"{', '.join(flag)}: {message}" if flag else message
 
 
 def _commands(conf: Any, arguments: Sequence[str]) -> Any:
     """Return the commands; the defaults of ``generate`` are the values of the TOML file that it is given."""
-    given = [*arguments, ""]
-    files = [a.partition("=")[2] or b for a, b in itertools.pairwise(given) if a.partition("=")[0] == "--config"]
-    if given[0] != "generate" or not any(files):
+    files = values_of("--config", arguments)
+    if arguments[:1] != ["generate"] or not files:
         return Command
-    recipe = load_recipe(Path(files[-1]))
+    recipe = load_recipe(Path(files[-1]), chosen_scene(Generate, arguments[1:]))
     default = Generate(
         scene=cast(Any, recipe.scene), options=recipe.options, solver=recipe.solver, config=Path(files[-1])
     )
@@ -89,8 +107,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             command = parse(arguments)
             with contextlib.redirect_stdout(sys.stderr) if command.json else contextlib.nullcontext():
-                for path in command.plugin:
-                    load_plugin(path)
                 result = command()
             if command.json:
                 print(json.dumps(result), flush=True)

@@ -6,17 +6,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipeline.commands.common import Common, Positional
+from pipeline.commands.common import Common, Positional, SceneOption
 from pipeline.fclib.runs import ExportOptions, SolveOptions, describe_export, describe_solve, export, solve_files
 from pipeline.options import RunOptions, SolverOptions
-from pipeline.scenes import AnyScene
 
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
     """Simulate a scene and write contact problems of some steps as FCLIB files."""
 
-    scene: AnyScene
+    scene: SceneOption
     """What to run; each scene has options of its own."""
     run: RunOptions = field(default_factory=RunOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)

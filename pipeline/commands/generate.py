@@ -8,17 +8,17 @@ from typing import Any
 
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.settings import Whole
-from pipeline.commands.common import Common
+from pipeline.commands.common import Common, SceneOption
 from pipeline.data.generate import describe, generate
 from pipeline.data.recipe import GenerateOptions, Recipe
-from pipeline.scenes import AnyScene, Thesis
+from pipeline.scenes import Thesis
 
 
 @dataclass(frozen=True, kw_only=True)
 class Generate(Common):
     """Make a data set: worlds on all cores, each state with its label; or go on with one that was cut short."""
 
-    scene: AnyScene = field(default_factory=Thesis)
+    scene: SceneOption = field(default_factory=Thesis)
     """What stands in the worlds; each scene has options of its own."""
     options: GenerateOptions = field(default_factory=GenerateOptions)
     solver: SolverConfig = field(default_factory=SolverConfig)

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from dc_kernels.model.settings import Whole
-from pipeline.commands.common import Common
+from pipeline.commands.common import Common, SceneOption
 from pipeline.options import RunOptions, SolverOptions
 from pipeline.process import torch_threads
 from pipeline.run.simulate import Output, simulate
 from pipeline.run.summary import describe
-from pipeline.scenes import AnyScene
+from pipeline.scenes import Scene
 from pipeline.starts.registry import maker
 from pipeline.starts.start import step
 
@@ -20,7 +20,7 @@ from pipeline.starts.start import step
 class Simulate(Common):
     """Run a scene; write trajectory.h5, summary.json, summary.png and, on request, a video."""
 
-    scene: AnyScene
+    scene: SceneOption
     """What to run; each scene has options of its own."""
     run: RunOptions = field(default_factory=RunOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
@@ -37,7 +37,7 @@ class Simulate(Common):
 class Explain(Common):
     """Say what runs for a scene, what is skipped, and why."""
 
-    scene: AnyScene
+    scene: SceneOption
     """What to explain; each scene has options of its own."""
     run: RunOptions = field(default_factory=RunOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
@@ -53,7 +53,7 @@ class Explain(Common):
         return {"scene": self.scene.name, "explain": text}
 
 
-def explain(scene: AnyScene, run: RunOptions, solver: SolverOptions, start: str, steps: int) -> str:
+def explain(scene: Scene, run: RunOptions, solver: SolverOptions, start: str, steps: int) -> str:
     """Say what runs for a scene as it stands and, with a network as start, what that did in the first steps.
 
     Raises:

@@ -15,7 +15,7 @@ import dc_kernels as dc
 from dc_kernels.grid.splat import TILED_BYTES
 from dc_kernels.model.settings import Count, Positive, Seed, Settings, WrongType, field_checks, shown
 from dc_kernels.runtime.optional import require
-from pipeline.scenes import Scene, Thesis
+from pipeline.scenes import SCENES, Scene, Thesis
 from pipeline.scenes import scene as named_scene
 from pipeline.seeds import check_seeds
 
@@ -148,11 +148,16 @@ class Recipe(Settings):
         return int(value) if self.is_whole(name) else float(value)
 
 
-def load_recipe(path: Path) -> Recipe:
+def load_recipe(path: Path, scene: str | None = None) -> Recipe:
     """Load a recipe from TOML: options at the top, tables scene, ranges and solver; what is missing has its default.
 
+    Args:
+        path: of the file.
+        scene: name of the scene that is asked for elsewhere: the file's must be that one, where it has a name.
+
     Raises:
-        ValueError: naming file and setting, for one that is unknown or of another type.
+        ValueError: naming file and setting, for one that is unknown or of another type, another scene than the one
+            asked for, or parameters of a scene without any name.
         OSError: when the file cannot be read.
     """
     try:
@@ -161,25 +166,35 @@ def load_recipe(path: Path) -> Recipe:
         tomllib = require("tomli", "pipeline")  # type: ignore[assignment]
     try:
         with open(path, "rb") as file:
-            return parse_recipe(tomllib.load(file))
+            return parse_recipe(tomllib.load(file), scene)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def parse_recipe(config: Mapping[str, Any]) -> Recipe:
+def parse_recipe(config: Mapping[str, Any], scene: str | None = None) -> Recipe:
     """Make the recipe of a configuration, as ``Recipe.config`` gives it, or of a part of it.
 
+    Args:
+        config: options, and the tables scene, ranges and solver.
+        scene: name of the scene that is asked for elsewhere; None: the configuration's, or where there is none thesis.
+
     Raises:
-        ValueError: naming a setting that is unknown or of another type.
+        ValueError: naming a setting that is unknown or of another type, another scene than the one asked for, or
+            parameters of a scene without any name.
     """
     options = {name: value for name, value in config.items() if name not in ("scene", "solver", "ranges")}
     parameters, ranges, solver = (_table(config, name) for name in ("scene", "ranges", "solver"))
-    scene = named_scene(parameters.pop("name", Thesis.name))
+    name = parameters.pop("name", scene)
+    if scene is not None and name != scene:
+        raise ValueError(f"scene.name is {shown(name)}, but {scene!r} is asked for; give one of them, or no name here")
+    if name is None and parameters:
+        raise ValueError(f"scene.name is missing; it must say whose {tuple(parameters)} are, one of {tuple(SCENES)}")
+    default = named_scene(Thesis.name if name is None else name)
     for name, limits in ranges.items():
         if not (isinstance(limits, list | tuple) and len(limits) == 2 and all(map(_is_number, limits))):
             raise ValueError(f"ranges.{name} is {limits!r}; it must be [low, high]")
     recipe = Recipe(
-        scene=_updated(scene, parameters, "scene."),
+        scene=_updated(default, parameters, "scene."),
         options=_updated(GenerateOptions(), {**options, "ranges": tuple((n, *v) for n, v in ranges.items())}, ""),
         solver=_updated(SOLVER, solver, "solver."),
     )

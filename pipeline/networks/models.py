@@ -158,14 +158,19 @@ class GridNetwork(Module):
         """Answer input images (B, channels, rows, columns) with impulse images (B, outputs, rows, columns).
 
         Raises:
-            ValueError: for images of another shape.
+            ValueError: for images of another shape, or a network whose answer has another one.
         """
         if images.dim() != 4 or tuple(images.shape[1:]) != self.shape:
             wanted = ", ".join(map(str, self.shape))
             raise ValueError(f"images has shape {tuple(images.shape)}; the network reads (B, {wanted})")
         scaled = torch.clamp(images / self.input_scale, -self.input_bound, self.input_bound)
         scaled = scaled.contiguous(memory_format=torch.channels_last)
-        return (self.answer(scaled) * self.output_scale).contiguous()
+        answer = self.answer(scaled)
+        wanted_answer = (len(images), len(self.output_scale), *self.shape[1:])
+        if tuple(answer.shape) != wanted_answer:
+            name = type(self).__name__
+            raise ValueError(f"{name}.answer gave shape {tuple(answer.shape)}; it must give {wanted_answer}")
+        return (answer * self.output_scale).contiguous()
 
     def answer(self, x: Any) -> Any:
         """Answer scaled images, in units of the answer's scale."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata, util
@@ -146,9 +147,8 @@ def load_plugin(path: Path | str) -> Any:
     """Run a Python file that registers networks, starts or scenes, and return its module; a second time does nothing.
 
     Raises:
-        ValueError: it is no Python file, or registers what is there already.
+        ValueError: it is no Python file, registers what is there already, or raises anything else: naming its line.
         OSError: there is no such file.
-        Exception: whatever the file raises.
     """
     file = Path(path)
     if not file.is_file():
@@ -166,6 +166,11 @@ def load_plugin(path: Path | str) -> Any:
     sys.modules[name] = module  # where dataclasses and pickle look for it
     try:
         spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(file)]
+        line = f", line {lines[-1]}" if lines else ""
+        raise ValueError(f"plugin {file}{line} raises {type(error).__name__}: {error}") from error
     except BaseException:
         del sys.modules[name]
         raise

@@ -11,13 +11,12 @@ from pipeline.scenes.discs import THESIS_BODIES, Settled, Thesis, ThesisClustere
 from pipeline.scenes.incline import Incline
 from pipeline.scenes.mixed import Mixed
 from pipeline.scenes.placement import CLEARANCE, Sampler, place_discs
-from pipeline.scenes.registry import SCENES, AnyScene, scene
+from pipeline.scenes.registry import SCENES, register, scene
 
 __all__ = [
     "CLEARANCE",
     "SCENES",
     "THESIS_BODIES",
-    "AnyScene",
     "Chain",
     "Incline",
     "Mixed",
@@ -30,5 +29,6 @@ __all__ = [
     "ThesisClustered",
     "box_side",
     "place_discs",
+    "register",
     "scene",
 ]

@@ -1,11 +1,12 @@
-"""The scenes by name. A new one is a class in a file of its own and its name in ``AnyScene``."""
+"""The scenes by name. A new one is a class in a file of its own and its name in ``SCENES``."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import fields
-from typing import Any, get_args
+from typing import Any
 
-from dc_kernels.model.settings import check_choice
+from dc_kernels.model.settings import WrongType, check_choice, shown
 from pipeline.scenes.base import Scene
 from pipeline.scenes.boxes import Pyramid, Stack
 from pipeline.scenes.chain import Chain
@@ -13,8 +14,29 @@ from pipeline.scenes.discs import Settled, Thesis, ThesisClustered
 from pipeline.scenes.incline import Incline
 from pipeline.scenes.mixed import Mixed
 
-AnyScene = Thesis | ThesisClustered | Settled | Stack | Pyramid | Incline | Mixed | Chain
-SCENES: dict[str, type[Scene]] = {scene.name: scene for scene in get_args(AnyScene)}
+SCENES: dict[str, type[Scene]] = {
+    scene.name: scene for scene in (Thesis, ThesisClustered, Settled, Stack, Pyramid, Incline, Mixed, Chain)
+}
+"""The scenes that commands and data sets know, by name; ``register`` adds those of a plugin."""
+
+
+def register(cls: type[Scene]) -> type[Scene]:
+    """Make a scene known under its ``name``; a decorator of its class, which must be a dataclass.
+
+    Raises:
+        TypeError: it is no dataclass that derives from ``Scene``, or has no name.
+        ValueError: another scene has its name.
+    """
+    if not (isinstance(cls, type) and issubclass(cls, Scene) and "__dataclass_fields__" in vars(cls)):
+        raise WrongType(f"scene {shown(cls)} must be a dataclass that derives from Scene: @register above @dataclass")
+    name = getattr(cls, "name", None)
+    if not (isinstance(name, str) and re.fullmatch(r"[a-z][a-z0-9-]*", name)):
+        raise WrongType(f"{cls.__name__}.name is {shown(name)}; it must be a word of small letters, digits and -")
+    taken = SCENES.setdefault(name, cls)
+    if (taken.__module__, taken.__qualname__) != (cls.__module__, cls.__qualname__):
+        raise ValueError(f"scene {name!r} of {cls.__module__} is registered already, by {taken.__module__}")
+    SCENES[name] = cls
+    return cls
 
 
 def scene(name: str, **parameters: Any) -> Scene:

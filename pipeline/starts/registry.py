@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable
 from pathlib import Path
 
 import dc_kernels as dc
-from dc_kernels.model.settings import checker
+from dc_kernels.model.settings import WrongType, checker, shown
 from pipeline.seeds import check_seed
 from pipeline.starts.impulses import Bad, Builtin, Random, Zero
 from pipeline.starts.solution import Copy, Transfer
@@ -46,6 +47,7 @@ def maker(name: str, seed: int = 0) -> Maker:
 
     Raises:
         OSError: a network's file cannot be read.
+        TypeError: what is registered under the name cannot make a start of a simulation and a seed.
         ValueError: for an unknown name, a negative seed, or a file that holds no network.
     """
     name, seed = check_name("name", name), check_seed("seed", seed)
@@ -53,8 +55,7 @@ def maker(name: str, seed: int = 0) -> Maker:
     if is_network(name):
         return _network_maker(name)
     if lower in STARTS:
-        make = STARTS[lower]
-        return lambda sim: make(sim, seed)
+        return _checked(lower, STARTS[lower], seed)
     match = re.fullmatch(r"copy(\d{1,2})", lower)
     if match is None:
         raise ValueError(
@@ -63,6 +64,28 @@ def maker(name: str, seed: int = 0) -> Maker:
         )
     decimals = int(match[1])
     return lambda sim: Copy(sim, decimals)
+
+
+def _checked(name: str, make: Callable[[dc.Simulation, int], Start], seed: int) -> Maker:
+    """Return what makes a start that is named in ``STARTS``, which may be anybody's.
+
+    Raises:
+        TypeError: it cannot be called with a simulation and a seed; where it is called, what it makes is no start.
+    """
+    try:
+        inspect.signature(make).bind(None, seed)
+    except TypeError as error:
+        raise WrongType(f"start {name!r} must take a simulation and a seed: {error}") from None
+    except ValueError:
+        pass  # something built in, without a signature
+
+    def of(sim: dc.Simulation) -> Start:
+        start = make(sim, seed)
+        if not (callable(getattr(start, "solve", None)) and callable(getattr(start, "report", None))):
+            raise WrongType(f"start {name!r} makes {shown(start)}; it must have the methods solve and report")
+        return start
+
+    return of
 
 
 def is_network(name: str) -> bool:

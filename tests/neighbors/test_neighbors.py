@@ -303,7 +303,7 @@ def test_bad_input_is_named():
         ([1, 4], r"start\[0\] is 1; it must be 0"),
         ([0, 3], r"start\[1\] is 3; it must be the number of points, 4"),
         ([0, 3, 2, 4], r"start\[2\] is 2; it must be at least .*start\[1\], 3"),
-        ([], r"start is \[\]; it must be \(W \+ 1,\) integers"),
+        ([], r"start has shape \(0,\); it must be \(W \+ 1,\) integers"),
         ([0.0, 4.0], r"start is \[0.0, 4.0\]; it must be \(W \+ 1,\) integers"),
     ):
         with pytest.raises(ValueError, match=message):

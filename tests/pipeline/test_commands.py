@@ -255,3 +255,114 @@ def test_a_short_run_tells_its_time_with_digits(seconds, shown):
     more = {"simulation_s": seconds, "complete": True, "scene": "stack", "flagged_worlds": {}, "out": "o", "files": []}
     text = describe({**summary, **more})
     assert shown in text and "contacts that press, in a world at the end: 1.0" in text
+
+
+def refused(capsys, *arguments: object) -> str:
+    """The one line on stderr with which a command line is refused."""
+    with pytest.raises(SystemExit) as caught:
+        main([str(word) for word in arguments])
+    output = capsys.readouterr()
+    assert caught.value.code == 2 and not output.out and len(output.err.splitlines()) == 1
+    return output.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("simulat", r"'simulat' is no command \(did you mean simulate\?\); there are simulate, .*, train-contactnet"),
+        ("simulate stak", r"'stak' is no scene \(did you mean stack\?\); there are thesis, .*, chain"),
+        ("fclib exprt", r"'exprt' is no action of fclib \(did you mean export\?\); there are export, solve"),
+        ("fclib export stak", "'stak' is no scene"),
+        (
+            "simulate thesis --step 10",
+            r"--step is no option of deep-contact simulate thesis \(did you mean --steps\?\)",
+        ),
+        ("simulate --step 10 thesis", r"--step is no option of deep-contact simulate thesis"),
+        ("fclib export stack --bodis 3", r"--bodis is no option of .* fclib export stack \(did you mean --bodies\?\)"),
+        ("explain stack --quite=3", r"--quite is no option of deep-contact explain stack; deep"),
+        ("generate stack --ranges friction 0.2", r"--ranges: \['friction', '0.2'\] is not of .*: name, low, high"),
+        ("generate --out=", "--out is empty"),
+    ],
+)
+def test_a_wrong_word_is_named_with_what_there_is(arguments, message, capsys):
+    assert re.search(message, refused(capsys, *arguments.split()))
+
+
+def test_an_empty_value_is_no_folder(capsys):
+    assert "--out is empty; it must have a value" in refused(capsys, "generate", "--out", "")
+
+
+@pytest.fixture
+def scene_file(tmp_path, monkeypatch) -> Path:
+    """A file that registers a scene and starts, which are forgotten afterwards."""
+    for table in (SCENES, registry.STARTS):
+        for name in ("piled", "short", "three"):
+            monkeypatch.setitem(table, name, None)  # so that it is taken out
+            table.pop(name)
+    path = tmp_path / "piled_scene.py"
+    path.write_text(PILED)
+    yield path
+    sys.modules.pop("deep_contact_plugin_piled_scene", None)
+
+
+PILED = '''
+from dataclasses import dataclass
+from typing import ClassVar
+
+from pipeline.scenes import Stack, register
+from pipeline.starts.impulses import Builtin
+from pipeline.starts.registry import STARTS
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class OfBoxes(Stack):
+    """Boxes on each other."""
+
+    name: ClassVar[str] = "piled"
+    gap: float = 3.0
+    """Nothing [m]."""
+
+
+STARTS["short"] = Builtin
+STARTS["three"] = lambda sim, seed: 3
+'''
+
+
+def test_a_plugin_brings_scenes_to_every_command(scene_file, tmp_path, capsys):
+    plugin, out = ["--plugin", str(scene_file)], ["--out", str(tmp_path / "out"), "--json"]
+    assert main(["simulate", "piled", *plugin, "--bodies", "3", "--gap", "2", "--steps", "2", *out]) == 0
+    found = last_json(capsys.readouterr().out)["config"]["scene"]
+    assert (found["name"], found["bodies"], found["gap"]) == ("piled", 3, 2.0)
+    assert main(["explain", f"--plugin={scene_file}", "piled"]) == 0
+    (tmp_path / "a.toml").write_text('[scene]\nname = "piled"\nbodies = 4\n')
+    data = ["--worlds", "1", "--steps", "1", "--out", str(tmp_path / "data"), "--json"]
+    capsys.readouterr()
+    assert main(["generate", *plugin, "--config", str(tmp_path / "a.toml"), *data]) == 0
+    assert last_json(capsys.readouterr().out)["config"]["scene"]["bodies"] == 4
+
+
+def test_plugins_are_named_with_what_they_must_give(scene_file, tmp_path, capsys):
+    run = ["simulate", "piled", "--plugin", scene_file, "--steps", "1", "--out", tmp_path / "out", "--start"]
+    assert "start 'short' must take a simulation and a seed" in refused(capsys, *run, "short")
+    assert "start 'three' makes 3; it must have the methods solve and report" in refused(capsys, *run, "three")
+    bad = tmp_path / "bad_plugin.py"
+    bad.write_text("\n1 / 0\n")
+    assert f"{bad}, line 2 raises ZeroDivisionError: division" in refused(capsys, "explain", "stack", "--plugin", bad)
+    bad.write_text("from pipeline.scenes import Stack, register\nregister(type('Other', (Stack,), {}))\n")
+    assert "must be a dataclass that derives from Scene" in refused(capsys, "explain", "stack", "--plugin", bad)
+
+
+def test_a_file_and_a_command_line_agree_on_the_scene(tmp_path, capsys):
+    named, nameless = tmp_path / "named.toml", tmp_path / "nameless.toml"
+    named.write_text('worlds = 1\nsteps = 1\n[scene]\nname = "mixed"\nbodies = 8\n')
+    nameless.write_text("worlds = 1\nsteps = 1\n[scene]\nbodies = 8\n")
+    message = "scene.name is 'mixed', but 'stack' is asked for"
+    assert message in refused(capsys, "generate", "stack", "--config", named)
+    assert message in refused(capsys, "generate", f"--config={named}", "--out", "thesis", "stack")
+    assert "it must say whose ('bodies',) are" in refused(capsys, "generate", "--config", nameless)
+    for number, config in enumerate((named, nameless)):
+        out = str(tmp_path / str(number))
+        assert main(["generate", "mixed", "--config", str(config), "--out", out, "--friction", "0.3", "--json"]) == 0
+        scene = last_json(capsys.readouterr().out)["config"]["scene"]
+        assert (scene["name"], scene["bodies"], scene["friction"]) == ("mixed", 8, 0.3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import re
 
 import pytest
 
@@ -150,3 +151,14 @@ def test_images_of_another_shape_are_refused(shape):
 def test_a_module_of_another_make_has_no_configuration():
     with pytest.raises(ValueError, match=r"model is a Linear that models.build did not make"):
         models.config_dict(torch.nn.Linear(1, 1))
+
+
+@pytest.mark.parametrize("shape", [(3, 1, 9, 9), (3, 2, 8, 9), (3, 2, 81)])
+def test_an_answer_of_another_shape_names_the_network(shape):
+    class Short(models.GridNetwork):
+        def answer(self, x):
+            return x.new_zeros(shape)
+
+    network = Short(models.GridConfig(rows=9, columns=9, channels=4))
+    with pytest.raises(ValueError, match=rf"Short\.answer gave shape {re.escape(str(shape))}; .* \(3, 2, 9, 9\)"):
+        network(torch.zeros(3, 4, 9, 9))
