@@ -22,6 +22,7 @@ import pytest
 from dc_kernels.measure import contact_slots
 from pipeline.cli import main
 from pipeline.networks import registry
+from pipeline.scenes import SCENES
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "extend.md"
@@ -75,7 +76,15 @@ def apply(root: Path, language: str, code: str) -> str:
     return ""
 
 
-def test_the_examples_from_outside_run():
+@pytest.fixture
+def funnel(monkeypatch):
+    """The name of the page's scene, which is forgotten after the test."""
+    monkeypatch.setitem(SCENES, "funnel", None)
+    SCENES.pop("funnel")
+    return "funnel"
+
+
+def test_the_examples_from_outside_run(funnel):
     """Those that change nothing run one after the other: each goes on where the one before ends."""
     scope: dict = {"__name__": __name__}  # dataclasses look their module up
     for name, blocks in SECTIONS.items():
@@ -97,6 +106,17 @@ def test_the_examples_from_outside_run():
 
 def test_sections():
     assert list(SECTIONS) == ["A scene", "A start", "A network", "An acceleration", "A joint", "A backend"]
+
+
+def test_the_scene_is_run_from_the_command_line(funnel, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("page_scene.py").write_text(SECTIONS["A scene"][0][1], encoding="utf-8")
+    try:
+        main(["simulate", funnel, "--plugin", "page_scene.py", "--gap", "2", "--bodies", "3", "--steps", "2", "--json"])
+    finally:
+        sys.modules.pop(f"{registry.PLUGIN}page_scene", None)
+    scene = json.loads(capsys.readouterr().out.splitlines()[-1])["config"]["scene"]
+    assert (scene["name"], scene["gap"], scene["bodies"]) == ("funnel", 2.0, 3)
 
 
 def test_the_network_is_trained_and_used_from_the_command_line(tmp_path, monkeypatch, capsys):
