@@ -62,14 +62,15 @@ def chosen_scene(command: type, arguments: Sequence[str]) -> str | None:
 
 def refuse_empty(arguments: Sequence[str]) -> None:
     """Raise ``ValueError`` for a flag with an empty value, which would stand for the working directory or nothing."""
-    for flag, value in zip(arguments, [*arguments[1:], "-"]):
-        if flag.startswith("--") and (not value or flag.endswith("=")):
-            raise ValueError(f"{flag.rstrip('=')} is empty; it must have a value")
+    for word, following in zip(arguments, [*arguments[1:], "-"]):
+        flag, equals, value = word.partition("=")
+        if flag.startswith("--") and not (value if equals else following):
+            raise ValueError(f"{flag} is empty; it must have a value")
 
 
 def misspelt(commands: Commands, arguments: Sequence[str]) -> str:
     """Say which word of a command line there is not, and the nearest that there is; empty where all are known."""
-    said, choices, kind, known = "deep-contact", commands, "command", {"--help", "--version"}
+    said, choices, kind, known = "deep-contact", commands, "command", {"--help"}
     left = list(arguments)
     while choices:
         word = left[0] if left else ""
