@@ -72,7 +72,8 @@ def _refused(stop: SystemExit) -> str:
     error = stop.__context__
     if type(error).__name__ != "InstantiationError":
         return ""
-    message, argument = str(getattr(error, "message", error)), getattr(error, "arg", "")
+    message = str(getattr(error, "message", error))
+    argument: Any = getattr(error, "arg", "")
     flag = getattr(getattr(argument, "lowered", None), "name_or_flags", ())
     if flag and message.startswith("Could not find valid parse"):
         given, wanted = message.partition("arguments: ")[2], " ".join(str(argument.lowered.metavar).split())

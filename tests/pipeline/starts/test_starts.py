@@ -145,7 +145,7 @@ def test_every_strategy_reaches_the_same_velocities():
 
 @pytest.mark.parametrize("name", ["", "copy-1", "copy2.5", "grid2", "copyN", "nonee"])
 def test_unknown_names_raise(name):
-    with pytest.raises(ValueError, match=r"it must be one of .*, copyN with N decimals, or the file of a trained network"):
+    with pytest.raises(ValueError, match=r"it must be one of .*, copyN with N decimals, or the file of a trained"):
         maker(name)
 
 
