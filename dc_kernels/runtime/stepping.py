@@ -18,6 +18,7 @@ SHARDS_PER_THREAD = 2  # who is done first takes on what is left
 CHUNK = 10  # rounds that a thread takes of a shard at a time: 250 at once leaves one idle at the end for 3 %
 AT_ONCE = 20_000  # bodies times rounds between two looks for an interrupt: 10 to 40 ms
 SWEPT = 10_000_000  # bodies times sweeps between two looks, if no solve converges: 0.1 to 0.6 s
+APART = 4  # looks that a shard may be ahead of another: what an interrupt leaves to be leveled takes that long
 GRACE = 0.5  # that an interrupted round has to end by itself, before its sweeps are cut short [s]
 WORTH_THREADS = 1_000  # bodies times rounds from which a second thread gains: to hand work over takes 80 us
 INT = np.dtype(np.int32)
@@ -47,7 +48,7 @@ class Shards:
         self.left = [0] * count
         self.halted = False
         self.cut_flag = aligned_zeros((CACHE_LINE,), INT)
-        self._lock = threading.Lock()
+        self._turn = threading.Condition()
         self._busy: set[int] = set()
         self._stop = False
         self.disturbed = False
@@ -183,29 +184,38 @@ class Shards:
         self._busy.clear()
         most = min(CHUNK, self._at_once(shards[0]))
 
+        apart = APART * self._at_once(shards[0])
+
         def stop() -> None:
             self._stop = self.disturbed = True
+            with self._turn:
+                self._turn.notify_all()
 
         def work() -> None:
             try:
-                while self._take_chunk(shards, most):
-                    pass
+                while (i := self._next(shards, apart)) is not None:
+                    shards[i].take(min(self.left[i], most))
+                    with self._turn:
+                        self.left[i] -= shards[i].count()
+                        self._busy.discard(i)
+                        self._turn.notify_all()
             except BaseException:
                 stop()
                 raise
 
         run_together(work, self.threads, stop)
 
-    def _take_chunk(self, shards: Sequence[Rounds], most: int) -> bool:
-        """Run a chunk of the free shard that is farthest behind; whether there was one."""
-        with self._lock:
-            free = [i for i, n in enumerate(self.left) if n and i not in self._busy and not shards[i].halt[0]]
-            if not free or self._stop:
-                return False
-            i = max(free, key=self.left.__getitem__)
-            self._busy.add(i)
-        shards[i].take(min(self.left[i], most))
-        with self._lock:
-            self.left[i] -= shards[i].count()
-            self._busy.discard(i)
-        return True
+    def _next(self, shards: Sequence[Rounds], apart: int) -> int | None:
+        """Wait for the free shard that is farthest behind, if at most ``apart`` ahead; None if none is free."""
+        with self._turn:
+            while not self._stop:
+                left = {i: n for i, n in enumerate(self.left) if n and not shards[i].halt[0]}
+                free = [i for i in left if i not in self._busy]
+                if not free:
+                    return None
+                i = max(free, key=left.__getitem__)
+                if left[i] + apart >= max(left.values()):
+                    self._busy.add(i)
+                    return i
+                self._turn.wait()  # for whom a thread is at work on
+        return None
