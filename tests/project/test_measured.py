@@ -48,11 +48,12 @@ def test_every_record_has_its_section(records):
 def test_figures_of_a_section_are_those_of_its_record(records):
     changed = json.loads(json.dumps(records["worlds"]))
     changed["worlds_per_s"], changed["pymunk_10"], changed["pymunk_10_overlap_mm"] = 120.0, 60.0, 7.25
+    changed["overlap_mean_mm"] = 0.0025
     text = page.section(changed)
     assert "| **deep-contact**, to 1e-4 N s | 120 | 1 |" in text
     assert "| pymunk, 10 iterations | 60 | 2 | 7.25 |" in text
     figures = page.headlines({**records, "worlds": changed})
-    assert "| 120; 0.00022 mm | pymunk, 10 iterations 60; 7.25 mm | 2 times its speed, " in figures
+    assert "| 120; 0.0025 mm | pymunk, 10 iterations 60; 7.25 mm | 2 times its speed, " in figures
 
 
 def test_failures_are_told(records):
