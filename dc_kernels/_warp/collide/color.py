@@ -43,11 +43,20 @@ def kernels(dtype: str) -> dict[str, Any]:
     contiguous = contiguous_groups(dtype)
 
     @wp.func(module=module)
-    def taken(body: int, body_type: wp.array(dtype=wp.int32), color_mask: wp.array(dtype=wp.uint64)):
-        """Colours that a further constraint of the body must not have: only dynamic bodies forbid any."""
-        if body_type[body] == DYNAMIC:
-            return color_mask[body]
-        return wp.uint64(0)
+    def taken(a: int, b: int, body_type: wp.array(dtype=wp.int32), color_mask: wp.array(dtype=wp.uint64)):
+        """Colours that a further constraint of two bodies must not have: only dynamic bodies forbid any."""
+        colors = wp.uint64(0)
+        if body_type[a] == DYNAMIC:
+            colors = color_mask[a]
+        if body_type[b] == DYNAMIC:
+            colors = colors | color_mask[b]
+        return colors
+
+    @wp.func(module=module)
+    def take(a: int, b: int, color: int, color_mask: wp.array(dtype=wp.uint64)):
+        """A constraint of two bodies has the colour; bodies that do not move take it too, but nobody asks them."""
+        color_mask[a] = color_mask[a] | color_bit(color)
+        color_mask[b] = color_mask[b] | color_bit(color)
 
     @wp.kernel(module=module, enable_backward=False)
     def color_constraints(
@@ -83,32 +92,26 @@ def kernels(dtype: str) -> dict[str, Any]:
                 return
         for b in range(model.body_start[w], model.body_start[w + 1]):
             rows.color_mask[b] = wp.uint64(0)
-        # masks of bodies that do not move fill up too, but nobody asks for them
         for j in range(model.joint_start[w], model.joint_start[w + 1]):
             a = joints.joint_body_a[j]
             b = joints.joint_body_b[j]
-            free = lowest_free(taken(a, model.body_type, rows.color_mask) | taken(b, model.body_type, rows.color_mask))
+            free = lowest_free(taken(a, b, model.body_type, rows.color_mask))
             joints.joint_color[j] = free
-            rows.color_mask[a] = rows.color_mask[a] | color_bit(free)
-            rows.color_mask[b] = rows.color_mask[b] | color_bit(free)
+            take(a, b, free, rows.color_mask)
         for c in range(start, end):
             kept = contacts.color[c]
             if kept >= 0 and kept != SERIAL:
                 a = contacts.body_a[c]
                 b = contacts.body_b[c]
-                rows.color_mask[a] = rows.color_mask[a] | color_bit(kept)
-                rows.color_mask[b] = rows.color_mask[b] | color_bit(kept)
+                take(a, b, kept, rows.color_mask)
         for c in range(start, end):
             kept = contacts.color[c]
             if kept < 0 or kept == SERIAL:
                 a = contacts.body_a[c]
                 b = contacts.body_b[c]
-                free = lowest_free(
-                    taken(a, model.body_type, rows.color_mask) | taken(b, model.body_type, rows.color_mask)
-                )
+                free = lowest_free(taken(a, b, model.body_type, rows.color_mask))
                 contacts.color[c] = free
-                rows.color_mask[a] = rows.color_mask[a] | color_bit(free)
-                rows.color_mask[b] = rows.color_mask[b] | color_bit(free)
+                take(a, b, free, rows.color_mask)
 
     @wp.kernel(module=module, enable_backward=False)
     def keep_colors(
@@ -133,11 +136,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         for j in range(model.joint_start[w], model.joint_start[w + 1]):
             a = joints.joint_body_a[j]
             b = joints.joint_body_b[j]
-            own = color_bit(
-                lowest_free(taken(a, model.body_type, rows.color_mask) | taken(b, model.body_type, rows.color_mask))
-            )
-            rows.color_mask[a] = rows.color_mask[a] | own
-            rows.color_mask[b] = rows.color_mask[b] | own
+            take(a, b, lowest_free(taken(a, b, model.body_type, rows.color_mask)), rows.color_mask)
         start = contacts.contact_start[w]
         for c in range(start, start + contacts.contact_count[w]):
             kept = contacts.color[c]
@@ -146,12 +145,9 @@ def kernels(dtype: str) -> dict[str, Any]:
                 continue
             a = contacts.body_a[c]
             b = contacts.body_b[c]
-            own = color_bit(kept)
-            others = taken(a, model.body_type, rows.color_mask) | taken(b, model.body_type, rows.color_mask)
-            if (others & own) != wp.uint64(0):
+            if (taken(a, b, model.body_type, rows.color_mask) & color_bit(kept)) != wp.uint64(0):
                 contacts.color[c] = -1
                 continue
-            rows.color_mask[a] = rows.color_mask[a] | own
-            rows.color_mask[b] = rows.color_mask[b] | own
+            take(a, b, kept, rows.color_mask)
 
     return {"color_constraints": color_constraints, "keep_colors": keep_colors}
