@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from dc_kernels.grid.images import Images
     from dc_kernels.grid.stencil import Stencil
     from dc_kernels.grid.transfer import Transfer, gather, splat
-    from dc_kernels.measure import kinetic_energy, overlap, potential_energy
+    from dc_kernels.measure import contact_slots, kinetic_energy, overlap, potential_energy
     from dc_kernels.model.arrays import Contacts, Joints, Model, State, to_numpy, to_torch
     from dc_kernels.model.builder import ModelBuilder
     from dc_kernels.model.config import SolverConfig
@@ -76,6 +76,7 @@ __all__ = [
     "Transfer",
     "choose_grid",
     "color",
+    "contact_slots",
     "delassus",
     "func",
     "gather",
@@ -104,7 +105,7 @@ _MODULES = {
     "grid.images": ("Images",),
     "grid.stencil": ("Stencil",),
     "grid.transfer": ("Transfer", "gather", "splat"),
-    "measure": ("kinetic_energy", "overlap", "potential_energy"),
+    "measure": ("contact_slots", "kinetic_energy", "overlap", "potential_energy"),
     "model.arrays": ("Contacts", "Joints", "Model", "State", "to_numpy", "to_torch"),
     "model.builder": ("ModelBuilder",),
     "model.config": ("SolverConfig",),

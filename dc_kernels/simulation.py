@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 import numpy as np
 
-from dc_kernels import snapshot
 from dc_kernels.binding import Binding
 from dc_kernels.collide.broadphase import Pairs
 from dc_kernels.collide.contacts import Cache
+from dc_kernels.driving.driven import Driven
 from dc_kernels.explain import describe, explain
 from dc_kernels.model.arrays import Contacts, Joints, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig, check_config
 from dc_kernels.model.enums import CAPACITY_FLAGS
 from dc_kernels.model.fields import GROUPS
 from dc_kernels.model.validate import check_scene
-from dc_kernels.phases import Phases
 from dc_kernels.reports import capacity, memory
 from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import refuse_hosted, refuse_recording
@@ -36,7 +34,7 @@ from dc_kernels.storage import Storage
 Start = Callable[["Simulation"], None]
 
 
-class Simulation(Phases):
+class Simulation(Driven):
     """Rigid bodies with contacts in any number of worlds, stepped together.
 
     A step is three phases that can be called one by one: ``collide`` (predict velocities, find contacts, match them
@@ -59,6 +57,7 @@ class Simulation(Phases):
     ``Flag``. It goes on once finite values and flags of 0 are written (``state.assign``).
 
     Attributes:
+        built: the state that it was made with, which ``reset`` goes back to.
         calls: what each call holds while it works; ``with sim.calls:`` keeps other threads out of several calls.
     """
 
@@ -111,6 +110,7 @@ class Simulation(Phases):
         model.fixed = joints.fixed = True
         self.model = model
         self.state = state
+        self.built = state.copy()
         self.dtype = model.dtype
         self.device = model.device
         self.backend = model.backend
@@ -387,17 +387,7 @@ class Simulation(Phases):
 
     def memory(self) -> dict[str, int]:
         """Bytes allocated: by what they grow with (bodies with their shapes and pairs, contacts with their rows)."""
-        return memory((self.model, self.state, self.joints, *self.storage.groups().values()))
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a snapshot to continue from, bit for bit (see ``snapshot.save``)."""
-        with self.calls:
-            snapshot.save(self, path)
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str], **options: Any) -> Simulation:
-        """A simulation from a snapshot; options as for the constructor (see ``snapshot.load``)."""
-        return snapshot.load(cls, path, **options)
+        return memory((self.model, self.state, self.built, self.joints, *self.storage.groups().values()))
 
     def explain(self) -> str:
         """What runs for this scene, what is skipped, and why."""

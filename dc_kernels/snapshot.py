@@ -14,8 +14,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 
 import numpy as np
 
@@ -27,15 +26,16 @@ from dc_kernels.model.fields import CACHE, CONTACTS, Field
 from dc_kernels.model.room import used_slots
 from dc_kernels.model.rules import BrokenRule
 from dc_kernels.model.validate import check_joints, check_model, check_state
-from dc_kernels.runtime.files import write_whole
+from dc_kernels.runtime.files import file_name, write_file
 from dc_kernels.runtime.hdf5 import image, reading
-from dc_kernels.runtime.inputs import check_count, check_path
+from dc_kernels.runtime.inputs import check_count, check_file
 from dc_kernels.runtime.optional import require
 
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
 
 Group = TypeVar("Group", bound=ArrayGroup)
+Made = TypeVar("Made", bound="Simulation")
 
 SCHEMA = "deep-contact snapshot"
 SCHEMA_VERSION = 1
@@ -43,19 +43,20 @@ CACHED = "cached contact"
 _AXES = ("world", "body", "shape", "vertex", "joint", "contact")
 
 
-def save(sim: Simulation, path: str | os.PathLike[str]) -> None:
-    """Write a snapshot, between steps.
+def save(sim: Simulation, path: str | os.PathLike[str] | BinaryIO) -> None:
+    """Write a snapshot, between steps, to a path or to a binary file that is open, ``io.BytesIO()`` among them.
 
-    The file is complete or not there: it is written under another name in the same folder and renamed at the end,
-    so that a full disk or a kill never damages a file that was there before. Links are followed.
+    The file of a path is complete or not there: it is written under another name in the same folder and renamed at the
+    end, so that a full disk or a kill never damages a file that was there before. Links are followed.
 
     Raises:
         ValueError: in the middle of a step, between ``collide`` and ``advance``, or for values written to the arrays
             that ``load`` would refuse: naming array, index, value and limit.
         OSError: naming the file, when it cannot be written, or there is a folder, a device or a FIFO of its name.
+        TypeError: for what is neither a path nor a binary file.
         ImportError: without h5py, naming the extra that installs it.
     """
-    path = check_path("path", path)
+    path = check_file("path", path, "write")
     require("h5py", "pipeline")
     if sim.phase != "advance":
         raise ValueError("save() in the middle of a step: finish it with solve() and advance(), or take a step")
@@ -63,23 +64,23 @@ def save(sim: Simulation, path: str | os.PathLike[str]) -> None:
     check_model(model)
     check_state(state, model, frozen=True)
     check_joints(sim.joints.views(), model)
-    write_whole(path, image(lambda file: _write(file, sim)))
+    write_file(path, image(lambda file: _write(file, sim)))
 
 
 def load(
-    make: Callable[..., Simulation],
-    path: str | os.PathLike[str],
+    make: Callable[..., Made],
+    path: str | os.PathLike[str] | BinaryIO,
     threads: int = 1,
     *,
     device: str | None = None,
     backend: str | None = None,
     **options: Any,
-) -> Simulation:
+) -> Made:
     """The simulation of a snapshot.
 
     Args:
         make: the class ``Simulation``, or what makes one of the constructor's arguments.
-        path: the file.
+        path: of the file, or a binary file that is open, read from where it stands to its end.
         threads: of the simulation; the result does not depend on it.
         device: "cpu" or a CUDA device of Warp; None: the one it was saved from.
         backend: "warp" or "numpy"; None: the one it was saved from.
@@ -90,15 +91,17 @@ def load(
             dataset missing or of another shape or dtype, a value that breaks the rule of its field, values in other
             files, or sizes that the file cannot hold (``runtime.hdf5``).
         OSError: when there is no such file, it is a folder, FIFO or device, or it must not be read.
+        TypeError: for what is neither a path nor a binary file.
         ImportError: without h5py, naming the extra that installs it.
     """
-    path = Path(check_path("path", path))
+    path = check_file("path", path, "read")
     threads = check_count("threads", threads)
+    label = file_name(path)
     with reading(path, schema=SCHEMA) as file:
-        header = _Header(file, path)
+        header = _Header(file, label)
         tables = {"model": Model.table, "state": State.table, "joints": Joints.table, "contacts": CONTACTS}
-        values = {name: _read(file, path, name, table, header) for name, table in tables.items()}
-        cache = _read(file, path, "cache", CACHE, header.cached()) if "cache" in file else None
+        values = {name: _read(file, label, name, table, header) for name, table in tables.items()}
+        cache = _read(file, label, "cache", CACHE, header.cached()) if "cache" in file else None
     contacts = values["contacts"]
     del contacts["contact_start"]  # the simulation reserves its slots itself
     count, contact_dt = contacts.pop("contact_count"), contacts.pop("contact_dt")
@@ -110,10 +113,11 @@ def load(
     try:
         sim = make(model, state, joints, **options)  # which checks model and joints
     except BrokenRule as error:
-        raise ValueError(f"{path}: dataset {error.place.replace('.', '/', 1)} {error.text}") from error
-    where = f"{path}: dataset "
+        raise ValueError(f"{label}: dataset {error.place.replace('.', '/', 1)} {error.text}") from error
+    where = f"{label}: dataset "
     check_state(values["state"], values["model"], f"{where}state/", frozen=True)
     _filled(state, values["state"])  # afterwards: the constructor would refuse the force that froze a world
+    sim.built = state.copy()
     group = "cache"
     try:
         if cache is not None:
@@ -180,7 +184,7 @@ def _unfinished(sim: Simulation, slots: np.ndarray, cached: np.ndarray) -> bool:
 class _Header:
     """What a snapshot says about itself."""
 
-    def __init__(self, file: Any, path: Path) -> None:
+    def __init__(self, file: Any, path: str) -> None:
         self.path = path
         schema, version = file.attrs.get("schema"), file.attrs.get("schema_version")
         if not isinstance(schema, str) or schema != SCHEMA:
@@ -222,7 +226,7 @@ class _Header:
         return other
 
 
-def _read(file: Any, path: Path, group: str, table: Mapping[str, Field], header: _Header) -> dict[str, np.ndarray]:
+def _read(file: Any, path: str, group: str, table: Mapping[str, Field], header: _Header) -> dict[str, np.ndarray]:
     """The arrays of a group, of the shapes and dtypes that the header says."""
     arrays = {}
     for field in table.values():
@@ -246,11 +250,5 @@ def _read(file: Any, path: Path, group: str, table: Mapping[str, Field], header:
 def _filled(group: Group, values: dict[str, np.ndarray]) -> Group:
     """Copy bit by bit: ``assign`` would refuse what made a world freeze, such as a force that is not finite."""
     for name, value in values.items():
-        array = group.array(name)
-        if isinstance(array, np.ndarray):
-            array[...] = value
-        elif group.device == "cpu":
-            array.numpy()[...] = value
-        else:
-            array.assign(value)
+        group.fill(name, value)
     return group

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -56,6 +57,13 @@ class Storage:
             "rows": self.solver.rows,
             "stats": self.solver.stats,
         }
+
+    def adopt(self, groups: Mapping[str, Any], slots: Mapping[str, np.ndarray]) -> None:
+        """Take over the groups, and the room in each of them, of another simulation of the same scene and options."""
+        self.broadphase.adopt(groups["pairs"], slots["pairs"])
+        self.narrowphase.adopt(groups["contacts"], groups["cache"], slots["contacts"])
+        self.solver.adopt(groups["rows"], groups["stats"], slots["blocks"])
+        self.integrator.adopt(groups["motion"])
 
     @property
     def version(self) -> int:

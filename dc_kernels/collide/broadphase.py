@@ -67,6 +67,10 @@ class CandidatePairs:
         shapes = np.diff(model.numpy("shape_start")).astype(np.int64)
         return cls(shapes, np.ceil(pairs_per_shape * shapes), model.dtype, model.device, model.backend)
 
+    def adopt(self, pairs: Pairs, slots: np.ndarray) -> None:
+        """Take over the pairs of as many shapes, and their room."""
+        self.pairs, self.room.slots = pairs, slots
+
     @property
     def used(self) -> np.ndarray:
         """Pairs of each world at the last step, (W,)."""

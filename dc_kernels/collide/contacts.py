@@ -90,6 +90,10 @@ class StepContacts(FoundContacts):
         super().__init__(sizes, np.ceil(contacts_per_body * bodies), model.dtype, model.device, model.backend)
         self.cache = Cache(self.contacts.sizes, model.dtype, model.device, model.backend)
 
+    def adopt(self, contacts: Contacts, cache: Cache, slots: np.ndarray) -> None:
+        """Take over the contacts of the same bodies, and their room."""
+        self.contacts, self.cache, self.room.slots = contacts, cache, slots
+
     def groups(self) -> list[tuple[ArrayGroup, str]]:
         """See ``FoundContacts.groups``."""
         return [*super().groups(), (self.cache, "count")]

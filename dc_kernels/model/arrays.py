@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from dc_kernels.runtime.optional import require
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+Group = TypeVar("Group", bound="ArrayGroup")
 
 
 def allocate(field: Field, sizes: Mapping[str, int], real: np.dtype, device: str, backend: str) -> Any:
@@ -139,10 +141,24 @@ class ArrayGroup:
 
     def copy(self) -> Self:
         """A group of its own memory with the values of this one, which no simulation uses yet."""
-        made = type(self)(self.sizes, self.dtype, self.device, self.backend)
-        for name in self.table:
-            made._fill(name, to_numpy(self.array(name)))
-        return made
+        return _filled(*self._parts())
+
+    def __copy__(self) -> Self:
+        """See ``copy``: two groups of one memory would be written to at once."""
+        return self.copy()
+
+    def __deepcopy__(self, memo: Any) -> Self:
+        """See ``copy``."""
+        return self.copy()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the values; what is read back is as ``copy`` gives it, on a device of that name."""
+        return _filled, self._parts()
+
+    def _parts(self) -> tuple[Any, ...]:
+        """What ``_filled`` makes a group of."""
+        values = {name: to_numpy(self.array(name)) for name in self.table}
+        return type(self), self.sizes, self.dtype.name, self.device, self.backend, values
 
     def _check_room(self, names: Iterable[str]) -> None:
         """Raise a MemoryError, naming the largest array, for arrays that do not fit into the free memory."""
@@ -241,10 +257,10 @@ class ArrayGroup:
             )
         field = self.table[name]
         scalar, shape = numpy_spec(field, self.dtype)
-        self._fill(name, check_values(name, values, (*(self.sizes[axis] for axis in field.axes), *shape), scalar))
+        self.fill(name, check_values(name, values, (*(self.sizes[axis] for axis in field.axes), *shape), scalar))
 
-    def _fill(self, name: str, values: np.ndarray) -> None:
-        """Copy values of a field's own shape and dtype into it."""
+    def fill(self, name: str, values: np.ndarray) -> None:
+        """Copy values of a field's own shape and dtype into it, whatever they are: ``assign`` looks at them."""
         target = getattr(self, name)
         if isinstance(target, np.ndarray):
             target[...] = values
@@ -297,6 +313,21 @@ class ArrayGroup:
             count = int(np.prod([self.sizes[axis] for axis in field.axes], dtype=np.int64))
             total[field.per] = total.get(field.per, 0) + width * count
         return total
+
+
+def _filled(
+    kind: type[Group],
+    sizes: Mapping[str, int],
+    dtype: str,
+    device: str,
+    backend: str,
+    values: Mapping[str, np.ndarray],
+) -> Group:
+    """Allocate a group of a kind and fill it with values."""
+    made = kind(sizes, dtype, device, backend)
+    for name in made.table:
+        made.fill(name, values[name])
+    return made
 
 
 def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype, *, finite: bool = True) -> np.ndarray:

@@ -13,6 +13,7 @@ import stat
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -106,6 +107,21 @@ def write_whole(path: str | os.PathLike[str], content: bytes | memoryview) -> No
     """
     with replacing(path) as partial, open(partial, "xb") as file:
         file.write(content)
+
+
+def file_name(file: Any) -> str:
+    """Return what errors call a path, or a file that is open."""
+    return f"<{type(file).__name__}>" if hasattr(file, "read") else os.fspath(file)
+
+
+def write_file(file: Any, content: memoryview) -> None:
+    """Write to a path, whole or not at all (``write_whole``), or to a binary file that is open, where it stands."""
+    if not hasattr(file, "write"):
+        write_whole(file, content)
+        return
+    while len(content):
+        written = file.write(content)  # a raw file may take a part at a time
+        content = content[len(content) if written is None else written :]
 
 
 def not_written(path: str | os.PathLike[str], error: OSError) -> OSError:

@@ -24,7 +24,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from dc_kernels.runtime.files import check_regular
+from dc_kernels.runtime.files import check_regular, file_name
 from dc_kernels.runtime.optional import require
 
 MOST_RATIO = 1032
@@ -61,11 +61,11 @@ def identity(file: Any) -> Identity:
 
 
 @contextlib.contextmanager
-def reading(path: str | os.PathLike[str], *, virtual: bool = False, schema: str = "") -> Iterator[Any]:
+def reading(path: Any, *, virtual: bool = False, schema: str = "") -> Iterator[Any]:
     """Open a file to read it.
 
     Args:
-        path: of the file.
+        path: of the file, or a binary file that is open, which is read into memory from where it stands.
         virtual: let virtual datasets be, as long as they show files of plain names in the same folder.
         schema: what the file must be; one whose attribute ``schema`` names something else is refused before its
             datasets are looked at.
@@ -79,26 +79,36 @@ def reading(path: str | os.PathLike[str], *, virtual: bool = False, schema: str 
         ImportError: without h5py, naming the extra that installs it.
     """
     h5py = require("h5py", "pipeline")
-    check_regular(path)
-    with open(path, "rb"):
-        pass  # says what is wrong with the path itself
+    label, content, source = file_name(path), None, path
+    if hasattr(path, "read"):
+        content = path.read()
+        if not isinstance(content, bytes):
+            raise TypeError(f"{label}.read() gives a {type(content).__name__}; it must give bytes")
+        source = io.BytesIO(content)
+    else:
+        check_regular(path)
+        with open(path, "rb"):
+            pass  # says what is wrong with the path itself
     try:
-        file = h5py.File(path, "r")
+        file = h5py.File(source, "r")
     except OSError as error:
-        raise ValueError(f"{os.fspath(path)} is not an HDF5 file, or is truncated: {error}") from error
+        raise ValueError(f"{label} is not an HDF5 file, or is truncated: {error}") from error
     with file:
         try:
             found = file.attrs.get("schema") if schema else None
             if isinstance(found, str) and found != schema:
-                raise ValueError(f"{os.fspath(path)} is a file of schema {found[:80]!r}, not a {schema}")
-            _check_once(file, virtual)
+                raise ValueError(f"{label} is a file of schema {found[:80]!r}, not a {schema}")
+            if content is None:
+                _check_once(file, virtual)
+            else:
+                _check(file, len(content), virtual)
             yield file
         except ValueError as error:
-            if os.fspath(path) in str(error):
+            if label in str(error):
                 raise
-            raise ValueError(f"{os.fspath(path)}: {error}") from error
+            raise ValueError(f"{label}: {error}") from error
         except _DAMAGED as error:
-            raise ValueError(f"{os.fspath(path)} is damaged: {error}") from error
+            raise ValueError(f"{label} is damaged: {error}") from error
 
 
 def dataset(file: Any, name: str) -> Any:

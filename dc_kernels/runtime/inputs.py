@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -32,6 +33,19 @@ check_maybe_callable = checker(Callable[..., Any] | None)
 check_callable = checker(Callable[..., Any])
 """Returns what can be called, or raises an error with the name."""
 MAX_INDEX = 2**31 - 1  # of a point: kernels count in int32
+
+
+def check_file(name: str, file: Any, method: Literal["read", "write"]) -> Any:
+    """Return a path, or a binary file that is open and has the method.
+
+    Raises:
+        TypeError: with the name, for anything else, a text file among it.
+    """
+    if not callable(getattr(file, method, None)):
+        return check_path(name, file)
+    if isinstance(file, io.TextIOBase):
+        raise WrongType(f"{name} is a {type(file).__name__}, a file of text; it must be a binary file, or a path")
+    return file
 
 
 def check_simulation(name: str, sim: Any, parts: Sequence[str] = ("model", "state", "contacts", "phase")) -> None:

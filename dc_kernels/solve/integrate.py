@@ -35,9 +35,14 @@ class Integrator:
         """
         bodies = model.body_count + PADDING * shards
         sizes = {**model.sizes, "body+1": bodies, "body sum": bodies if method == "jacobi" else 1}
-        self.motion = Motion(sizes, model.dtype, model.device, model.backend)
-        self.motion.assign("weight", weight)
-        self._step_dt = self.motion.numpy("step_dt")  # making a view takes longer than a small world's kernels
+        motion = Motion(sizes, model.dtype, model.device, model.backend)
+        motion.assign("weight", weight)
+        self.adopt(motion)
+
+    def adopt(self, motion: Motion) -> None:
+        """Take over the motion of the same bodies."""
+        self.motion = motion
+        self._step_dt = motion.numpy("step_dt")  # making a view takes longer than a small world's kernels
         self._checked: float | None = None  # the last time step that was found right
 
     def set_time_step(self, dt: float | np.ndarray) -> None:

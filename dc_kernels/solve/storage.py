@@ -103,6 +103,10 @@ class SolverStorage:
             "row past": self.at_once * self.past_width if past else 0,
         }
 
+    def adopt(self, rows: Rows, stats: SolveStats, slots: np.ndarray) -> None:
+        """Take over the rows of the same bodies, and their room."""
+        self.rows, self.stats, self.room.slots = rows, stats, slots
+
     @property
     def past_width(self) -> int:
         """Numbers that a world's accelerated solve may have to look back on."""
