@@ -159,6 +159,7 @@ class Simulation(Driven):
         self._binding.renew(config, groups, self.storage.solver.past_width, self._in_turn)
         self._rounds.clear()
         self._solves.clear()
+        self._reset = None
         # a view is kept: making one takes longer than a small world's kernels
         self._flags = self.state.numpy("flags")
         used = (self.pairs.count, self.contacts.contact_count, self.rows.block_needed)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import copy
 import os
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from dc_kernels import snapshot
 from dc_kernels.driving.copies import Parts, from_parts, parts_of
+from dc_kernels.driving.reset import Reset, check_rows, write_rows
 from dc_kernels.model.arrays import Joints, Model, State
 from dc_kernels.phases import Phases
 from dc_kernels.runtime.capture import refuse_recording
-from dc_kernels.runtime.threads import OneCaller
+from dc_kernels.runtime.inputs import check_worlds
+from dc_kernels.runtime.threads import OneCaller, uninterrupted
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -26,6 +29,7 @@ class Driven(Phases):
     joints: Joints
     built: State
     calls: OneCaller
+    _reset: Reset | None
 
     @property
     def peak(self) -> np.ndarray:
@@ -59,6 +63,58 @@ class Driven(Phases):
         self._turn.ran = parts.phase
         self._shards.peak[...] = parts.peak
         self._bind_all()
+
+    def reset(self, worlds: Any = None, state: State | Mapping[str, Any] | None = None) -> None:
+        """Bring worlds back to the state that they were built in, as if no step had been taken, or to a given one.
+
+        They have no contacts and no impulses then, and no flags; what was written to the model, to its joints and to
+        the settings stays. Their next step has the bits of the first one of a new simulation. Other worlds keep their
+        bits. An episode of reinforcement learning ends so: ``sim.reset(done)``.
+
+        Args:
+            worlds: a mask, (W,) bool, or indices, (k,); None: all.
+            state: what they are to begin with where that is not as built: values by name of a field of
+                ``model.fields.STATE`` (but ``flags``) for these worlds in this order, (bodies of all, ...), or
+                (k, n, ...) where each has n bodies; or a ``State`` whose rows of these worlds are taken, such as a
+                copy of an earlier ``sim.state``.
+
+        Raises:
+            TypeError, ValueError: naming argument, field, index and limit; for some of the worlds in the middle of a
+                step. Nothing has changed then.
+            RuntimeError: within ``wp.ScopedCapture``.
+
+        Examples:
+            >>> import dc_kernels as dc
+            >>> builder = dc.ModelBuilder()
+            >>> for _ in range(3):
+            ...     world = builder.add_world()
+            ...     ball = builder.add_discs([(0.0, 2.0)], 0.5)
+            >>> sim = dc.Simulation(*builder.finalize())
+            >>> sim.run(10, 0.01)
+            >>> sim.reset([0, 2], {"velocity": [(1.0, 0.0), (2.0, 0.0)]})
+            >>> sim.state.numpy("time").round(2).tolist(), sim.state.numpy("velocity")[:, 0].tolist()
+            ([0.0, 0.1, 0.0], [1.0, 0.0, 2.0])
+        """
+        refuse_recording("reset", "it looks at the worlds that are given now")
+        with self.calls:
+            count = self.model.world_count
+            chosen = check_worlds("worlds", worlds, count)
+            whole = chosen is None or len(chosen) == count
+            if not (whole or self._turn.ran == "advance"):
+                raise ValueError(
+                    "reset() of some worlds in the middle of a step: finish it with solve() and advance(), or reset all"
+                )
+            if chosen is not None and not len(chosen):
+                return
+            rows = [] if state is None else check_rows(self.model, chosen, state)
+            if self._reset is None or self.device != "cpu":  # from where numpy has copies
+                groups = {"state": self.state, "joints": self.joints, **self.storage.groups()}
+                self._reset = Reset(self.model, self.built, groups)
+            with uninterrupted():
+                self._reset(chosen)
+                write_rows(self.state, rows)
+                if whole:
+                    self._turn.ran = "advance"
 
     def save(self, path: str | os.PathLike[str] | BinaryIO) -> None:
         """Write a snapshot to continue from, bit for bit, to a path or a binary file (see ``snapshot.save``)."""

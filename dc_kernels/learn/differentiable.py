@@ -15,9 +15,9 @@ import numpy as np
 
 from dc_kernels.learn.packed import Column
 from dc_kernels.measure import contact_slots
-from dc_kernels.model.settings import Limits, checker, numeric
+from dc_kernels.model.settings import Limits, checker
 from dc_kernels.runtime.capture import refuse_recording
-from dc_kernels.runtime.inputs import check_array, check_count, check_simulation, check_start, check_whole
+from dc_kernels.runtime.inputs import check_array, check_count, check_simulation, check_start, check_whole, check_worlds
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.memory import check_memory
 from dc_kernels.runtime.optional import require
@@ -176,13 +176,10 @@ class ContactProblem:
         if sim.phase == "advance":
             raise ValueError("from_simulation needs collide(dt) first: the contacts are those of a finished step")
         first, live = sim.model.numpy("body_start").astype(np.int64), sim.state.numpy("flags") == 0
-        given = np.arange(len(live)) if worlds is None else numeric("worlds", worlds, "integers", "iu")
-        chosen = given.astype(np.int64).reshape(-1)
+        given = check_worlds("worlds", worlds, len(live))
+        chosen = np.arange(len(live)) if given is None else given
         place = np.full(len(live), -1)
-        for i, w in enumerate(chosen):
-            if not 0 <= w < len(live) or place[w] >= 0:
-                raise ValueError(f"worlds[{i}] is {w}; it must lie in [0, {len(live) - 1}] and be there once")
-            place[w] = i
+        place[chosen] = np.arange(len(chosen))
         count = np.diff(first)[chosen]
         body_start = np.concatenate(([0], np.cumsum(count)))
         shift = body_start[:-1] - first[chosen]  # from a body of the simulation to one of the problem

@@ -85,6 +85,13 @@ def used_slots(start: np.ndarray, count: np.ndarray) -> np.ndarray:
     return np.arange(int(count.sum())) + np.repeat(start[:-1].astype(np.int64) - before, count)
 
 
+def rows_of(start: np.ndarray, worlds: np.ndarray) -> np.ndarray:
+    """The elements of some worlds, one world after the other, of an axis whose worlds begin at ``start`` (W + 1,)."""
+    first = start[:-1][worlds].astype(np.int64)
+    count = start[1:][worlds] - first
+    return np.arange(int(count.sum())) + np.repeat(first - (np.cumsum(count) - count), count)
+
+
 def fill_segments(array: np.ndarray, values: np.ndarray, start: np.ndarray, count: np.ndarray) -> None:
     """Copy values, packed world after world, to the first slots of each world's segment."""
     if len(values) > LONG * len(count):  # a copy of each segment is faster than a place for each value

@@ -220,6 +220,32 @@ def check_index(name: str, index: np.ndarray, count: int) -> np.ndarray:
     return index
 
 
+def check_worlds(name: str, worlds: Any, count: int) -> np.ndarray | None:
+    """Indices of worlds, (k,) int64, of a mask (W,) bool, of indices, or of one; None for None, which means all.
+
+    Raises:
+        TypeError, ValueError: naming the first index that is not there, or is there twice.
+    """
+    if worlds is None:
+        return None
+    given = numeric(name, host_view(name, worlds), "a mask of bool, or integers", "biu")
+    if given.dtype.kind == "b":
+        if given.shape != (count,):
+            raise ValueError(f"{name} is a mask of shape {given.shape}; it must be ({count},)")
+        return np.flatnonzero(given)
+    if given.ndim > 1:
+        raise ValueError(f"{name} has shape {given.shape}; it must be one index, or (k,)")
+    chosen = given.reshape(-1)
+    bad = (chosen < 0) | (chosen >= count)
+    if not bad.any() and len(chosen) > 1:
+        order = np.argsort(chosen, kind="stable")
+        bad[order[1:]] = chosen[order[1:]] == chosen[order[:-1]]
+    if bad.any():
+        i = int(bad.argmax())
+        raise ValueError(f"{name}[{i}] is {chosen[i]}; it must lie in [0, {count - 1}] and be there once")
+    return chosen.astype(np.int64)
+
+
 def check_slots(name: str, slots: Any, worlds: int) -> np.ndarray:
     """Slots to reserve for each world, (W,) int64, from one number for all or one for each.
 
