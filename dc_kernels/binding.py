@@ -23,7 +23,12 @@ class Binding:
     """
 
     def __init__(
-        self, kernels: Mapping[str, Any], model: Model, ranges: Sequence[tuple[int, int]], cut: np.ndarray
+        self,
+        kernels: Mapping[str, Any],
+        model: Model,
+        ranges: Sequence[tuple[int, int]],
+        cut: np.ndarray,
+        threads: int = 1,
     ) -> None:
         """Prepare.
 
@@ -32,9 +37,10 @@ class Binding:
             model: of the simulation.
             ranges: first world and number of worlds of each shard.
             cut: an int32 that ends all sweeping on the CPU when it is not 0.
+            threads: of a launch, where its backend has threads of its own.
         """
         self.kernels, self.ranges = kernels, list(ranges)
-        self.model, self._cut = model, cut
+        self.model, self._cut, self._threads = model, cut, threads
         self._groups = kernel_file(self.model.backend, "groups")
         self.values: dict[str, Any] = {}
         self._settings: dict[str, Any] = {}
@@ -56,6 +62,7 @@ class Binding:
             "uniform_restitution": uniform(self.model.numpy("shape_restitution")),
         }
         self.values = {name: self._groups.array_group(group, name) for name, group in groups.items()}
+        self.values["threads"] = self._threads
         self.values["config"] = self._scalars("config", self._settings)
 
     def _scalars(self, name: str, values: Mapping[str, Any]) -> Any:

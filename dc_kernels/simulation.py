@@ -18,7 +18,7 @@ from dc_kernels.model.enums import CAPACITY_FLAGS
 from dc_kernels.model.fields import GROUPS
 from dc_kernels.model.validate import check_scene
 from dc_kernels.reports import capacity, memory
-from dc_kernels.runtime.backends import Launch
+from dc_kernels.runtime.backends import Launch, host_threads
 from dc_kernels.runtime.capture import refuse_hosted, refuse_recording
 from dc_kernels.runtime.inputs import check_maybe_callable, check_whole
 from dc_kernels.runtime.sequences import Rounds, Watch
@@ -116,8 +116,9 @@ class Simulation(Driven):
         self.backend = model.backend
         self.schedule = options.schedule
         self.on_overflow = options.on_overflow
-        self._shards = Shards(model.world_count, model.body_count, options.threads if self.device == "cpu" else 1)
-        self.threads = self._shards.threads
+        threads = max(1, min(options.threads, model.world_count)) if self.device == "cpu" else 1
+        self._shards = Shards(model.world_count, model.body_count, host_threads(self.backend, threads))
+        self.threads = threads
         self.specialize = specialize = options.specialize
         self.only_discs = only_centred_discs(model)
         self.variant = variant_of(model, self.only_discs and specialize)
@@ -136,7 +137,7 @@ class Simulation(Driven):
             shards=len(self._shards.ranges),
             at_once=at_once,
         )
-        self._binding = Binding(self.kernels, model, self._shards.ranges, self._shards.cut_flag)
+        self._binding = Binding(self.kernels, model, self._shards.ranges, self._shards.cut_flag, threads)
         self._turn = Turn()
         self.calls = OneCaller(
             f"the simulation of {model.world_count} worlds and {model.body_count} bodies",

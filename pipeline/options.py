@@ -53,8 +53,8 @@ class RunOptions(Settings):
     """Threads that share the worlds [1]."""
     dtype: Literal["float32", "float64"] = "float32"
     """Scalar type of all arrays."""
-    backend: Literal["warp", "numpy"] = "warp"
-    """Whose kernels are run: Warp's, or those of the slow NumPy oracle."""
+    backend: Literal["warp", "numpy", "taichi"] = "warp"
+    """Whose kernels are run: Warp's, Taichi's, or those of the slow NumPy oracle."""
     device: str = "cpu"
     """Device of the Warp kernels: cpu, or cuda:0, ..."""
 

@@ -8,9 +8,12 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import importlib.util
 import inspect
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from dc_kernels.model.settings import WrongType, check_choice, shown
@@ -29,11 +32,17 @@ class Backend:
     """Package of its kernels: their files stand at the paths of the host files that launch them."""
     on_numpy: bool
     """Whether its kernels take numpy arrays, on the CPU; else they take Warp's, on any of its devices."""
+    compiled: bool = False
+    """Whether its kernels are compiled, which one thread at a time does."""
+    own_threads: bool = False
+    """Whether a launch shares its work among ``threads`` threads of the backend's own; else the host makes several
+    launches on Python's threads."""
 
 
 BACKENDS = {
-    "warp": Backend("dc_kernels._warp", on_numpy=False),
+    "warp": Backend("dc_kernels._warp", on_numpy=False, compiled=True),
     "numpy": Backend("dc_kernels._numpy", on_numpy=True),
+    "taichi": Backend("dc_kernels._taichi", on_numpy=True, compiled=True, own_threads=True),
 }
 
 
@@ -77,14 +86,38 @@ def on_numpy(backend: str) -> bool:
     return BACKENDS[check_backend(backend)].on_numpy
 
 
+def host_threads(backend: str, threads: int) -> int:
+    """Threads of Python that share the launches of a backend: one, where a launch has threads of its own."""
+    return 1 if BACKENDS[check_backend(backend)].own_threads else threads
+
+
 @functools.cache
 def kernel_file(backend: str, path: str) -> Any:
     """The module of kernels of a backend that stands at the host module's relative path, as "grid.splat".
 
     Raises:
+        ValueError: for an unknown backend, or one that has not got these kernels, naming those that have.
+    """
+    if not has_kernels(backend, path):
+        having = tuple(name for name in BACKENDS if has_kernels(name, path))
+        raise ValueError(f"backend is {backend!r}, which has no kernels of {path}; it must be one of {having}")
+    return importlib.import_module(f"{BACKENDS[backend].root}.{path}")
+
+
+def has_kernels(backend: str, path: str, factory: str | None = None) -> bool:
+    """Whether a backend has a file of kernels (see ``kernel_file``), and in it a function that makes them.
+
+    Raises:
         ValueError: for an unknown backend.
     """
-    return importlib.import_module(f"{BACKENDS[check_backend(backend)].root}.{path}")
+    root = BACKENDS[check_backend(backend)].root
+    try:
+        found = importlib.util.find_spec(f"{root}.{path}") is not None
+    except ModuleNotFoundError as error:  # of the folder
+        if not (error.name or "").startswith(root):
+            raise
+        return False
+    return found and (factory is None or hasattr(kernel_file(backend, path), factory))
 
 
 def make_kernels(backend: str, path: str, *options: Any, factory: str = "kernels") -> dict[str, Any]:
@@ -95,19 +128,43 @@ def make_kernels(backend: str, path: str, *options: Any, factory: str = "kernels
         path: of the file.
         options: what they are made for, as the factory takes it.
         factory: name of the function that makes them once.
+
+    Raises:
+        ValueError: for a backend that has not got them, naming those that have.
     """
     key = (backend, path, factory, *options)
     if key not in _made:
-        make = getattr(kernel_file(backend, path), factory)
-        with contextlib.nullcontext() if on_numpy(backend) else building():
+        make = getattr(kernel_file(backend, path), factory, None)
+        if make is None:
+            having = tuple(name for name in BACKENDS if has_kernels(name, path, factory))
+            raise ValueError(f"backend is {backend!r}, which has no {factory} of {path}; it must be one of {having}")
+        with building() if BACKENDS[backend].compiled else contextlib.nullcontext():
             _made[key] = make(*options)
     return _made[key]
+
+
+def markdown() -> str:
+    """Which backend has which kernels, as a table for people: files below their roots, and what makes kernels there."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for backend, known in BACKENDS.items():
+        root = Path(__file__).parents[1] / known.root.rpartition(".")[2]
+        for file in sorted(root.rglob("*.py")):
+            path = file.relative_to(root).as_posix()
+            for factory in re.findall(r"^def (\w*kernels)\(", file.read_text(encoding="utf-8"), re.MULTILINE):
+                found.setdefault((path, factory), []).append(backend)
+    rows = [f"| file | made by | {' | '.join(BACKENDS)} |", "| --- " * (2 + len(BACKENDS)) + "|"]
+    for (path, factory), backends in sorted(found.items()):
+        cells = " | ".join("yes" if backend in backends else "" for backend in BACKENDS)
+        rows.append(f"| `{path}` | `{factory}` | {cells} |".replace("|  |", "| |").replace("|  |", "| |"))
+    return "\n".join(rows)
 
 
 def argument_names(kernel: Any) -> list[str]:
     """Names of a kernel's arguments in order, without the thread index of the numpy backend."""
     if hasattr(kernel, "adj"):
         return [argument.label for argument in kernel.adj.args]
+    if hasattr(kernel, "bind"):
+        return list(kernel.arguments)
     return list(inspect.signature(kernel).parameters)[1:]
 
 
@@ -118,7 +175,7 @@ def bind(kernel: Any, dim: int | tuple[int, int], values: Mapping[str, Any], dev
 
     Args:
         kernel: one of Warp's; or a Python function that is called with the index of each thread first; or an object
-            with a method ``bind(dim, values, device)``, whose launch that returns.
+            with a method ``bind(dim, values, device)``, whose launch that returns, and the names ``arguments``.
         dim: threads, of one or two dimensions.
         values: arguments by name, and maybe others.
         device: of the arrays.

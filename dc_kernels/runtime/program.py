@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from dc_kernels.model.arrays import kernel_array
-from dc_kernels.runtime.backends import Launch, bind
+from dc_kernels.runtime.backends import Launch, bind, host_threads
 from dc_kernels.runtime.capture import HOST, recording, refuse_recording
 from dc_kernels.runtime.interop import host_view
 from dc_kernels.runtime.sequences import as_one
@@ -21,6 +21,12 @@ class Kernel(NamedTuple):
     kernel: Any
     values: Mapping[str, Any]
     chunks: int = 1
+
+
+def bind_part(kernel: Kernel, first: int, worlds: int, threads: int) -> Launch:
+    """A launch over so many worlds from a first one, by so many threads where its backend has them."""
+    values = {**kernel.values, "world_offset": first, "threads": threads}
+    return bind(kernel.kernel, worlds * kernel.chunks, values, "cpu")
 
 
 class WorldCall(Protocol):
@@ -61,6 +67,7 @@ class Program:
             threads: shards of worlds, and what runs them.
         """
         self.stages = list(stages)
+        host = host_threads(backend, threads)
         self._steps: list[Launch] = []
         self._host = False  # whether a stage does more than launch
         for kind, group in itertools.groupby(map(_as_kernel, stages), type):
@@ -69,10 +76,7 @@ class Program:
                 self._steps += [stage for stage in group if not isinstance(stage, Kernel)]
                 continue
             run = [stage for stage in group if isinstance(stage, Kernel)]
-            shards = [
-                as_one([bind(k.kernel, n * k.chunks, {**k.values, "world_offset": w}, "cpu") for k in run])
-                for w, n in shard_worlds(worlds, threads)
-            ]
+            shards = [as_one([bind_part(k, w, n, threads) for k in run]) for w, n in shard_worlds(worlds, host)]
             self._steps.append(shards[0] if len(shards) == 1 else functools.partial(run_shards, shards, threads))
 
     def __call__(self) -> None:
@@ -101,7 +105,7 @@ class Fed:
             threads: shards of worlds, and what runs them.
         """
         self.kernel, self.name, self.backend, self.threads = kernel, name, backend, threads
-        self.shards = shard_worlds(worlds, threads)
+        self.shards = shard_worlds(worlds, host_threads(backend, threads))
         if backend == "warp":
             self._launches = self._bind(kernel.values)
 
@@ -118,8 +122,8 @@ class Fed:
 
     def _bind(self, values: Mapping[str, Any]) -> list[Any]:
         """A launch for each shard."""
-        kernel = self.kernel
-        return [bind(kernel.kernel, n * kernel.chunks, {**values, "world_offset": w}, "cpu") for w, n in self.shards]
+        kernel = self.kernel._replace(values=values)
+        return [bind_part(kernel, w, n, self.threads) for w, n in self.shards]
 
 
 def _as_kernel(stage: Stage) -> Stage:

@@ -19,6 +19,7 @@ import pytest
 import dc_kernels as dc
 from bench.__main__ import NAMES
 from dc_kernels import stages
+from dc_kernels.runtime import backends
 from pipeline import cli
 from pipeline.scenes import SCENES
 
@@ -284,3 +285,7 @@ def test_every_option_is_known_to_the_help(helps):
 
 def test_the_table_of_stages_is_that_of_the_code():
     assert stages.markdown() in (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+
+
+def test_the_table_of_backends_is_that_of_the_code():
+    assert backends.markdown() in (ROOT / "docs" / "taichi.md").read_text(encoding="utf-8")

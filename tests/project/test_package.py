@@ -13,7 +13,19 @@ import dc_kernels
 from dc_kernels.runtime.optional import require
 
 ROOT = Path(__file__).resolve().parents[2]
-OPTIONAL = ("torch", "h5py", "scipy", "matplotlib", "taichi", "tyro", "tqdm", "pymunk", "Box2D", "imageio_ffmpeg")
+OPTIONAL = (
+    "torch",
+    "h5py",
+    "scipy",
+    "matplotlib",
+    "taichi",
+    "quadrants",
+    "tyro",
+    "tqdm",
+    "pymunk",
+    "Box2D",
+    "imageio_ffmpeg",
+)
 
 try:
     import tomllib
@@ -106,7 +118,7 @@ def test_require_names_the_package_of_a_submodule():
 def test_extras(pyproject):
     project = pyproject["project"]
     extras = project["optional-dependencies"]
-    assert set(extras) == {"pipeline", "cluster", "taichi", "bench", "dev", "all"}
+    assert set(extras) == {"pipeline", "cluster", "taichi", "quadrants", "bench", "dev", "all"}
     assert requirement_names(project["dependencies"]) == {"numpy", "warp-lang"}
     assert {"torch", "h5py", "tyro", "tqdm", "matplotlib"} <= installed_by("pipeline", extras)
     assert installed_by("all", extras) == set().union(*(installed_by(name, extras) for name in extras))

@@ -1,0 +1,185 @@
+"""Boxes -> candidate pairs, kept while no box leaves its margin (the pairs: ``pairs``)."""
+
+from functools import cache
+from typing import Any
+
+from dc_kernels._taichi.collide.pairs import DISC, pair_functions
+from dc_kernels._taichi.groups import group_types, struct_type
+from dc_kernels._taichi.runtime.compiler import ti
+from dc_kernels._taichi.runtime.kernels import kernel
+from dc_kernels.collide.fields import BOXES
+from dc_kernels.model.enums import Flag
+
+INVALID = int(Flag.INVALID)
+PREDICT_STEPS = 8.0  # steps of motion a moving shape's box is stretched by; 2 to 16 cost the same
+FAST_STEPS = 24.0  # steps a box is stretched by where a step takes it beyond the speculative distance
+REACH_GROWTH = 1.5  # a box made for a speculative distance this much larger outlives bodies speeding up
+FINEST = 2.0**-29  # of the farthest coordinate: cells are counted in int32
+TINY = 1e-30
+MIX = 0x2545F4914F6CDD1D  # an odd number whose multiples spread over all bits (Vigna 2016)
+
+
+@cache
+def kernels(dtype: str) -> dict[str, Any]:
+    """``update_pairs``; one thread a world."""
+    t = group_types(dtype)
+    real, vec4 = t.real, t.vec4
+    functions = pair_functions(dtype)
+    shape_box, find_pairs = functions.shape_box, functions.find_pairs
+
+    @ti.func
+    def spin_arm(kind, center, extent):
+        """Bound on the distance from the centre of mass of what a rotation moves."""
+        arm = ti.abs(center[0]) + ti.abs(center[1])
+        if kind != DISC:
+            arm += extent
+        return arm
+
+    @ti.func
+    def turned_box(shape, model: t.Model, state: t.State):
+        """Tight box of a shape where its body is; a disc about its centre of mass needs no angle."""
+        body = model.shape_body[shape]
+        kind = model.shape_type[shape]
+        center = model.shape_center[shape]
+        c = real(1.0)
+        s = real(0.0)
+        if kind != DISC or center[0] != 0.0 or center[1] != 0.0:
+            c = ti.cos(state.angle[body])
+            s = ti.sin(state.angle[body])
+        x = state.position[body]
+        return shape_box(shape, kind, center, c, s, x, model.vertex_start, model.vertices, model.shape_radius[shape])
+
+    @kernel
+    def update_pairs(
+        tid,
+        launch: t.Launch,
+        config: t.Config,
+        model: t.Model,
+        state: t.State,
+        motion: t.Motion,
+        pairs: t.Pairs,
+    ):
+        """Rebuild a world's pairs if a shape, swept over the step, left its box; else keep them."""
+        w = tid + launch.world_offset
+        if state.flags[w] == 0:
+            first = model.shape_start[w]
+            last = model.shape_start[w + 1]
+            dt = motion.step_dt[w]
+            # half the speculative distance on each side: a pair closer than it is found
+            pad = 0.5 * motion.reach[w]
+
+            keep = pairs.valid[w]
+            at = first
+            while keep == 1 and at < last:
+                v = motion.predicted[model.shape_body[at]]
+                tight = turned_box(at, model, state)
+                arm = spin_arm(model.shape_type[at], model.shape_center[at], model.shape_extent[at])
+                grow = pad + ti.min(ti.abs(v[2] * dt), 2.0) * arm
+                outer = pairs.box[at]
+                if (
+                    tight[0] + ti.min(v[0] * dt, 0.0) - grow < outer[0]
+                    or tight[1] + ti.min(v[1] * dt, 0.0) - grow < outer[1]
+                    or tight[2] + ti.max(v[0] * dt, 0.0) + grow > outer[2]
+                    or tight[3] + ti.max(v[1] * dt, 0.0) + grow > outer[3]
+                ):
+                    keep = 0
+                at += 1
+            if keep != 1:
+                margin = config.margin * model.length_scale[w] + REACH_GROWTH * pad
+                for shape in range(first, last):
+                    v = motion.predicted[model.shape_body[shape]]
+                    tight = turned_box(shape, model, state)
+                    arm = spin_arm(model.shape_type[shape], model.shape_center[shape], model.shape_extent[shape])
+                    ahead = dt * PREDICT_STEPS
+                    if (v[0] * v[0] + v[1] * v[1]) * dt * dt > 1.1 * motion.reach[w] * motion.reach[w]:
+                        ahead = dt * FAST_STEPS
+                    grow = margin + ti.min(ti.abs(v[2]) * ahead, 2.0) * arm
+                    dx = v[0] * ahead
+                    dy = v[1] * ahead
+                    pairs.box[shape] = vec4(
+                        tight[0] + ti.min(dx, 0.0) - grow,
+                        tight[1] + ti.min(dy, 0.0) - grow,
+                        tight[2] + ti.max(dx, 0.0) + grow,
+                        tight[3] + ti.max(dy, 0.0) + grow,
+                    )
+                find_pairs(w, model.cell_size[w], model, state, pairs)
+
+    return {"update_pairs": update_pairs}
+
+
+@cache
+def box_kernels(dtype: str) -> dict[str, Any]:
+    """``bound_shapes`` and ``update_box_pairs``; one thread a world."""
+    t = group_types(dtype)
+    real, vec2, vec4 = t.real, t.vec2, t.vec4
+    Boxes = struct_type("boxes", dtype, BOXES)
+    functions = pair_functions(dtype)
+    shape_box, find_pairs = functions.shape_box, functions.find_pairs
+
+    @kernel
+    def bound_shapes(tid, launch: t.Launch, model: t.Model, state: t.State, boxes: Boxes):
+        """The box of each shape of a world, larger by the margin."""
+        w = tid + launch.world_offset
+        for shape in range(model.shape_start[w], model.shape_start[w + 1]):
+            body = model.shape_body[shape]
+            c = ti.cos(state.angle[body])
+            s = ti.sin(state.angle[body])
+            x = state.position[body]
+            kind = model.shape_type[shape]
+            center = model.shape_center[shape]
+            radius = model.shape_radius[shape] + boxes.margin
+            box = shape_box(shape, kind, center, c, s, x, model.vertex_start, model.vertices, radius)
+            boxes.lower[shape] = vec2(box[0], box[1])
+            boxes.upper[shape] = vec2(box[2], box[3])
+
+    @kernel
+    def update_box_pairs(tid, launch: t.Launch, model: t.Model, state: t.State, boxes: Boxes, pairs: t.Pairs):
+        """Rebuild a world's pairs if a box left the one with margin, or a filter changed; else keep them.
+
+        A world with a box that is not finite, or whose lower corner is not the lower one, has no pairs.
+        """
+        w = tid + launch.world_offset
+        state.flags[w] = 0
+        keep = pairs.valid[w]
+        filters = ti.i64(1)
+        smallest = real(0.0)
+        farthest = real(0.0)
+        good = 1
+        first = model.shape_start[w]
+        bodies = model.body_type.shape[0]
+        for shape in range(first, model.shape_start[w + 1]):
+            low = boxes.lower[shape]
+            high = boxes.upper[shape]
+            body = model.shape_body[shape]
+            far = ti.max(ti.max(ti.abs(low[0]), ti.abs(low[1])), ti.max(ti.abs(high[0]), ti.abs(high[1])))
+            ordered = low[0] <= high[0] and low[1] <= high[1]
+            if not ordered or not (far - far == 0.0) or body < 0 or body >= bodies:
+                good = 0
+            else:
+                outer = pairs.box[shape]
+                if low[0] < outer[0] or low[1] < outer[1] or high[0] > outer[2] or high[1] > outer[3]:
+                    keep = 0
+                extent = ti.max(high[0] - low[0], high[1] - low[1])
+                if shape == first or extent < smallest:
+                    smallest = extent
+                farthest = ti.max(farthest, far)
+                kinds = (ti.i64(model.shape_category[shape]) << ti.i64(32)) | ti.i64(model.shape_mask[shape])
+                filters = (filters ^ kinds) * ti.i64(MIX)
+                filters = (filters ^ (ti.i64(body) * ti.i64(4) + ti.i64(model.body_type[body]))) * ti.i64(MIX)
+        if good == 0:
+            state.flags[w] = INVALID
+            pairs.valid[w] = 0
+            pairs.count[w] = 0
+        elif keep != 1 or filters != boxes.filters[w]:
+            boxes.filters[w] = filters
+            margin = boxes.margin
+            for shape in range(first, model.shape_start[w + 1]):
+                low = boxes.lower[shape]
+                high = boxes.upper[shape]
+                pairs.box[shape] = vec4(low[0] - margin, low[1] - margin, high[0] + margin, high[1] + margin)
+            size = ti.max(smallest + 2.0 * margin, (farthest + margin) * real(FINEST))
+            find_pairs(w, ti.max(size, real(TINY)), model, state, pairs)
+            if state.flags[w] != 0:
+                pairs.count[w] = 0
+
+    return {"bound_shapes": bound_shapes, "update_box_pairs": update_box_pairs}

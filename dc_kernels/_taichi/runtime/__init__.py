@@ -1,0 +1,1 @@
+"""What kernels for Taichi are made and launched with."""

@@ -1,0 +1,150 @@
+"""Kernels over worlds from functions of one: the same names and arguments as in the other backends, groups whole.
+
+    @kernel
+    def displace(tid, launch: t.Launch, model: t.Model, state: t.State, motion: t.Motion):
+        w = tid + launch.world_offset
+        ...
+
+Arguments without an annotation come first: the indices of a thread, one or two. The source of what Taichi compiles is
+written here: a loop over the threads, and of each group the fields that the function and what it calls use.
+"""
+
+from __future__ import annotations
+
+import inspect
+import linecache
+from collections.abc import Mapping
+from typing import Any
+
+from dc_kernels._taichi.groups import GroupType, seen
+from dc_kernels._taichi.runtime.access import Array, Group, uses_of
+from dc_kernels._taichi.runtime.compiler import ti
+from dc_kernels._taichi.runtime.launches import Argument, Bound
+from dc_kernels.runtime.interop import host_view
+
+NDARRAY = type(ti.types.ndarray(dtype=ti.f32, ndim=1))
+
+
+class Fields:
+    """What a group stands for in a kernel: an attribute for each field that the kernel uses."""
+
+    _is_wrapped_kernel = True  # Taichi warns of other Python functions that a kernel calls
+
+    def __init__(self, **fields: Any) -> None:
+        """``fields``: Taichi's arrays and numbers."""
+        vars(self).update(fields)
+
+
+class Kernel:
+    """A kernel over worlds, compiled when it is first bound.
+
+    Attributes:
+        func: the function of one thread, for functions and kernels that call it.
+        arguments: names of the arguments, as in the other backends.
+    """
+
+    def __init__(self, function: Any) -> None:
+        """``function``: of one thread, see the module."""
+        self.__name__, self.__doc__ = function.__name__, function.__doc__
+        parameters = inspect.signature(function).parameters
+        self.func = ti.func(function)
+        self._types = {name: p.annotation for name, p in parameters.items() if p.annotation is not p.empty}
+        self._indices = [name for name in parameters if name not in self._types]
+        self.arguments = list(self._types)
+        given = {name: Group(name) for name in self.arguments if isinstance(self._types[name], GroupType)}
+        arrays = {name: Array(name, "") for name in self.arguments if isinstance(self._types[name], NDARRAY)}
+        self._uses = uses_of(function, {**given, **arrays})
+        self._made: dict[bool, Any] = {}
+        real = [kind.dtype for kind in self._types.values() if isinstance(kind, GroupType)]
+        self._real = ti.f64 if "float64" in real else ti.f32
+
+    def bind(self, dim: int | tuple[int, int], values: Mapping[str, Any], device: str) -> Bound:
+        """A launch over so many threads (see ``runtime.backends.bind``).
+
+        ``threads`` among the values, if there, is the number of threads of Taichi's pool that share the first axis; a
+        forked process has none of them and works alone.
+
+        Raises:
+            ValueError: for an array that kernels cannot take as it is, naming it.
+        """
+        extent = (dim,) if isinstance(dim, int) else dim
+        if len(extent) != len(self._indices):
+            raise ValueError(f"{self.__name__} runs over {len(self._indices)} axes; dim is {dim}")
+        shards = min(int(values.get("threads", 1)), extent[0])
+        arguments = [Argument(f"dim{i}", ti.i32, n, False) for i, n in enumerate(extent)]
+        arguments.append(Argument("shards", ti.i32, shards, False))
+        for key in self._flat():
+            array = Array(*key)
+            value, annotation = self._value(array, values)
+            arguments.append(Argument(".".join(filter(None, array)), annotation, value, array in self._uses.written))
+        return Bound(self.__name__, self._kernel, arguments, real=self._real, parallel=shards > 1)
+
+    def _flat(self) -> list[Array]:
+        """Arrays and numbers that the compiled kernel takes, in order."""
+        scalars = [Array(n, "") for n, kind in self._types.items() if not isinstance(kind, GroupType)]
+        return list(dict.fromkeys([*scalars, *self._uses.used]))
+
+    def _annotation(self, array: Array) -> Any:
+        kind = self._types[array.group]
+        return kind.annotation(array.field) if array.field else kind
+
+    def _value(self, array: Array, values: Mapping[str, Any]) -> tuple[Any, Any]:
+        """What is given for an argument of the compiled kernel, and its type."""
+        value, annotation = values[array.group], self._annotation(array)
+        if array.field:
+            value = getattr(value, array.field)
+        if not isinstance(annotation, NDARRAY):
+            return value, annotation
+        value = host_view(".".join(filter(None, array)), value)
+        if array.field:
+            kind = self._types[array.group]
+            value = seen(kind.name, kind.table[array.field], value)
+        return value, annotation
+
+    def _kernel(self, parallel: bool) -> Any:
+        """The kernel of Taichi, whose threads are those of its pool or the one that launches it."""
+        if parallel not in self._made:
+            source = self._source(parallel)
+            name = f"<dc_kernels._taichi {self.__name__} {id(self)} {parallel}>"
+            # Taichi reads a kernel's source by its file's name
+            linecache.cache[name] = (len(source), None, source.splitlines(True), name)
+            types = [self._annotation(array) for array in self._flat()]
+            scope = {"ti": ti, "types": types, "stage": self.func, "Fields": Fields}
+            exec(compile(source, name, "exec", dont_inherit=True), scope)
+            self._made[parallel] = scope[self.__name__]
+        return self._made[parallel]
+
+    def _source(self, parallel: bool) -> str:
+        """Source of the kernel: its loop, and the call of the function with its groups put together."""
+        flat = self._flat()
+        names = {array: "__".join(filter(None, array)) for array in flat}
+        given = list(self._indices)
+        for argument in self.arguments:
+            fields = [array for array in flat if array.group == argument]
+            if isinstance(self._types[argument], GroupType):
+                given.append(f"Fields({', '.join(f'{a.field}={names[a]}' for a in fields)})")
+            else:
+                given.append(argument)
+        annotations = [*(f"dim{i}: ti.i32" for i in range(len(self._indices))), "shards: ti.i32"]
+        annotations += [f"{names[array]}: types[{i}]" for i, array in enumerate(flat)]
+        lines = ["@ti.kernel", f"def {self.__name__}({', '.join(annotations)}):"]
+        if parallel:
+            lines += [
+                "    ti.loop_config(block_dim=1)",
+                "    for shard in range(shards):",
+                "        size, more = dim0 // shards, dim0 % shards",
+                "        first = shard * size + ti.min(shard, more)",
+                "        last = first + size + ti.cast(shard < more, ti.i32)",
+                f"        for {self._indices[0]} in range(first, last):",
+            ]
+        else:
+            lines += ["    ti.loop_config(serialize=True)", f"    for {self._indices[0]} in range(dim0):"]
+        for i, index in enumerate(self._indices[1:], 1):
+            lines.append(f"{' ' * (4 + len(lines[-1]) - len(lines[-1].lstrip()))}for {index} in range(dim{i}):")
+        indent = " " * (4 + len(lines[-1]) - len(lines[-1].lstrip()))
+        return "\n".join([*lines, f"{indent}stage({', '.join(given)})", ""])
+
+
+def kernel(function: Any) -> Kernel:
+    """Make a kernel of a function of one thread (see the module)."""
+    return Kernel(function)

@@ -1,0 +1,114 @@
+"""Taichi's running program: started if there is none, the user's own beside it unharmed, in any process and thread.
+
+Taichi has one program in a process, which the user may have started with ``ti.init``, and may start anew. Kernels run
+in whichever is there; they are compiled with options of their own, and the program's are put back.
+"""
+
+import contextlib
+import io
+import os
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+from dc_kernels._taichi.runtime.compiler import impl, ti
+from dc_kernels.runtime.building import building
+
+OPTIONS = {
+    "fast_math": False,  # the bits of the other backends
+    "real_matrix_scalarize": False,  # vectors stay vectors: rows are solved in SIMD lanes
+    "make_cpu_multithreading_loop": False,  # else fewer than 512 shards of worlds run on one thread
+    "debug": False,
+    "check_out_of_bound": False,
+}
+"""What kernels are compiled with, whatever the program was started with."""
+DEFAULTS = ("default_fp", "default_ip", "short_circuit_operators")
+"""What else of a running program decides how a source is compiled: types of its numbers, and how "and" is."""
+_inherited: Any = None  # the program that a forked process has of its parent, without its threads
+
+
+def program() -> Any:
+    """The program that is running on the CPU, started without a line of output if there is none.
+
+    Raises:
+        RuntimeError: where the user's runs on another device.
+    """
+    if running() is None:
+        with building():
+            if running() is None:
+                _start()
+    prog = running()
+    if prog.config().arch not in (ti.x64, ti.arm64):
+        name = prog.config().arch.name
+        raise RuntimeError(
+            f"{ti.__name__} runs on {name}; backend='taichi' needs {ti.__name__}.init(arch=cpu), or none"
+        )
+    return prog
+
+
+def running() -> Any:
+    """The program that is running, or None; what was compiled for another one is gone."""
+    runtime = impl.get_runtime()
+    return runtime._prog if hasattr(runtime, "_prog") else runtime.prog  # Quadrants raises an error where there is none
+
+
+def has_threads(prog: Any) -> bool:
+    """Whether a program has the threads that a parallel loop waits for: in a forked process its parent's has none."""
+    return prog is not _inherited
+
+
+@contextlib.contextmanager
+def compiling(prog: Any, real: Any) -> Iterator[None]:
+    """Compile one thread at a time with ``OPTIONS``, numbers of a source being of type ``real``, or int32.
+
+    Raises:
+        RuntimeError: where the program was started on another thread and has not compiled anything there yet.
+    """
+    with building():
+        runtime, config = impl.get_runtime(), prog.config()
+        options = {name: value for name, value in OPTIONS.items() if hasattr(config, name)}
+        before = {name: getattr(config, name) for name in options}
+        defaults = {name: getattr(runtime, name) for name in DEFAULTS}
+        # a configuration gives its types away by reference: what stands there before is not kept by taking it
+        options |= {"default_fp": real, "default_ip": ti.i32}
+        before |= {name: defaults[name] for name in ("default_fp", "default_ip")}
+        for name, value in options.items():
+            setattr(config, name, value)
+        runtime.default_fp, runtime.default_ip, runtime.short_circuit_operators = real, ti.i32, True
+        try:
+            yield
+        except RuntimeError as error:
+            if "main_thread_id" in str(error):
+                raise RuntimeError(
+                    f"{ti.__name__}.init was called on another thread than {threading.current_thread().name}, which "
+                    "comes first with a kernel; run any kernel on that thread before"
+                ) from error
+            raise
+        finally:
+            for name, value in before.items():
+                setattr(config, name, value)
+            for name, value in defaults.items():
+                setattr(runtime, name, value)
+
+
+def _start() -> None:
+    """Start a program of our own, which keeps compiled kernels beside Warp's."""
+    import warp as wp
+
+    folder = os.path.join(wp.config.kernel_cache_dir, ti.__name__)
+    with contextlib.redirect_stdout(io.StringIO()):
+        ti.init(arch=ti.cpu, log_level=ti.WARN, offline_cache=True, offline_cache_file_path=folder)
+    _first()  # the thread that started a program has to be the first that compiles
+
+
+@ti.kernel
+def _first():
+    """Nothing."""
+
+
+def _inherit() -> None:
+    global _inherited
+    _inherited = running()
+
+
+os.register_at_fork(after_in_child=_inherit)

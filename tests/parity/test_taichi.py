@@ -1,0 +1,142 @@
+"""Taichi's kernels leave the bits of Warp's: the same names and groups, then stage by stage on the same memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dc_kernels as dc
+from dc_kernels.model.config import CONFIG
+from dc_kernels.model.dtypes import aligned_zeros
+from dc_kernels.model.fields import GROUPS, LAUNCH
+from dc_kernels.runtime.backends import argument_names, bind, has_kernels, make_kernels
+from dc_kernels.stages import STEP, Stage
+from tests.parity.scenes import bounce, boxes, crowd, discs, frozen, kinematic, mixed, pendulum, simulation, worlds
+
+pytest.importorskip("taichi")
+DT = 0.01
+PORTED = tuple(stage for stage in STEP if has_kernels("taichi", stage.file))
+
+
+def many(builder: dc.ModelBuilder) -> None:
+    """All kinds of worlds in one simulation."""
+    for scene in (mixed, boxes, pendulum, bounce, kinematic, worlds):
+        scene(builder)
+    for seed in range(4):
+        crowd(builder, seed)
+
+
+SCENES = {"discs": (frozen, 9), "many": (many, 12)}
+
+
+def made(backend: str, stage: Stage, sim: dc.Simulation) -> dict[str, Any]:
+    """The kernels of a stage's file for a simulation."""
+    options = {"variant": sim.variant, "only_discs": sim.only_discs}
+    return make_kernels(backend, stage.file, sim.dtype.name, *(options[name] for name in stage.options))
+
+
+class Twin:
+    """A simulation on Warp, and Taichi's kernels on copies of its memory."""
+
+    def __init__(self, sim: dc.Simulation) -> None:
+        self.sim = sim
+        self.kernels: dict[str, Any] = {}
+        for stage in PORTED:
+            self.kernels.update(made("taichi", stage, sim))
+
+    def run(self, name: str, dim: int | tuple[int, int] | None = None, threads: int = 1, **more: Any) -> None:
+        """Launch a kernel of both backends on equal arrays and compare the bits of all of them; Warp's remain."""
+        sim, kernel = self.sim, self.kernels[name]
+        dim = sim.model.world_count if dim is None else dim
+        values = {**sim.launch_values(0, {}), **more}
+        copies = {key: self.copied(key) for key in argument_names(kernel) if key in GROUPS}
+        numbers = {
+            key: SimpleNamespace(**{field: getattr(values[key], field) for field in table})
+            for key, table in (("config", CONFIG), ("launch", LAUNCH))
+        }
+        bind(kernel, dim, {**more, **numbers, **copies, "threads": threads}, "cpu")()
+        bind(sim.kernels[name], dim, values, "cpu")()
+        for key, copy in copies.items():
+            for field, want in getattr(sim, key).views().items():
+                got = getattr(copy, field)
+                assert got.tobytes() == want.tobytes(), f"{name}: {key}.{field}: {difference(got, want)}"
+
+    def copied(self, name: str) -> SimpleNamespace:
+        """A group of the simulation in memory of its own."""
+        made = {}
+        for field, array in getattr(self.sim, name).views().items():
+            made[field] = aligned_zeros(array.shape, array.dtype)
+            made[field][...] = array
+        return SimpleNamespace(**made)
+
+
+def difference(got: np.ndarray, want: np.ndarray) -> str:
+    """Where two arrays differ first."""
+    unequal = np.argwhere(got != want)
+    at = tuple(int(i) for i in unequal[0]) if len(unequal) else ()
+    return f"{len(unequal)} differ, first [{at}]: {got[at]}, Warp has {want[at]}"
+
+
+def started(scene: Callable[[dc.ModelBuilder], None], steps: int, dtype: str) -> dc.Simulation:
+    """A simulation that has run for some steps, and has begun another."""
+    sim = simulation(scene, dtype, "warp", config=dc.SolverConfig(max_sweeps=12, tolerance=0.0))
+    with np.errstate(all="ignore"):
+        sim.run(steps, DT)
+    sim.collide(1.5 * DT)  # another time step, and room for what follows
+    return sim
+
+
+@pytest.mark.parametrize("stage", PORTED, ids=lambda stage: stage.kernel)
+def test_kernels_have_the_names_and_arguments_of_warp(stage: Stage) -> None:
+    sim = simulation(discs, "float32", "warp")
+    warp, taichi = made("warp", stage, sim), made("taichi", stage, sim)
+    assert list(taichi) == list(warp)
+    for name, kernel in taichi.items():
+        assert argument_names(kernel) == argument_names(warp[name]), name
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("scene", list(SCENES))
+def test_each_stage_leaves_the_bits_of_warp(scene: str, dtype: str) -> None:
+    sim = started(*SCENES[scene], dtype)
+    twin = Twin(sim)
+    for name in ("predict", "update_pairs"):  # the pairs kept first
+        twin.run(name)
+    sim.pairs.numpy("valid")[...] = 0
+    for stage in STEP:
+        if stage.kernel in twin.kernels:
+            twin.run(stage.kernel)
+        else:
+            sim.bind(stage.kernel, 0, sim.model.world_count)()
+    assert sim.contacts.numpy("contact_count").sum() > 5
+    assert (sim.state.numpy("flags") != 0).any() == (scene == "discs")
+
+
+@pytest.mark.parametrize("stage", PORTED, ids=lambda stage: stage.kernel)
+def test_a_stage_has_the_same_bits_on_threads(stage: Stage) -> None:
+    twin = Twin(started(*SCENES["many"], "float32"))
+    twin.sim.pairs.numpy("valid")[...] = 0
+    twin.run(stage.kernel, threads=3)
+
+
+def test_a_fault_of_one_bit_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    twin = Twin(started(discs, 3, "float32"))
+    whole = bind
+
+    def faulty(*given: Any) -> Any:
+        launch = whole(*given)
+
+        def run() -> None:
+            launch()
+            if given[0] is twin.kernels["predict"]:
+                given[2]["motion"].predicted.view(np.int32)[5, 1] ^= 1
+
+        return run
+
+    monkeypatch.setattr(f"{__name__}.bind", faulty)
+    with pytest.raises(AssertionError, match=r"predict: motion\.predicted: 1 differ"):
+        twin.run("predict")
