@@ -124,9 +124,10 @@ class Simulation(Driven):
         self.variant = variant_of(model, self.only_discs and specialize)
         self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, self.only_discs and specialize)
         self._config = options.config or SolverConfig()
-        # on a CPU a shard solves world after world
-        self._in_turn = schedule == "world" and self.device == "cpu"
-        at_once = len(self._shards.ranges) if self._in_turn else model.world_count
+        # on a CPU a shard of the host solves world after world; threads of the backend's own share one shard
+        shards = max(len(self._shards.ranges), threads)
+        self._in_turn = schedule == "world" and self.device == "cpu" and shards == len(self._shards.ranges)
+        at_once = shards if self._in_turn else model.world_count
         self.storage = Storage(
             model,
             joints,
@@ -134,7 +135,7 @@ class Simulation(Driven):
             variant=self.variant,
             pairs=options.pairs_per_shape,
             contacts=options.contacts_per_body,
-            shards=len(self._shards.ranges),
+            shards=shards,
             at_once=at_once,
         )
         self._binding = Binding(self.kernels, model, self._shards.ranges, self._shards.cut_flag, threads)

@@ -12,7 +12,7 @@ from dc_kernels.model.arrays import ArrayGroup, Model, to_numpy
 from dc_kernels.model.enums import BodyType, Flag
 from dc_kernels.model.fields import LAUNCH, MODEL, PAIRS, STATE
 from dc_kernels.model.room import Room, starts
-from dc_kernels.runtime.backends import bind, check_backend, kernel_file, make_kernels
+from dc_kernels.runtime.backends import bind, check_backend, host_threads, kernel_file, make_kernels
 from dc_kernels.runtime.capture import recording
 from dc_kernels.runtime.inputs import (
     check_count,
@@ -146,8 +146,8 @@ class Broadphase:
             body_type: ``BodyType`` of each body, (bodies,) int32: a pair has a dynamic one; None: all are.
             category: bits of what each box is, (n,) uint32; None: all bits.
             mask: bits of what each box meets, (n,) uint32, both of a pair must accept each other; None: all bits.
-            threads: Python threads that the worlds are shared among; the pairs do not depend on it.
-            backend: "warp", or "numpy" for the oracle, which tests every pair.
+            threads: threads that the worlds are shared among; the pairs do not depend on it.
+            backend: "warp", "taichi", or "numpy" for the oracle, which tests every pair.
 
         Raises:
             ValueError: naming the argument, the index and the limit.
@@ -194,6 +194,7 @@ class Broadphase:
             "state": groups.group("state", dtype, STATE, {"flags": self._flags}),
             "boxes": groups.group("boxes", dtype, BOXES, boxes),
             "pairs": groups.array_group(pairs, "pairs"),
+            "threads": self.threads,
         }
         self.shape_a, self.shape_b = pairs.shape_a, pairs.shape_b
         self.count, self.pair_start, self.rebuilds = pairs.count, pairs.start, pairs.rebuilds
@@ -201,7 +202,7 @@ class Broadphase:
         kernel = make_kernels(self.backend, "collide.broadphase", dtype, factory="box_kernels")["update_box_pairs"]
         self._shards = [
             bind(kernel, n, {**values, "launch": groups.group("launch", dtype, LAUNCH, {"world_offset": w})}, "cpu")
-            for w, n in shard_worlds(len(start) - 1, self.threads)
+            for w, n in shard_worlds(len(start) - 1, host_threads(self.backend, self.threads))
         ]
 
     @property

@@ -15,7 +15,7 @@ from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.fields import LAUNCH, MODEL, STATE
 from dc_kernels.model.geometry import check_geometry
 from dc_kernels.model.shapes import MAX_VERTICES, edge_normals
-from dc_kernels.runtime.backends import bind, check_backend, kernel_file, make_kernels
+from dc_kernels.runtime.backends import bind, check_backend, host_threads, kernel_file, make_kernels
 from dc_kernels.runtime.inputs import (
     check_array,
     check_count,
@@ -113,8 +113,8 @@ class ShapeBoxes:
             position: centres of mass of the bodies, (bodies, 2); kept, and read at each call [m].
             angle: of the bodies, (bodies,), as position [rad].
             margin: by which the boxes are larger on each side, >= 0 [m].
-            threads: Python threads that the worlds are shared among.
-            backend: "warp", or "numpy" for the oracle; None: that of the model.
+            threads: that the worlds are shared among.
+            backend: "warp", "taichi", or "numpy" for the oracle; None: that of the model.
 
         Raises:
             ValueError, TypeError: naming the argument, the index and the limit.
@@ -130,10 +130,12 @@ class ShapeBoxes:
             "model": self.shapes.group(),
             "state": self.shapes.state(position, angle),
             "boxes": groups.group("boxes", dtype.name, BOXES, boxes),
+            "threads": self.threads,
         }
         self.lower, self.upper = values["boxes"].lower, values["boxes"].upper
         kernel = make_kernels(backend, "collide.broadphase", dtype.name, factory="box_kernels")["bound_shapes"]
-        launch = [(w, n, {"world_offset": w}) for w, n in shard_worlds(self.shapes.worlds, self.threads)]
+        shards = shard_worlds(self.shapes.worlds, host_threads(backend, self.threads))
+        launch = [(w, n, {"world_offset": w}) for w, n in shards]
         self._shards = [
             bind(kernel, n, {**values, "launch": groups.group("launch", dtype.name, LAUNCH, first)}, "cpu")
             for w, n, first in launch

@@ -116,6 +116,39 @@ def test_each_stage_leaves_the_bits_of_warp(scene: str, dtype: str) -> None:
     assert (sim.state.numpy("flags") != 0).any() == (scene == "discs")
 
 
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_pairs_of_boxes_have_the_bits_of_warp(dtype: str) -> None:
+    found = {}
+    for backend in ("warp", "taichi"):
+        builder = dc.ModelBuilder()
+        many(builder)
+        model, state, _ = builder.finalize(dtype, backend=backend)
+        boxes_of = dc.ShapeBoxes(model, state.numpy("position"), state.numpy("angle"), margin=0.05, threads=2)
+        boxes_of()
+        kinds = {name: model.numpy(f"shape_{name}") for name in ("body", "category", "mask")}
+        start = model.numpy("shape_start")
+        broadphase = dc.Broadphase(
+            boxes_of.lower if backend == "taichi" else boxes_of.lower.numpy(),
+            boxes_of.upper if backend == "taichi" else boxes_of.upper.numpy(),
+            start,
+            margin=0.1,
+            max_pairs=2000,
+            shape_body=kinds["body"],
+            body_type=model.numpy("body_type"),
+            category=kinds["category"],
+            mask=kinds["mask"],
+            threads=2,
+            backend=backend,
+        )
+        broadphase()
+        broadphase()  # kept
+        group = broadphase.pairs
+        found[backend] = {name: group.numpy(name).tobytes() for name in group.table}
+        found[backend] |= {"lower": broadphase.lower.tobytes(), "filters": broadphase._filters.tobytes()}
+        assert broadphase.count.numpy().sum() > 50 if backend == "warp" else broadphase.count.sum() > 50
+    assert [name for name in found["warp"] if found["warp"][name] != found["taichi"][name]] == []
+
+
 @pytest.mark.parametrize("stage", PORTED, ids=lambda stage: stage.kernel)
 def test_a_stage_has_the_same_bits_on_threads(stage: Stage) -> None:
     twin = Twin(started(*SCENES["many"], "float32"))

@@ -7,11 +7,13 @@ import pytest
 import torch
 import warp as wp
 
-from dc_kernels.model.dtypes import aligned_zeros
+from dc_kernels.model.dtypes import aligned_zeros, struct_dtype
+from dc_kernels.model.fields import ITERATION
 from dc_kernels.runtime.backends import argument_names, bind
 
 pytest.importorskip("taichi")
 
+from dc_kernels._taichi.elements import element_functions
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime import launches
 from dc_kernels._taichi.runtime.compiler import ti
@@ -160,6 +162,32 @@ def test_memory_that_taichi_would_misuse_is_refused_by_name(case):
     setattr(given[group], field, make(given["state"]))
     with pytest.raises(ValueError, match=message):
         bind(move, 4, given, "cpu")
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_structs_are_read_and_written_as_words(dtype):
+    t, words = group_types(dtype), element_functions("iteration", dtype)
+
+    @kernel
+    def swap(tid, stats: t.Stats):
+        """Exchanges the first two structs, and adds to the second."""
+        one = words.load(stats.iteration, 0)
+        two = words.load(stats.iteration, 1)
+        one.sweeps += 1
+        one.rate[2] += 0.1
+        words.store(stats.iteration, 0, two)
+        words.store(stats.iteration, 1, one)
+
+    given = aligned_zeros((2,), struct_dtype(ITERATION, np.dtype(dtype)))
+    draw = np.random.default_rng(5)
+    for name in given.dtype.names:
+        given[name] = draw.integers(-(2**31), 2**31, given[name].shape) / (1 if given[name].dtype.kind == "i" else 7.0)
+    want = given[::-1].copy()
+    want["sweeps"][1] += 1
+    want["rate"][1, 2] += want["rate"].dtype.type(0.1)
+    bind(swap, 1, {"stats": SimpleNamespace(iteration=given.view(np.recarray))}, "cpu")()
+    for name in given.dtype.names:
+        np.testing.assert_array_equal(given[name], want[name], err_msg=name)
 
 
 def test_plain_calls_do_where_the_compiler_lacks_a_method(monkeypatch):

@@ -12,7 +12,6 @@ written here: a loop over the threads, and of each group the fields that the fun
 from __future__ import annotations
 
 import inspect
-import linecache
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,7 +19,9 @@ from dc_kernels._taichi.groups import GroupType, seen
 from dc_kernels._taichi.runtime.access import Array, Group, uses_of
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.runtime.launches import Argument, Bound
+from dc_kernels._taichi.runtime.sources import define
 from dc_kernels.runtime.interop import host_view
+from dc_kernels.solve.integrate import PADDING
 
 NDARRAY = type(ti.types.ndarray(dtype=ti.f32, ndim=1))
 
@@ -104,14 +105,9 @@ class Kernel:
     def _kernel(self, parallel: bool) -> Any:
         """The kernel of Taichi, whose threads are those of its pool or the one that launches it."""
         if parallel not in self._made:
-            source = self._source(parallel)
-            name = f"<dc_kernels._taichi {self.__name__} {id(self)} {parallel}>"
-            # Taichi reads a kernel's source by its file's name
-            linecache.cache[name] = (len(source), None, source.splitlines(True), name)
             types = [self._annotation(array) for array in self._flat()]
             scope = {"ti": ti, "types": types, "stage": self.func, "Fields": Fields}
-            exec(compile(source, name, "exec", dont_inherit=True), scope)
-            self._made[parallel] = scope[self.__name__]
+            self._made[parallel] = define(self._source(parallel), self.__name__, scope)
         return self._made[parallel]
 
     def _source(self, parallel: bool) -> str:
@@ -122,7 +118,10 @@ class Kernel:
         for argument in self.arguments:
             fields = [array for array in flat if array.group == argument]
             if isinstance(self._types[argument], GroupType):
-                given.append(f"Fields({', '.join(f'{a.field}={names[a]}' for a in fields)})")
+                values = {array.field: names[array] for array in fields}
+                if parallel and argument == "launch" and "padding_body" in values:
+                    values["padding_body"] += f" + {PADDING} * shard"  # threads share no cache line of one
+                given.append(f"Fields({', '.join(f'{field}={value}' for field, value in values.items())})")
             else:
                 given.append(argument)
         annotations = [*(f"dim{i}: ti.i32" for i in range(len(self._indices))), "shards: ti.i32"]
