@@ -16,7 +16,7 @@ from dc_kernels.model.arrays import Contacts, Joints, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig, check_config
 from dc_kernels.model.enums import CAPACITY_FLAGS
 from dc_kernels.model.fields import GROUPS
-from dc_kernels.model.validate import check_scene
+from dc_kernels.model.validate.scene import check_scene
 from dc_kernels.reports import capacity, memory
 from dc_kernels.runtime.backends import Launch, host_threads
 from dc_kernels.runtime.capture import refuse_hosted, refuse_recording

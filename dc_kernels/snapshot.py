@@ -25,7 +25,7 @@ from dc_kernels.model.dtypes import float_dtype, numpy_spec
 from dc_kernels.model.fields import CACHE, CONTACTS, Field
 from dc_kernels.model.room import used_slots
 from dc_kernels.model.rules import BrokenRule
-from dc_kernels.model.validate import check_joints, check_model, check_state
+from dc_kernels.model.validate.scene import check_joints, check_model, check_state
 from dc_kernels.runtime.files import file_name, write_file
 from dc_kernels.runtime.hdf5 import image, reading
 from dc_kernels.runtime.inputs import check_count, check_file
@@ -61,8 +61,8 @@ def save(sim: Simulation, path: str | os.PathLike[str] | BinaryIO) -> None:
     if sim.phase != "advance":
         raise ValueError("save() in the middle of a step: finish it with solve() and advance(), or take a step")
     model, state = sim.model.views(), sim.state.views()
-    check_model(model)
-    check_state(state, model, frozen=True)
+    check_model(model, backend=sim.model.backend)
+    check_state(state, model, frozen=True, backend=sim.model.backend)
     check_joints(sim.joints.views(), model)
     write_file(path, image(lambda file: _write(file, sim)))
 
@@ -109,15 +109,19 @@ def load(
     model = _filled(Model(header.sizes, header.real, device, backend), values["model"])
     joints = _filled(Joints(header.sizes, header.real, device, backend), values["joints"])
     state = State(header.sizes, header.real, device, backend)
+    froze = values["state"]["flags"].any()
+    if not froze:
+        _filled(state, values["state"])
     options = {"config": header.config, "threads": threads, **header.options, **options}
     try:
-        sim = make(model, state, joints, **options)  # which checks model and joints
+        sim = make(model, state, joints, **options)  # which checks them
     except BrokenRule as error:
         raise ValueError(f"{label}: dataset {error.place.replace('.', '/', 1)} {error.text}") from error
     where = f"{label}: dataset "
-    check_state(values["state"], values["model"], f"{where}state/", frozen=True)
-    _filled(state, values["state"])  # afterwards: the constructor would refuse the force that froze a world
-    sim.built = state.copy()
+    if froze:  # afterwards: the constructor would refuse the force that froze a world
+        check_state(values["state"], values["model"], f"{where}state/", frozen=True, backend=backend)
+        _filled(state, values["state"])
+        sim.built = state.copy()
     group = "cache"
     try:
         if cache is not None:

@@ -12,7 +12,7 @@ from dc_kernels.collide.contacts import StepContacts
 from dc_kernels.model.arrays import ArrayGroup, Joints, Model
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.fields import CACHE
-from dc_kernels.model.validate import Layout, check_field
+from dc_kernels.model.validate.arrays import Layout, check_field
 from dc_kernels.solve.integrate import Integrator, typical_weight
 from dc_kernels.solve.storage import SolverStorage
 

@@ -12,7 +12,7 @@ from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import CACHE, CONTACTS
 from dc_kernels.model.room import Room, fill_segments, move_segments
-from dc_kernels.model.validate import check_contacts
+from dc_kernels.model.validate.contacts import check_contacts
 
 
 class Cache(ArrayGroup):
@@ -126,7 +126,8 @@ class StepContacts(FoundContacts):
                 raise ValueError(f"{name} is no field of a contact")
             dtype, inner = numpy_spec(field, real)
             found[name] = check_values(name, values, (total, *inner), dtype, finite=False)
-        check_contacts({"contact_count": count, "contact_dt": contact_dt, **found}, model.views(), flags=flags)
+        given = {"contact_count": count, "contact_dt": contact_dt, **found}
+        check_contacts(given, model.views(), flags=flags, backend=model.backend)
         return Restored(count, found, contact_dt)
 
     def restore(self, given: Restored, joint_impulse: np.ndarray, *, shown: bool = True) -> None:

@@ -13,8 +13,8 @@ from dc_kernels.model.arrays import Model, to_numpy
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.fields import LAUNCH, MODEL, STATE
-from dc_kernels.model.geometry import check_geometry
 from dc_kernels.model.shapes import MAX_VERTICES, edge_normals
+from dc_kernels.model.validate.geometry import check_geometry
 from dc_kernels.runtime.backends import bind, check_backend, host_threads, kernel_file, make_kernels
 from dc_kernels.runtime.inputs import (
     check_array,

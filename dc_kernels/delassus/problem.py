@@ -17,7 +17,7 @@ from dc_kernels.delassus.groups import PackedProblem
 from dc_kernels.model.arrays import check_values
 from dc_kernels.model.rules import refuse
 from dc_kernels.model.settings import numeric
-from dc_kernels.model.validate import check_start
+from dc_kernels.model.validate.arrays import check_start
 from dc_kernels.runtime.interop import host_view
 
 FREE = -3e38  # least normal impulse of a row without bound; finite in float32

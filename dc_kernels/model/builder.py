@@ -38,7 +38,7 @@ from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.row_table import RowTable
 from dc_kernels.model.settings import numeric, shown
 from dc_kernels.model.shapes import TOLERANCE, box_vertices, convex_polygon, points
-from dc_kernels.model.validate import check_scene
+from dc_kernels.model.validate.scene import check_scene
 from dc_kernels.runtime.backends import check_device
 
 if TYPE_CHECKING:

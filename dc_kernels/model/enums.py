@@ -33,6 +33,14 @@ class Flag(IntFlag):
     INVALID = 16  # arrays from outside that a stage was given are out of range: it did nothing
 
 
+class Element(IntEnum):
+    """What the elements of an array are that is held to limits."""
+
+    NUMBERS = 0  # of the scalar type
+    INTEGERS = 1  # int32
+    UNITS = 2  # vectors of two numbers, the squares of whose lengths have the limits
+
+
 def flag_names(flags: Any) -> str:
     """Name the bits of ``State.flags`` of a world, as "PAIR_OVERFLOW, NONFINITE"; empty without any."""
     return ", ".join(str(flag.name) for flag in Flag if flag and flag & int(flags))

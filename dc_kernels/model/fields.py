@@ -45,7 +45,7 @@ class Field:
     """One array: ``per`` names its axis; ``dtype`` is "real", "vec2", "vec4" (of the model's scalar) or fixed.
 
     One number or small vector that a launch is given instead has "launch" there, and no axes. ``rule`` is what values
-    from outside must satisfy (``model.validate``); where none is given numbers that are not integers must be finite.
+    from outside must satisfy (``model/validate``); where none is given numbers that are not integers must be finite.
     """
 
     name: str

@@ -63,6 +63,8 @@ POSITIVE = Number(0.0, open=True)
 NOT_NEGATIVE = Number(0.0)
 SHARE = Number(0.0, 1.0)
 COUNT = Number(0, 2**31 - 1)
+UNIT_TOLERANCE = 2e-3  # of the squared length of a unit vector: far above rounding, far below what moves a contact
+INVERSE_TOLERANCE = 1e-3  # of mass times inverse mass: inverses of large float32 numbers have few digits
 
 
 class BrokenRule(ValueError):

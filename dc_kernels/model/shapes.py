@@ -15,12 +15,17 @@ import numpy as np
 from dc_kernels.model.settings import numeric
 
 MAX_POINTS = 64  # given for a polygon, of which those within a side are left out
+SEGMENT_VERTICES = 4  # two ends and the chain's neighbours
 MAX_VERTICES = 8  # of a polygon: a feature id of 4 bits an edge or vertex fits the key with room to spare
 
 LARGEST = 1e60
 """Largest magnitude of a number of a body or shape, in the number's unit; float64 holds its fourth power."""
 TOLERANCE = 1e-6
 """Relative tolerance of the checks: a distance to the polygon's size, an area to its square, a sine to 1."""
+ROUNDINGS = 16
+"""Of a coordinate, that an exact relation of a finished shape may be off by."""
+NEAR = 1e-4
+"""Relative: what was computed from a shape's vertices may be off by this in any scalar."""
 
 
 class MassProperties(NamedTuple):

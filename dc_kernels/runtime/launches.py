@@ -10,6 +10,7 @@ import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from dc_kernels.runtime.building import block_size, load
@@ -153,7 +154,7 @@ class Bound:
 
 
 class Calls:
-    """Calls of a kernel on tensors, with other arguments each time.
+    """Calls of a kernel on tensors or numpy arrays, with other arguments each time.
 
     A call takes a launch that is not under way for each thread and gives it back: a new one takes Warp 100 us.
     """
@@ -164,7 +165,7 @@ class Calls:
         self._free: list[Bound] = []
 
     def __call__(self, values: Mapping[str, Any], worlds: int, threads: int) -> None:
-        """Launch on contiguous tensors, numbers and groups of them by name, each thread on its share of the worlds.
+        """Launch on contiguous tensors and arrays, numbers and groups of them by name, threads on shares of the worlds.
 
         Raises:
             RuntimeError: in a recording.
@@ -188,12 +189,14 @@ class Calls:
         self._free.extend(launches)
 
     def _give(self, launch: Bound, name: str, value: Any) -> None:
-        """Set an argument to a number or a tensor."""
+        """Set an argument to a number, a tensor, or a contiguous array."""
         if hasattr(value, "data_ptr"):
             if value.is_contiguous():
                 launch.point(name, value.data_ptr(), value.shape)
             else:
                 launch.point(name, value.data_ptr(), value.shape, value.stride(0) * value.element_size())
+        elif isinstance(value, np.ndarray):
+            launch.point(name, value.ctypes.data, value.shape)
         else:
             launch.set(name, value)
 

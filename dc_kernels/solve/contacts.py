@@ -12,7 +12,7 @@ from dc_kernels.model.arrays import ArrayGroup, Contacts, Joints, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig, check_config
 from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import JOINTS
-from dc_kernels.model.validate import Layout, check_field
+from dc_kernels.model.validate.arrays import Layout, check_field
 from dc_kernels.runtime.backends import Launch, bind, check_backend, make_kernels
 from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recording
 from dc_kernels.runtime.inputs import check_truth

@@ -11,8 +11,7 @@ import numpy as np
 from dc_kernels.model.arrays import ArrayGroup
 from dc_kernels.model.dtypes import FLOATS, numpy_spec
 from dc_kernels.model.fields import field_table
-from dc_kernels.model.rules import refuse
-from dc_kernels.model.validate import UNIT_TOLERANCE
+from dc_kernels.model.rules import UNIT_TOLERANCE, refuse
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
 from dc_kernels.runtime.inputs import check_layout, check_start

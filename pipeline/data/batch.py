@@ -10,7 +10,7 @@ import numpy as np
 
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.rules import Number
-from dc_kernels.model.validate import check_rule
+from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.runtime.hdf5 import dataset
 from pipeline.data.layout import MOTION, STAGES, described
 

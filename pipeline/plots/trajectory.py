@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.model.rules import FINITE
-from dc_kernels.model.validate import check_rule
+from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.runtime.hdf5 import reading
 from dc_kernels.runtime.optional import require
 from pipeline.plots.style import QUANTITIES, figure, legend_below

@@ -8,7 +8,7 @@ import numpy as np
 
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.fields import JOINTS, MODEL
-from dc_kernels.model.validate import check_joints, check_model
+from dc_kernels.model.validate.scene import check_joints, check_model
 
 
 def read_model(file: Any) -> dict[str, np.ndarray]:

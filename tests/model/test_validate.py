@@ -7,10 +7,13 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels.measure import contact_slots
-from dc_kernels.model import validate
 from dc_kernels.model.fields import CONTACTS, JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, STATE
 from dc_kernels.model.rules import Ascending, BrokenRule, Code, Index, Number, Start, Unit
 from dc_kernels.model.shapes import edge_normals
+from dc_kernels.model.validate import glance
+from dc_kernels.model.validate.arrays import PART
+from dc_kernels.model.validate.contacts import check_contacts
+from dc_kernels.model.validate.scene import check_joints, check_model, check_scene, check_state
 
 TABLES = {"model": MODEL, "state": STATE, "joints": JOINTS, "contacts": CONTACTS}
 PENTAGON = [(np.cos(a), np.sin(a)) for a in 2 * np.pi * np.arange(5) / 5]
@@ -46,11 +49,18 @@ def scene():
     return found
 
 
-def check(groups, **options):
-    validate.check_model(groups["model"])
-    validate.check_state(groups["state"], groups["model"], **options)
-    validate.check_joints(groups["joints"], groups["model"])
-    validate.check_contacts(groups["contacts"], groups["model"], "contacts.")
+@pytest.fixture(params=["numpy", "warp"])
+def backend(request, monkeypatch):
+    """NumPy's checks alone, and after compiled looks, which small arrays are spared otherwise."""
+    monkeypatch.setattr(glance, "LEAST", 1)
+    return request.param
+
+
+def check(groups, backend, **options):
+    check_model(groups["model"], backend=backend)
+    check_state(groups["state"], groups["model"], backend=backend, **options)
+    check_joints(groups["joints"], groups["model"])
+    check_contacts(groups["contacts"], groups["model"], "contacts.", backend=backend)
 
 
 def copied(scene):
@@ -109,18 +119,34 @@ CASES = [
 ]
 
 
-def test_a_scene_that_was_made_here_passes(scene):
-    check(scene)
+def test_a_scene_that_was_made_here_passes(scene, backend):
+    check(scene, backend)
+
+
+def test_what_is_right_takes_one_look(scene, backend):
+    """Compiled code sees all that it could, so that NumPy need not."""
+    look, model, contacts = glance.Glance(backend, np.float32), scene["model"], scene["contacts"]
+    start = np.concatenate(([0], np.cumsum(contacts["contact_count"], dtype=np.int64)))
+    whole = look.bodies(model), look.shapes(model), look.contacts(contacts, model, start)
+    seen = {name for group in ("model", "state", "contacts") for name in look.keeping(scene[group], TABLES[group])}
+    assert whole == (backend == "warp",) * 3
+    each = {
+        name
+        for group in ("model", "state", "contacts")
+        for name, field in TABLES[group].items()
+        if isinstance(field.rule, Number | Code | Unit) and field.dtype not in ("vec2d", "float64")
+    }
+    assert seen == (each if backend == "warp" else set())
 
 
 @pytest.mark.parametrize(("group", "name", "change"), CASES)
-def test_a_breach_is_named(scene, group, name, change):
+def test_a_breach_is_named(scene, backend, group, name, change):
     groups = copied(scene)
     index = change(groups[group][name], groups["model"])
     value = groups[group][name][index]
     label = re.escape(f"{group}.{name}[{', '.join(map(str, index))}] is")
     with pytest.raises(BrokenRule, match=rf"^{label} .*; it must be ") as caught:
-        check(groups)
+        check(groups, backend)
     if np.ndim(value) == 0:
         assert str(value) in str(caught.value)
 
@@ -247,38 +273,38 @@ def one_color(groups):
         ),
     ],
 )
-def test_fields_are_held_to_each_other(scene, change, message):
+def test_fields_are_held_to_each_other(scene, backend, change, message):
     groups = copied(scene)
     change(groups)
     if message is None:  # a change that is as good
-        check(groups)
+        check(groups, backend)
         return
     with pytest.raises(BrokenRule, match=message):
-        check(groups)
+        check(groups, backend)
 
 
-def test_kept_colours_and_the_serial_one_may_come_twice(scene):
+def test_kept_colours_and_the_serial_one_may_come_twice(scene, backend):
     groups = copied(scene)
     for color in (-1, 63):
         one_color(groups)
         groups["contacts"]["color"][:] = color
-        check(groups)
+        check(groups, backend)
 
 
-def test_numbers_of_a_frozen_world_pass_only_when_asked(scene):
+def test_numbers_of_a_frozen_world_pass_only_when_asked(scene, backend):
     groups = copied(scene)
     groups["state"]["force"][1] = np.nan
     with pytest.raises(BrokenRule, match=r"state\.force\[1, 0\] is nan"):
-        check(groups, frozen=True)
+        check(groups, backend, frozen=True)
     groups["state"]["flags"][0] = dc.Flag.NONFINITE
-    check(groups, frozen=True)
+    check(groups, backend, frozen=True)
     with pytest.raises(BrokenRule, match=r"state\.force\[1, 0\] is nan"):
-        check(groups)
+        check(groups, backend)
     groups["contacts"]["impulse"][0] = np.inf
-    validate.check_contacts(groups["contacts"], groups["model"], flags=groups["state"]["flags"])
+    check_contacts(groups["contacts"], groups["model"], flags=groups["state"]["flags"], backend=backend)
     groups["contacts"]["impulse"][-1] = np.inf  # of the other world
     with pytest.raises(BrokenRule, match=r"impulse\[\d+, 0\] is inf"):
-        validate.check_contacts(groups["contacts"], groups["model"], flags=groups["state"]["flags"])
+        check_contacts(groups["contacts"], groups["model"], flags=groups["state"]["flags"], backend=backend)
 
 
 def test_far_from_the_centre_of_mass_rounding_is_no_breach():
@@ -289,7 +315,7 @@ def test_far_from_the_centre_of_mass_rounding_is_no_breach():
     for x in (-1000.0, 1000.0):
         builder.add_box(ground, 5e-4, 5e-4, (x, 0.3))
     model, state, joints = builder.finalize(backend="numpy")
-    validate.check_scene(model, state, joints)
+    check_scene(model, state, joints)
     for simulation in (dc.Simulation, lambda given: dc.Simulation(given, state)):
         with pytest.raises(TypeError, match=r"model is a ModelBuilder; give .*: \*builder\.finalize\(\)"):
             simulation(builder)
@@ -297,8 +323,9 @@ def test_far_from_the_centre_of_mass_rounding_is_no_breach():
         dc.Simulation(model)
 
 
-@pytest.mark.parametrize("count", [validate.PART, validate.PART + 1, 2 * validate.PART + 3])
-def test_parts_meet(count):
+@pytest.mark.parametrize("backend", ["numpy", "warp"])
+@pytest.mark.parametrize("count", [PART, PART + 1, 2 * PART + 3])
+def test_parts_meet(count, backend):
     """Where one part of an array ends and the next begins nothing is missed."""
     builder = dc.ModelBuilder()
     builder.add_world()
@@ -307,22 +334,22 @@ def test_parts_meet(count):
     first = np.arange(count, dtype=np.int64)
     key = (first << (KEY_SHAPE_BITS + KEY_FEATURE_BITS)) | ((first + 1) << KEY_FEATURE_BITS)
     contacts = {"contact_count": np.array([count]), "key": key, "color": (first % 2).astype(np.int32)}
-    validate.check_model(model)
-    validate.check_contacts(contacts, model)
-    for i in {validate.PART - 1, validate.PART, count - 1} & set(range(1, count)):
+    check_model(model, backend=backend)
+    check_contacts(contacts, model, backend=backend)
+    for i in {PART - 1, PART, count - 1} & set(range(1, count)):
         wrong = {**contacts, "color": contacts["color"].copy()}
         wrong["color"][i] = contacts["color"][i - 1]
         with pytest.raises(
             BrokenRule, match=rf"color\[{i}\] is {1 - i % 2}; .* contact {i - 1}, which acts on body {i}"
         ):
-            validate.check_contacts(wrong, model)
+            check_contacts(wrong, model, backend=backend)
         wrong = {**contacts, "key": key.copy()}
         wrong["key"][i] = key[i - 1]
         with pytest.raises(BrokenRule, match=rf"key\[{i}\] is {key[i - 1]}; .* larger than the one before"):
-            validate.check_contacts(wrong, model)
+            check_contacts(wrong, model, backend=backend)
         for name, value in (("inv_mass", 7.0), ("shape_radius", -1.0), ("shape_extent", 5.0), ("shape_body", 0)):
             kept = model[name][i].copy()
             model[name][i] = value
             with pytest.raises(BrokenRule, match=rf"model\.{name}\[{i}\] is"):
-                validate.check_model(model)
+                check_model(model, backend=backend)
             model[name][i] = kept

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
 from dc_kernels.model.enums import ShapeType
 from dc_kernels.model.rules import refuse
-from dc_kernels.model.shapes import MAX_VERTICES, TOLERANCE
+from dc_kernels.model.shapes import MAX_VERTICES, NEAR, ROUNDINGS, SEGMENT_VERTICES, TOLERANCE
+from dc_kernels.model.validate.glance import UNSEEN, Arrays, Glance
 
-Arrays = Mapping[str, np.ndarray]
-SEGMENT_VERTICES = 4  # two ends and the chain's neighbours
-ROUNDINGS = 16  # of a coordinate, that an exact relation may be off by
 PART = 2**14  # shapes that are looked at together, within the processor's cache
-NEAR = 1e-4  # relative: what was computed from a shape's vertices may be off by this in any scalar
 
 
-def check_geometry(model: Arrays, label: str) -> None:
+def check_geometry(model: Arrays, label: str, glance: Glance = UNSEEN) -> None:
     """Hold the shapes of a model to what its builder guarantees, to the rounding of its scalar.
 
     A disc has one vertex, its centre; a polygon 2 vertices (a capsule) or 3 to 8, convex and counter-clockwise; a
@@ -28,10 +24,13 @@ def check_geometry(model: Arrays, label: str) -> None:
     Args:
         model: arrays of a model whose offsets and types are right.
         label: what stands before the name of an array in errors.
+        glance: compiled looks, if the arrays have those that they need.
 
     Raises:
         BrokenRule: naming array, index, value and limit.
     """
+    if glance.shapes(model):
+        return
     start, kinds, radii = model["vertex_start"], model["shape_type"], model["shape_radius"]
     counts = np.diff(start)
     # most scenes are nearly all discs, whose centre is their vertex and whose extent is their radius

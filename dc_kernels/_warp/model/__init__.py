@@ -1,0 +1,1 @@
+"""Kernels that look at the arrays of a scene."""

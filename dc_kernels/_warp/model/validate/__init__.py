@@ -1,0 +1,1 @@
+"""Kernels that hold arrays to their rules."""

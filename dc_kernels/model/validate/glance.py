@@ -1,0 +1,146 @@
+"""Glances at large arrays, by compiled code: whether all is right, in one pass.
+
+What is small is not looked at: NumPy is done with it before code is loaded, let alone compiled.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.model.enums import Element
+from dc_kernels.model.fields import Field
+from dc_kernels.model.rules import UNIT_TOLERANCE, Code, Number, Rule, Unit
+from dc_kernels.runtime.backends import make_kernels, on_numpy
+
+Arrays = Mapping[str, np.ndarray]
+LEAST = 2**13
+"""Numbers from which on an array is looked at; fewer take NumPy about a millisecond."""
+_BODIES = ("body_type", "mass", "inertia", "inv_mass", "inv_inertia", "body_shape_start", "shape_body", "shape_type")
+_SHAPES = (
+    *("shape_type", "shape_radius", "shape_center", "shape_extent"),
+    *("vertex_start", "vertices", "vertex_normals"),
+)
+_SCENE = ("body_start", "shape_start", "shape_body", "body_type")
+_CONTACTS = ("key", "body_a", "body_b", "color")
+
+
+class Glance:
+    """Looks at arrays of a model, or of its contacts; each tells what is right.
+
+    It says nothing of what may be wrong, of small arrays, where the calling thread records a graph, and where the
+    backend has no compiled code.
+    """
+
+    def __init__(self, backend: str, dtype: Any) -> None:
+        """Look at nothing yet.
+
+        Args:
+            backend: whose arrays they are.
+            dtype: scalar of the model.
+        """
+        self._backend, self._dtype = backend, np.dtype(dtype)
+
+    def keeping(self, arrays: Arrays, table: Mapping[str, Field]) -> set[str]:
+        """The names of arrays whose elements keep to the rules of their fields, where those look at each alone.
+
+        Args:
+            arrays: by name.
+            table: their fields.
+        """
+        held = {name: np.ascontiguousarray(values) for name, values in arrays.items() if values.size >= LEAST}
+        if not held or not self._looks(LEAST):
+            return set()
+        limits = {name: self._limits(values.dtype, table[name].rule) for name, values in held.items()}
+        names = [name for name, found in limits.items() if found]
+        if not names:
+            return set()
+        kind, low, high = (np.array(column) for column in zip(*(limits[name] for name in names)))
+        address = np.array([held[name].ctypes.data for name in names], np.uint64)
+        count = np.array([held[name].size for name in names]) // np.where(kind == Element.UNITS, 2, 1)
+        wrong = self._launch(
+            "fields", len(names), kind=kind.astype(np.int32), low=low, high=high, address=address, count=count
+        )
+        return {name for name, bad in zip(names, wrong) if not bad}
+
+    def bodies(self, model: Arrays) -> bool:
+        """Whether masses fit types and inverses, and shapes their bodies; offsets and types must be right."""
+        if not self._looks(len(model["body_type"])):
+            return False
+        return not self._launch("bodies", **{name: model[name] for name in _BODIES})[0]
+
+    def shapes(self, model: Arrays) -> bool:
+        """Whether shapes are what a builder makes of them; offsets and types must be right."""
+        if not self._looks(len(model["shape_type"])):
+            return False
+        return not self._launch("shapes", **{name: model[name] for name in _SHAPES})[0]
+
+    def contacts(self, contacts: Arrays, model: Arrays, start: np.ndarray) -> bool:
+        """Whether keys rise in each world and name its shapes and the bodies given, and colours come once at a body.
+
+        Args:
+            contacts: "key", and maybe bodies and colours, which must be in range.
+            model: of the contacts, which must be right.
+            start: first contact of each world, and their number, int64.
+        """
+        if ("body_a" in contacts) != ("body_b" in contacts) or not self._looks(len(contacts["key"])):
+            return False
+        given = {name: contacts.get(name, np.empty(0, np.int32)) for name in _CONTACTS}
+        taken = np.empty(int(np.diff(model["body_start"]).max()), np.uint64)
+        scene = {name: model[name] for name in _SCENE}
+        return not self._launch("contacts", contact_start=start, taken=taken, **given, **scene)[0]
+
+    def _looks(self, size: int) -> bool:
+        """Whether so many elements are looked at."""
+        if size < LEAST or on_numpy(self._backend):
+            return False
+        from dc_kernels.runtime.capture import recording
+
+        return not recording()
+
+    def _limits(self, dtype: np.dtype, rule: Rule | None) -> tuple[Element, float, float] | None:
+        """What the elements of an array are, and the least and largest number that keeps to a rule; None: unknown."""
+        if isinstance(rule, Unit) and dtype == self._dtype:
+            return (Element.UNITS, *_range(dtype, Number(1.0 - UNIT_TOLERANCE, 1.0 + UNIT_TOLERANCE)))
+        if isinstance(rule, Code) and sorted(rule.values) == list(range(len(rule.values))):
+            rule = Number(0, len(rule.values) - 1)
+        kind = {self._dtype: Element.NUMBERS, np.dtype(np.int32): Element.INTEGERS}.get(dtype)
+        return (kind, *_range(dtype, rule)) if isinstance(rule, Number) and kind is not None else None
+
+    def _launch(self, name: str, fields: int = 1, /, **values: np.ndarray) -> np.ndarray:
+        """Launch a kernel; what it finds wrong."""
+        arrays = {key: np.ascontiguousarray(array) for key, array in values.items()}
+        wrong = np.ones(fields, np.int32)
+        _calls(self._backend, self._dtype.name, name)({**arrays, "wrong": wrong}, 1, 1)
+        return wrong
+
+
+UNSEEN = Glance("numpy", np.float64)
+"""Looks at nothing."""
+
+
+@functools.cache
+def _calls(backend: str, dtype: str, name: str) -> Any:
+    from dc_kernels.runtime.launches import Calls
+
+    return Calls(make_kernels(backend, "model.validate.glance", dtype)[f"look_at_{name}"])
+
+
+def _range(dtype: np.dtype, rule: Number) -> tuple[float, float]:
+    """The least and the largest number of a dtype that keep to a rule."""
+    if dtype.kind == "i":
+        info = np.iinfo(dtype)
+        low = info.min if rule.low == -math.inf else max(math.ceil(rule.low), info.min)
+        high = info.max if rule.high == math.inf else min(math.floor(rule.high), info.max)
+        return low + (rule.open and low == rule.low), high
+    most = np.finfo(dtype).max
+    low, high = max(dtype.type(rule.low), -most), min(dtype.type(rule.high), most)
+    if low < rule.low or (rule.open and low == rule.low):
+        low = np.nextafter(low, most)
+    if high > rule.high:
+        high = np.nextafter(high, -most)
+    return float(low), float(high)

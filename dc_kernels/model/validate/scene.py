@@ -1,0 +1,166 @@
+"""Checks of a model, its state and joints."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State
+from dc_kernels.model.enums import BodyType, ShapeType
+from dc_kernels.model.fields import JOINTS, KEY_SHAPE_BITS, MODEL, STATE
+from dc_kernels.model.rules import INVERSE_TOLERANCE, BrokenRule, Index, Start, refuse
+from dc_kernels.model.settings import WrongType, checker
+from dc_kernels.model.validate.arrays import Layout, check_field, check_start, parts_of, sane
+from dc_kernels.model.validate.geometry import check_geometry
+from dc_kernels.model.validate.glance import Arrays
+
+_model, _state, _joints = checker(Model), checker(State), checker(Joints)
+
+
+def check_scene(model: Model, state: State | None, joints: Joints | None) -> tuple[State, Joints]:
+    """Hold a model, its state and joints to each other, to their memory as kernels need it, and to their rules.
+
+    Returns:
+        The state, and the joints, of which there are none for None.
+
+    Raises:
+        TypeError: naming what is no group of arrays; for a builder, how to make them from it.
+        ValueError: naming group, array, index, value and limit: arrays of another model, dtype, device or backend, or
+            values out of range.
+    """
+    if callable(getattr(model, "finalize", None)):
+        raise WrongType(f"model is a {type(model).__name__}; give model, state and joints: *builder.finalize()")
+    _model("model", model)
+    state = _state("state", state)
+    joints = Joints({"joint": 0}, model.dtype, model.device, model.backend) if joints is None else joints
+    _joints("joints", joints)
+    groups: dict[str, ArrayGroup] = {"model": model, "state": state, "joints": joints}
+    for name in ("state", "joints"):
+        for what in ("dtype", "device", "backend"):
+            found, wanted = getattr(groups[name], what), getattr(model, what)
+            if found != wanted:
+                raise ValueError(f"{name}.{what} is {found}; it must be the model's, {wanted}")
+    for axis in ("body", "world"):
+        if state.sizes[axis] != model.sizes[axis]:
+            raise ValueError(
+                f"state has {state.sizes[axis]} on axis {axis!r}; it must be the model's {model.sizes[axis]}"
+            )
+    for name, group in groups.items():
+        group.check(name)
+    arrays = {name: group.views() for name, group in groups.items()}
+    check_model(arrays["model"], backend=model.backend)
+    check_state(arrays["state"], arrays["model"], backend=model.backend)
+    check_joints(arrays["joints"], arrays["model"])
+    return state, joints
+
+
+def check_model(model: Arrays, label: str = "model.", backend: str = "numpy") -> None:
+    """Hold the arrays of a ``Model`` to their rules and to each other.
+
+    Args:
+        model: all fields of ``model.fields.MODEL`` by name.
+        label: what stands before the name of an array in errors.
+        backend: that may look at large arrays, if it has compiled code.
+
+    Raises:
+        BrokenRule: naming array, index, value and limit.
+    """
+    lengths = {field.per: len(model[name]) for name, field in MODEL.items()}
+    if lengths["world"] < 1:
+        raise BrokenRule(label.rstrip("./"), "has no world; it must have one at least")
+    lengths["joint"] = int(model["joint_start"][-1])  # check_joints holds the joints to it
+    for name, field in MODEL.items():
+        if isinstance(field.rule, Start):
+            check_start(f"{label}{name}", model[name], lengths[field.rule.axis])
+    layout = Layout(model, backend=backend)
+    kept = layout.glance.keeping(model, MODEL)
+    for name, field in MODEL.items():
+        if name not in kept and not isinstance(field.rule, Index):  # shape_body has a closer look below
+            check_field(f"{label}{name}", field, model[name], layout)
+
+    owned = model["body_shape_start"][model["body_start"]]
+    wrong = model["shape_start"] != owned
+    refuse(f"{label}shape_start", model["shape_start"], wrong, "where its bodies' shapes begin (body_shape_start)")
+    shapes = np.diff(model["shape_start"])
+    refuse(f"the number of shapes of {label}shape_start", shapes, shapes > 2**KEY_SHAPE_BITS, f"<= {2**KEY_SHAPE_BITS}")
+    if not layout.glance.bodies(model):
+        _check_owners(model, layout, label)
+        for part in parts_of(lengths["body"]):
+            _check_masses(model, part, label)
+    check_geometry(model, label, layout.glance)
+
+
+def _check_owners(model: Arrays, layout: Layout, label: str) -> None:
+    """Hold bodies of shapes to the shapes of bodies, and segments to static bodies."""
+    name, body, start = f"{label}shape_body", model["shape_body"], model["body_shape_start"]
+    owner = np.repeat(np.arange(len(start) - 1, dtype=body.dtype), np.diff(start))
+    if not np.array_equal(body, owner):
+        check_field(name, MODEL["shape_body"], body, layout)
+        refuse(name, body, body != owner, "the body whose shapes it stands among (body_shape_start)")
+    segment = np.flatnonzero(model["shape_type"] == ShapeType.SEGMENT)
+    moving = segment[model["body_type"][body[segment]] != BodyType.STATIC]
+    if len(moving):
+        i = int(moving[0])
+        refuse(name, body[i : i + 1], np.array([True]), "a STATIC body, for the shape is a SEGMENT", i)
+
+
+def _check_masses(model: Arrays, part: slice, label: str) -> None:
+    """Hold masses and inertias to the types of bodies, and their inverses to them."""
+    names = ("mass", "inertia", "inv_mass", "inv_inertia")
+    mass, inertia, inverse_mass, inverse_inertia = (model[name][part] for name in names)
+    dynamic = model["body_type"][part] == BodyType.DYNAMIC
+    heavy, turns = mass != 0, inertia != 0
+    refuse(f"{label}mass", mass, heavy != dynamic, "> 0 if its body is DYNAMIC, 0 if not", part.start)
+    refuse(f"{label}inertia", inertia, turns & ~dynamic, "0, for its body is not DYNAMIC", part.start)
+    for name, given, inverse, some in (
+        ("mass", mass, inverse_mass, heavy),
+        ("inertia", inertia, inverse_inertia, turns),
+    ):
+        refuse(f"{label}inv_{name}", inverse, (inverse != 0) != some, f"0 if {name} is, else > 0", part.start)
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            wrong = ~(np.abs(given * inverse - some) <= INVERSE_TOLERANCE)
+        refuse(f"{label}inv_{name}", inverse, wrong, f"1 / {name}", part.start)
+
+
+def check_state(
+    state: Arrays, model: Arrays, label: str = "state.", *, frozen: bool = False, backend: str = "numpy"
+) -> None:
+    """Hold the arrays of a ``State`` to their rules.
+
+    Args:
+        state: all fields of ``model.fields.STATE`` by name.
+        model: arrays of a model that ``check_model`` has passed.
+        label: what stands before the name of an array in errors.
+        frozen: pass whatever froze a world: numbers of worlds with flags may be NaN or inf.
+        backend: that may look at large arrays, if it has compiled code.
+
+    Raises:
+        BrokenRule: naming array, index, value and limit.
+    """
+    layout = Layout(model, backend=backend)
+    arrays = sane(STATE, state, layout, state["flags"] if frozen else None)
+    kept = layout.glance.keeping(arrays, STATE)
+    for name, values in arrays.items():
+        if name not in kept:
+            check_field(f"{label}{name}", STATE[name], values, layout)
+
+
+def check_joints(joints: Arrays, model: Arrays, label: str = "joints.") -> None:
+    """Hold the arrays of ``Joints`` to their rules and to the model.
+
+    Args:
+        joints: all fields of ``model.fields.JOINTS`` by name.
+        model: arrays of a model that ``check_model`` has passed.
+        label: what stands before the name of an array in errors.
+
+    Raises:
+        BrokenRule: naming array, index, value and limit.
+    """
+    a, b = joints["joint_body_a"], joints["joint_body_b"]
+    if len(a) != model["joint_start"][-1]:
+        raise BrokenRule(label.rstrip("./"), f"has {len(a)}; it must be the model's {model['joint_start'][-1]}")
+    layout = Layout(model)
+    for name, values in joints.items():
+        check_field(f"{label}{name}", JOINTS[name], values, layout)
+    refuse(f"{label}joint_body_b", b, a == b, "another body than body A")
+    dynamic = model["body_type"] == BodyType.DYNAMIC
+    refuse(f"{label}joint_body_b", b, ~(dynamic[a] | dynamic[b]), "DYNAMIC, for body A is not")
