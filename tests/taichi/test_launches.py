@@ -10,8 +10,9 @@ import warp as wp
 from dc_kernels.model.dtypes import aligned_zeros, struct_dtype
 from dc_kernels.model.fields import ITERATION
 from dc_kernels.runtime.backends import argument_names, bind
+from dc_kernels.solve.integrate import PADDING
 
-pytest.importorskip("taichi")
+pytest.importorskip("dc_kernels._taichi.runtime.compiler", exc_type=ImportError)
 
 from dc_kernels._taichi.elements import element_functions
 from dc_kernels._taichi.groups import group_types
@@ -95,6 +96,34 @@ def test_two_axes_and_lanes():
     np.testing.assert_array_equal(column.reshape(3, 8), x[:, None] + y)
     with pytest.raises(ValueError, match="add runs over 2 axes; dim is 3"):
         bind(add, 3, {}, "cpu")
+
+
+def test_a_kernel_calls_the_functions_of_others():
+    @kernel
+    def twice(tid, launch: T.Launch, state: T.State, motion: T.Motion):
+        """Moves a world by one factor, then by another."""
+        move.func(tid, launch, 1.0, state, motion)
+        state.force[tid] = state.velocity[tid]
+        move.func(tid, launch, factor=3.0, state=state, motion=motion)
+
+    given = arrays()
+    launch = bind(twice, 4, given, "cpu")
+    launch()
+    assert "state.force" in {argument.name for argument in launch.arguments if argument.written}
+    assert (given["state"].velocity == 0.1 * 3.0 * 0.1).all()
+
+
+def test_each_thread_has_a_padding_body_of_its_own():
+    @kernel
+    def pad(tid, launch: T.Launch, stats: T.Stats):
+        """Keeps the index of the padding body."""
+        stats.sweeps[tid] = launch.padding_body
+
+    sweeps = np.zeros(5, np.int32)
+    values = {"launch": SimpleNamespace(padding_body=100), "stats": SimpleNamespace(sweeps=sweeps)}
+    for threads, found in ((1, [100] * 5), (2, [100, 100, 100, 100 + PADDING, 100 + PADDING])):
+        bind(pad, 5, {**values, "threads": threads}, "cpu")()
+        assert sweeps.tolist() == found
 
 
 def test_what_is_only_read_may_be_shared_and_read_only():
