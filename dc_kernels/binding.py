@@ -14,6 +14,8 @@ from dc_kernels.runtime.backends import Launch, bind, kernel_file
 from dc_kernels.solve.integrate import PADDING
 from dc_kernels.solve.iteration import NEVER
 
+UNIFORM = ("uniform_friction", "uniform_restitution")
+
 
 class Binding:
     """Arguments of the kernels of a step by name: the groups, the settings, and the numbers of a launch.
@@ -56,14 +58,18 @@ class Binding:
             in_turn: whether the worlds of a shard are solved one after the other, and so share them.
         """
         self._past = (past_width, in_turn)
-        self._settings = {
-            **config.kernel_values(),
-            "uniform_friction": uniform(self.model.numpy("shape_friction")),
-            "uniform_restitution": uniform(self.model.numpy("shape_restitution")),
-        }
+        self._settings = {**config.kernel_values(), **self._coefficients()}
         self.values = {name: self._groups.array_group(group, name) for name, group in groups.items()}
         self.values["threads"] = self._threads
         self.values["config"] = self._scalars("config", self._settings)
+
+    def _coefficients(self) -> dict[str, float]:
+        return {name: uniform(self.model.numpy(name.replace("uniform", "shape"))) for name in UNIFORM}
+
+    @property
+    def stale(self) -> bool:
+        """Whether the shapes have other coefficients in common than when settings were last taken."""
+        return any(self._settings[name] != value for name, value in self._coefficients().items())
 
     def _scalars(self, name: str, values: Mapping[str, Any]) -> Any:
         table = {"config": CONFIG, "launch": LAUNCH}[name]

@@ -61,6 +61,7 @@ class Simulation(Driven):
         calls: what each call holds while it works; ``with sim.calls:`` keeps other threads out of several calls.
     """
 
+    built: State
     motion: Motion
     pairs: Pairs
     contacts: Contacts
@@ -119,10 +120,8 @@ class Simulation(Driven):
         threads = max(1, min(options.threads, model.world_count)) if self.device == "cpu" else 1
         self._shards = Shards(model.world_count, model.body_count, host_threads(self.backend, threads))
         self.threads = threads
-        self.specialize = specialize = options.specialize
-        self.only_discs = only_centred_discs(model)
-        self.variant = variant_of(model, self.only_discs and specialize)
-        self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, self.only_discs and specialize)
+        self.specialize = options.specialize
+        self._choose_kernels()
         self._config = options.config or SolverConfig()
         # on a CPU a shard of the host solves world after world; threads of the backend's own share one shard
         shards = max(len(self._shards.ranges), threads)
@@ -147,10 +146,31 @@ class Simulation(Driven):
         self._rounds: dict[str, list[Rounds]] = {}
         self._solves: dict[tuple[SolverConfig | None, int | None, bool], list[Rounds]] = {}
         self._bind_all()
+        for group in (model, joints):
+            group.users.add(self)
 
     def __repr__(self) -> str:
         """Number of worlds and bodies, and worlds that do not advance."""
         return describe(self)
+
+    def _choose_kernels(self) -> None:
+        """Take the kernels that the model needs."""
+        self.only_discs = only_centred_discs(self.model)
+        only_discs = self.only_discs and self.specialize
+        self.variant = variant_of(self.model, only_discs)
+        self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, only_discs)
+
+    def adapt_to_model(self, stale: bool) -> None:
+        """Take the kernels and the coefficients of a model that has changed; ``stale``: graphs are to be made anew."""
+        variant, kernels = self.variant, self.kernels
+        self._choose_kernels()
+        if variant != self.variant:
+            self.storage.solver.use(self.variant, self.storage.contact_room, self._config)
+        stale |= kernels != self.kernels or self._binding.stale
+        if stale:
+            self._binding.kernels = self.kernels
+            self.storage.changes += 1
+            self._bind_all()
 
     def _bind_all(self) -> None:
         """Take arrays and settings anew; launches are bound when they are first wanted."""
@@ -219,7 +239,8 @@ class Simulation(Driven):
 
         Arrays are allocated anew when a step, a new configuration or the contacts of an earlier run need more room. A
         view is an array, NumPy array or tensor taken from a field such as ``contacts.impulse``; where the number has
-        changed, take it again.
+        changed, take it again. It changes with ``change_model`` too, where a graph that was recorded before would go by
+        what the model was.
         """
         return self.storage.version
 

@@ -22,6 +22,7 @@ class Storage:
 
     Attributes:
         broadphase, narrowphase, solver, integrator: the stages.
+        changes: how often the model was changed so that launches are to be made anew.
     """
 
     def __init__(self, model: Model, joints: Joints, config: SolverConfig, **room: float | int | str) -> None:
@@ -35,6 +36,7 @@ class Storage:
                 and worlds ``at_once`` whose solves may be in flight together.
         """
         self.model, self.joints = model, joints
+        self.changes = 0
         self.broadphase = CandidatePairs.of_model(model, float(room["pairs"]))
         self.narrowphase = StepContacts(model, float(room["contacts"]))
         self.integrator = Integrator(model, int(room["shards"]), config.method, typical_weight(model))
@@ -67,10 +69,10 @@ class Storage:
 
     @property
     def version(self) -> int:
-        """A number that changes whenever arrays were allocated anew."""
+        """A number that changes whenever arrays were allocated anew, and whenever ``changes`` does."""
         # every call of ``Images`` asks for it, and the table of groups would take a microsecond
         found, solver = self.narrowphase, self.solver
-        taken = self.integrator.motion.version + self.broadphase.pairs.version + solver.rows.version
+        taken = self.changes + self.integrator.motion.version + self.broadphase.pairs.version + solver.rows.version
         return taken + found.contacts.version + found.cache.version + solver.stats.version
 
     @property

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from dc_kernels import snapshot
+from dc_kernels.driving import changes
 from dc_kernels.driving.copies import Parts, from_parts, parts_of
 from dc_kernels.driving.reset import Reset, check_rows, write_rows
 from dc_kernels.model.arrays import Joints, Model, State
@@ -115,6 +116,41 @@ class Driven(Phases):
                 write_rows(self.state, rows)
                 if whole:
                     self._turn.ran = "advance"
+
+    def change_model(self, **values: Any) -> None:
+        """Change fields of the model or of its joints; they act from the next step on.
+
+        What belongs together is given together, and checked before anything is written: an error leaves all as it was.
+        Contacts keep their impulses, and worlds of which no field changes keep their bits. All simulations that share
+        the model or the joints go by it. A step costs no more for it.
+
+        What follows from the given fields need not be given: inverses of masses and inertias (or these of the
+        inverses), zero for those of bodies that are no longer dynamic; centres, extents and normals of shapes with
+        other ``vertices`` or radii. Centres of mass stay where they are. A body that becomes dynamic needs a mass and
+        an inertia; one that becomes static comes to rest. ``joint_impulse`` is what the next step starts from.
+
+        Args:
+            **values: by name of a field (``Model.changeable``, ``Joints.changeable``), an array of its shape, or one
+                number for all. Without any, whatever was written to the memory of the fields, through ``dc.to_numpy``
+                or a tensor, is checked and taken up.
+
+        Raises:
+            KeyError: for a field that lays out memory, or that follows from others.
+            TypeError, ValueError: naming field, index and limit; in the middle of a step.
+            RuntimeError: within ``wp.ScopedCapture``.
+
+        Examples:
+            >>> import dc_kernels as dc
+            >>> builder = dc.ModelBuilder()
+            >>> world = builder.add_world()
+            >>> ball = builder.add_discs([(0.0, 2.0)], 0.5)
+            >>> sim = dc.Simulation(*builder.finalize())
+            >>> sim.change_model(shape_friction=0.1, mass=[3.0])
+            >>> sim.model.numpy("inv_mass")
+            array([0.33333334], dtype=float32)
+        """
+        refuse_recording("change_model", "it writes at once")
+        changes.change(self, values)  # type: ignore[arg-type]
 
     def save(self, path: str | os.PathLike[str] | BinaryIO) -> None:
         """Write a snapshot to continue from, bit for bit, to a path or a binary file (see ``snapshot.save``)."""

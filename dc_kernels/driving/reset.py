@@ -9,6 +9,7 @@ import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup, Model, State, check_values, to_numpy
 from dc_kernels.model.dtypes import numpy_spec
+from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import STATE
 from dc_kernels.model.room import rows_of
 from dc_kernels.model.settings import WrongType, shown
@@ -58,6 +59,10 @@ class Reset:
         self._worlds = model.world_count
         state = groups["state"]
         self._copied = [(self._rows(state, name), self._rows(built, name)) for name in EVOLVES]
+        # of bodies that have become static after they were built
+        static = model.numpy("body_type") == BodyType.STATIC
+        moved = built.numpy("velocity").any(axis=1) | (built.numpy("angular_velocity") != 0)
+        self._frozen = np.flatnonzero(static & moved)
         self._emptied = [self._rows(groups[group], name) for group, names in EMPTIED.items() for name in names]
 
     def _rows(self, group: ArrayGroup, name: str) -> _Rows:
@@ -76,6 +81,10 @@ class Reset:
             to.rows[at[to.axis]] = source.rows[at[to.axis]]
         for to in self._emptied:
             to.rows[at[to.axis]] = 0
+        if len(self._frozen):
+            for to, _ in self._copied:
+                if to.name in ("velocity", "angular_velocity"):
+                    to.array[self._frozen] = 0
         for to in (*(to for to, _ in self._copied), *self._emptied):
             if to.group.device != "cpu":
                 to.group.fill(to.name, to.array)

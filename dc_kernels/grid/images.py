@@ -84,6 +84,7 @@ class Images:
         sim, spec = self.sim, self.spec
         self._bodies = area_points(sim.model, spec.grid.spacing) if spec.area else center_points(sim.model)
         self._walls = wall_nodes(sim.model, sim.state, spec.grid) if spec.wall_channel >= 0 else None
+        self._changes = sim.storage.changes
         self._bind()
 
     # ------------------------------------------------------------------ the image
@@ -264,7 +265,10 @@ class Images:
     def _keep_bound(self) -> None:
         """Bind everything anew where the simulation has other arrays or settings than at the last time."""
         if self._bound != (self.sim.layout_version, self.sim.config):
-            self._bind()
+            if self._changes != self.sim.storage.changes:
+                self._allocate()
+            else:
+                self._bind()
 
     def _bind(self) -> None:
         """Bind everything to the simulation's present arrays and settings."""

@@ -88,7 +88,6 @@ class SolveReader:
         self.sim, self.grid, self.cap, self.limit = sim, grid, cap, limit
         self.worlds = worlds = sim.model.world_count
         self.threads = max(1, min(sim.threads if threads is None else check_count("threads", threads), worlds))
-        self._table = in_flight_kernels(sim.backend, sim.dtype.name, sim.variant)
         self.image = allocate_image(worlds, len(IMAGE), grid, sim.dtype)
         self._point_count = np.zeros(worlds, np.int32)
         self.asked = self.count = 0
@@ -244,6 +243,7 @@ class SolveReader:
         if sim.config.acceleration == "nncg":
             raise ValueError("config.acceleration is 'nncg'; a solve that is read keeps the step of each sweep")
         self._bound = (sim.layout_version, sim.config)
+        self._table = in_flight_kernels(sim.backend, sim.dtype.name, sim.variant)
         self._room = room = sim.contacts.sizes["contact"]
         groups = kernel_file(backend, "groups")
         rows, columns = (max(2, -(-(n - 1) // RATE_NODES) + 1) for n in self.grid.shape)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Container, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
+from weakref import WeakSet
 
 import numpy as np
 
@@ -99,6 +100,8 @@ class ArrayGroup:
     live: Container[str] | None = None
     """Fields that may be written while a simulation uses the group, and act at its next step; None: all that do not
     lead kernels through memory."""
+    changeable: tuple[str, ...] = ()
+    """Fields that ``Simulation.change_model`` writes while a simulation uses the group."""
 
     def __init__(self, sizes: Mapping[str, int], dtype: Any, device: str = "cpu", backend: str = "warp") -> None:
         """Allocate every field of the table, zeroed.
@@ -117,6 +120,8 @@ class ArrayGroup:
         """Number of times that arrays were allocated anew."""
         self.fixed = False
         """Whether a simulation uses the arrays: those that it has checked or derived others from are then read-only."""
+        self.users: WeakSet[Any] = WeakSet()
+        """The simulations that do."""
         self._check_room(self.table)
         for name, field in self.table.items():
             self.share(name, allocate(field, sizes, self.dtype, device, backend))
@@ -251,9 +256,10 @@ class ArrayGroup:
         if name not in self.table:
             raise KeyError(f"{name!r} is no field of {kind}; it must be one of {', '.join(self.table)}")
         if not self.writable(name):
+            way = f"sim.change_model({name}=values) changes it there; or " if name in self.changeable else ""
             raise ValueError(
-                f"{name} is in use by a simulation, which has checked it and derived others from it; write into a copy "
-                f"({kind}.copy()), or make a {kind} with another one, and a new simulation of it"
+                f"{name} is in use by a simulation, which has checked it and derived others from it; {way}write into a "
+                f"copy ({kind}.copy()), or make a {kind} with another one, and a new simulation of it"
             )
         field = self.table[name]
         scalar, shape = numpy_spec(field, self.dtype)
@@ -360,6 +366,23 @@ class Model(ArrayGroup):
 
     table = MODEL
     live = ("gravity", "origin")
+    changeable = (
+        "gravity",
+        "origin",
+        "length_scale",
+        "cell_size",
+        "body_type",
+        "mass",
+        "inertia",
+        "inv_mass",
+        "inv_inertia",
+        "shape_radius",
+        "shape_friction",
+        "shape_restitution",
+        "shape_category",
+        "shape_mask",
+        "vertices",
+    )
 
     @property
     def world_count(self) -> int:
@@ -398,3 +421,11 @@ class Joints(ArrayGroup):
     """Distance joints (``model.fields.JOINTS``)."""
 
     table = JOINTS
+    changeable = (
+        "joint_body_a",
+        "joint_body_b",
+        "joint_anchor_a",
+        "joint_anchor_b",
+        "joint_length",
+        "joint_impulse",
+    )

@@ -115,6 +115,13 @@ def assemble(
 class Geometry:
     """Of each shape, in the frame it was given in; worked out for all shapes of a kind at once."""
 
+    @classmethod
+    def of(cls, kind: np.ndarray, count: np.ndarray, radius: np.ndarray, vertices: np.ndarray) -> Geometry:
+        """Of shapes of some types, with so many vertices each and rounded by so much."""
+        shapes = np.zeros((len(kind), MASK + 1))
+        shapes[:, SHAPE], shapes[:, COUNT], shapes[:, RADIUS] = kind, count, radius
+        return cls(shapes, np.asarray(vertices, np.float64))
+
     def __init__(self, shapes: np.ndarray, vertices: np.ndarray) -> None:
         self.count = shapes[:, COUNT].astype(np.int64)
         self.vertex_start = _starts(self.count)

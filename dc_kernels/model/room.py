@@ -85,11 +85,14 @@ def used_slots(start: np.ndarray, count: np.ndarray) -> np.ndarray:
     return np.arange(int(count.sum())) + np.repeat(start[:-1].astype(np.int64) - before, count)
 
 
-def rows_of(start: np.ndarray, worlds: np.ndarray) -> np.ndarray:
-    """The elements of some worlds, one world after the other, of an axis whose worlds begin at ``start`` (W + 1,)."""
+def rows_of(start: np.ndarray, worlds: np.ndarray, count: np.ndarray | None = None) -> np.ndarray:
+    """The elements of some worlds, one world after the other, of an axis whose worlds begin at ``start`` (W + 1,).
+
+    Each world has those up to the next one, or as many as ``count`` says, (W,).
+    """
     first = start[:-1][worlds].astype(np.int64)
-    count = start[1:][worlds] - first
-    return np.arange(int(count.sum())) + np.repeat(first - (np.cumsum(count) - count), count)
+    used = (start[1:] if count is None else start[:-1] + count)[worlds] - first
+    return np.arange(int(used.sum())) + np.repeat(first - (np.cumsum(used) - used), used)
 
 
 def fill_segments(array: np.ndarray, values: np.ndarray, start: np.ndarray, count: np.ndarray) -> None:

@@ -45,6 +45,10 @@ class Integrator:
         self._step_dt = motion.numpy("step_dt")  # making a view takes longer than a small world's kernels
         self._checked: float | None = None  # the last time step that was found right
 
+    def weigh(self, model: Model) -> None:
+        """Weigh the typical bodies of a model that has changed."""
+        self.motion.assign("weight", typical_weight(model))
+
     def set_time_step(self, dt: float | np.ndarray) -> None:
         """Write the time step [s] of all worlds, or of each, (W,).
 

@@ -103,6 +103,11 @@ class SolverStorage:
             "row past": self.at_once * self.past_width if past else 0,
         }
 
+    def use(self, variant: str, contacts: np.ndarray, config: SolverConfig) -> None:
+        """Lay out rows of another variant from now on; the next step makes them."""
+        self._width = len(COLUMNS[variant]) * LANES
+        self.relayout(contacts, config)
+
     def adopt(self, rows: Rows, stats: SolveStats, slots: np.ndarray) -> None:
         """Take over the rows of the same bodies, and their room."""
         self.rows, self.stats, self.room.slots = rows, stats, slots

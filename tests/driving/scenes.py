@@ -26,8 +26,8 @@ def scene(dtype="float32", backend="warp"):
 
 
 def simulation(dtype="float32", backend="warp", **options):
-    config = dc.SolverConfig(tolerance=1e-5, max_sweeps=60)
-    return dc.Simulation(*scene(dtype, backend), config=config, **options)
+    options.setdefault("config", dc.SolverConfig(tolerance=1e-5, max_sweeps=60))
+    return dc.Simulation(*scene(dtype, backend), **options)
 
 
 def bits(sim):

@@ -101,7 +101,20 @@ def check_data(scope: dict) -> None:
     assert float(scope["error"].max()) > 0.0
 
 
+def check_driving(scope: dict) -> None:
+    sim, other = scope["sim"], scope["other"]
+    assert sim.state.numpy("time").tolist() == pytest.approx([0.2, 0.4, 0.2, 0.4])
+    assert other.state.numpy("time").tolist() == pytest.approx([0.1, 0.3, 0.1, 0.3])
+    assert (sim.model.numpy("shape_friction") == np.float32(0.1)).all()
+    assert (sim.model.numpy("mass") == other.model.numpy("mass")).all()
+    weight = 9.81 * np.pi / 4 * 0.01
+    first = sim.contacts.numpy("contact_start")[:-1]
+    found = sim.contacts.numpy("impulse")[first, 0] / weight
+    assert found == pytest.approx([1, 2, 2, 2], rel=1e-2)  # both discs on the floor; one on the frozen one
+
+
 CHECKS = {
+    "docs/driving.md": check_driving,
     "docs/data.md": check_data,
     "README.md": check_readme,
     "docs/stages.md": check_stages,
