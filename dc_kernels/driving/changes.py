@@ -20,7 +20,8 @@ from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL
 from dc_kernels.model.room import rows_of
 from dc_kernels.model.rules import Number
-from dc_kernels.model.validate import check_joints, check_model, check_rule
+from dc_kernels.model.validate.arrays import check_rule
+from dc_kernels.model.validate.scene import check_joints, check_model
 from dc_kernels.runtime.interop import host_view
 from dc_kernels.runtime.threads import uninterrupted
 
@@ -147,7 +148,7 @@ def _check(given: Arrays, model: Model, joints: Joints) -> None:
     if rest or not given:
         arrays = {**model.views(), **{name: array for name, array in given.items() if name in MODEL}}
         if rest & set(MODEL) or not given:
-            check_model(arrays)
+            check_model(arrays, backend=model.backend)
         check_joints({**joints.views(), **{name: array for name, array in given.items() if name in JOINTS}}, arrays)
 
 
