@@ -1,4 +1,4 @@
-"""Extremes of physics: mass ratios, a loaded rope, bullets, overlaps, a tumbler, adversarial starts.
+"""Extremes of physics: mass ratios, a loaded rope, bullets, overlaps, a tumbler.
 
 Bodies are 1 m wide and weigh 1 kg unless said; g = 9.8 m/s^2.
 """
@@ -16,7 +16,6 @@ from bench.accuracy.common import G, at_least, box, disc, floor, pose, world
 from bench.stability.common import DT, depth, energy, finite, named, simulate, speed, velocities, watch
 from bench.verdicts import Cases, Check
 from dc_kernels import measure
-from pipeline import scenes
 
 cases = Cases()
 
@@ -327,96 +326,3 @@ def tumbler(quick: bool) -> Iterator[Check]:
     far = np.hypot(*pose(sim)[1:, :2].T) > math.sqrt(2) * half
     yield Check(f"{what}: discs outside", float(far.sum()), 0.0, sim)
     yield finite(sim)
-
-
-# ---------------------------------------------------------------- starts
-
-
-def starts(cache: np.ndarray) -> dict[str, np.ndarray]:
-    """Impulses to start from, by name, (contacts, 2) [N s]."""
-    rng = np.random.default_rng(1)
-    return {
-        "zero": np.zeros_like(cache),
-        "random": rng.normal(0.0, 5.0, cache.shape),
-        "1e6 N s": np.full_like(cache, 1e6),
-        "-50 N s": np.full_like(cache, -50.0),
-        "tangential only": np.tile([0.0, 100.0], (len(cache), 1)).astype(cache.dtype),
-        "opposite": -cache,
-    }
-
-
-@cases.add
-def adversarial_starts(quick: bool) -> Iterator[Check]:
-    """A solve ends at a solution whatever impulses it starts from, and its velocities are the impulses' own.
-
-    The step at 1.5 s of a pile that still moves. Without friction the problem is convex in the impulses and has one
-    velocity: the same from all starts to 1e-6 m/s (float64, 1e-10 N s). With Coulomb's law it may have several: solves
-    of one state to a natural map of 3e-14 ended up to 6 mm/s apart. There the natural map has to fall below 1e-6 from
-    each start, and velocities lie within one step of free fall, g dt, of those from the cache.
-
-    In float32 at default settings velocities are the predicted ones plus what the impulses give, to 1e-3 m/s: after
-    one solve where the start allows it, else after a second ``solve()``, which begins with the impulses of the first.
-    What a start adds to a velocity and the sweeps take away again may leave its rounding behind, a limit of float32:
-    4 eps times the sum of what the start's impulses add.
-    """
-    exact: dict[str, Any] = {"tolerance": 1e-10, "max_sweeps": 20_000}
-    for name, friction, dtype, settings in (
-        ("mixed", 0.0, "float64", exact),
-        ("mixed", 0.5, "float64", exact),
-        ("thesis", 0.5, "float64", exact),
-        ("mixed", 0.5, "float32", {}),
-        ("thesis", 0.5, "float32", {}),
-    ):
-        sim = simulate(scenes.scene(name, friction=friction).build(), dtype, **settings)
-        sim.run(150, DT)
-        sim.collide(DT)
-        slots, _ = measure.contact_slots(sim.contacts)
-        cache = sim.contacts.numpy("impulse")[slots].copy()
-        sim.solve()
-        reference = resolved(sim)
-        for what, start in starts(cache).items():
-            where = f"{name}, mu {friction:g}, {dtype}, from {what}"
-            sim.collide(DT)
-            rounding = 4.0 * float(np.finfo(dtype).eps * velocity_of(sim, slots, start).max())
-            sim.contacts.numpy("impulse")[slots] = start
-            sim.solve()
-            if dtype == "float64":
-                off = float(np.abs(resolved(sim) - reference).max())
-                same = 1e-6 if friction == 0.0 else G * DT
-                yield Check(f"{where}: velocities off those from the cache [m/s]", off, same, sim)
-                yield Check(f"{where}: natural map", float(sim.stats.numpy("residual")[0]), 1e-6, sim)
-            off = float(np.abs(resolved(sim) - velocity_of(sim, slots)).max())
-            yield Check(f"{where}: velocities off those of the impulses [m/s]", off, max(1e-3, rounding), sim)
-            if rounding > 1e-3:
-                sim.solve()
-                off = float(np.abs(resolved(sim) - velocity_of(sim, slots)).max())
-                yield Check(f"{where}, solved again: the same [m/s]", off, 1e-3, sim)
-        sim.advance()
-        yield finite(sim)
-
-
-def resolved(sim: dc.Simulation) -> np.ndarray:
-    """Solved velocities, (bodies, 3) in float64."""
-    return sim.motion.numpy("solved")[: sim.model.body_count, :3].astype(float)
-
-
-def velocity_of(sim: dc.Simulation, slots: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-    """Predicted velocities plus what the impulses of the contacts add, in float64, (bodies, 3).
-
-    With ``start``: the sum of the sizes of what these impulses add instead.
-    """
-    contacts, model = sim.contacts, sim.model
-    n = contacts.numpy("normal")[slots].astype(float)
-    axes = (n, np.stack((n[:, 1], -n[:, 0]), axis=1))
-    velocity = np.zeros((model.body_count, 3))
-    if start is None:
-        velocity += sim.motion.numpy("predicted")[: model.body_count, :3]
-    impulse = (contacts.numpy("impulse")[slots] if start is None else start).astype(float)
-    for side, sign in (("a", -1.0), ("b", 1.0)):
-        body, arm = contacts.numpy(f"body_{side}")[slots], contacts.numpy(f"arm_{side}")[slots].astype(float)
-        for k, axis in enumerate(axes):
-            push = sign * impulse[:, k, None] * axis * model.numpy("inv_mass")[body][:, None]
-            turn = sign * impulse[:, k] * (arm[:, 0] * axis[:, 1] - arm[:, 1] * axis[:, 0])
-            part = np.column_stack((push, turn * model.numpy("inv_inertia")[body]))
-            np.add.at(velocity, body, part if start is None else np.abs(part))
-    return velocity

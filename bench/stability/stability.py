@@ -15,6 +15,7 @@ PICTURES = Path("out/stability")
 MODULES = (
     "structures",
     "extremes",
+    "starts",
     "scale",
     "input",
     "invariance",

@@ -275,12 +275,14 @@ def piles(quick: bool) -> Iterator[Check]:
     """Discs and polygons without friction and with mu = 10 come to rest: at 20 s the energy lies below the start's.
 
     Kinetic energy at the end is held against the weight times 1 cm of all bodies together; overlap against 1 % of a
-    diameter (1 m). With mu = 10 sweeps go in a circle in half of the steps with polygons: friction couples normals more
-    strongly than a sweep contracts. Plain sweeps stay bounded there; accelerated ones go back where they led astray.
+    diameter (1 m). Eight worlds, as bodies that no friction stops slosh on: 1 of 16 has twice the mean energy. With
+    mu = 10 sweeps go in a circle in half of the steps with polygons: friction couples normals more strongly than a
+    sweep contracts. Plain sweeps stay bounded there; accelerated ones go back where they led astray.
     """
     for friction in (0.0, 10.0):
         for name in ("thesis", "mixed"):
-            sim = simulate(scenes.scene(name, friction=friction).build(1 if quick else 8))
+            worlds = 1 if quick and friction > 0.0 else 8
+            sim = simulate(scenes.scene(name, friction=friction).build(worlds))
             start = energy(sim)
             rows = watch(sim, 20.0, lambda s: (energy(s), depth(s)), every=0.5)
             weight = float(sim.model.numpy("mass").sum()) * G

@@ -20,6 +20,16 @@ def test_nothing_catches_on_flush_tiles():
     assert found["tiles_worst_jump_m"] <= SLOP
 
 
+@pytest.mark.parametrize("shape", ["rounded", "capsule", "disc"])
+def test_no_corner_is_climbed_that_is_reached_just_after_the_step(shape):
+    """At a short time step arcs come to within the slop of a corner at the end of how far a step looks ahead."""
+    speeds = (7.0, 31.0)
+    chosen = [case for case in cases(quick=True) if case.shape == shape and case.speed in speeds and case.off == 0.0]
+    for row in slide(chosen, 1 / 240, seconds=1.0):
+        assert row["speed_kept"] > 0.9999, row
+        assert row["rise"] < 0.1 * SLOP, row
+
+
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_the_oracle_catches_on_nothing_either(dtype):
     chosen = [case for case in cases(quick=True) if (case.speed, case.tiling, case.off) == (7.0, "body", 1.0)]

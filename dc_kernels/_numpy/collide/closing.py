@@ -34,7 +34,7 @@ def closing_time(gaps: Array, speeds: Array, overlap: Any, horizon: Any) -> Any:
     return ((gaps[closed] + overlap) / -speeds[closed]).max(initial=0.0)
 
 
-def corner_time(time: Any, d: Array, w: Array, radius: Any, touching: bool, horizon: Any) -> Any:
+def corner_time(time: Any, d: Array, w: Array, radius: Any, within: Any, touching: bool, horizon: Any) -> Any:
     """When two corners, ``d`` apart at ``time``, are at ``radius`` from each other, or nearest if never."""
     squared = dot(w, w)
     nearest = -dot(d, w) / squared
@@ -42,7 +42,8 @@ def corner_time(time: Any, d: Array, w: Array, radius: Any, touching: bool, hori
     if radius > 0 and dot(at, at) < radius * radius:
         nearest -= np.sqrt((radius * radius - dot(at, at)) / squared)
     when = max(time + nearest, time * 0)
-    return when if touching else min(when, horizon)
+    near = touching or length(d + w * (horizon - time)) <= within  # at the horizon: it slides over the corner
+    return when if near else min(when, horizon)
 
 
 def hull_disc_moving(
@@ -60,7 +61,7 @@ def hull_disc_moving(
     later = hull_disc(hull, p + w * time, r, epsilon)
     if later.corner:
         apart = later.normal * (later.distance + radii)
-        time = corner_time(time, apart, w, radii - overlap, m.distance <= overlap, horizon)
+        time = corner_time(time, apart, w, radii - overlap, radii + overlap, m.distance <= overlap, horizon)
         later = hull_disc(hull, p + w * time, r, epsilon)
     if not later.points or (later.normal == m.normal).all():
         return m
@@ -87,7 +88,7 @@ def hull_hull_moving(
     later = hull_hull(a, b.moved(w * time), np.inf, slack, overlap, epsilon)
     if later.corner:
         apart = later.normal * (later.distance + radii)
-        time = corner_time(time, apart, w, radii - overlap, m.distance <= overlap, horizon)
+        time = corner_time(time, apart, w, radii - overlap, radii + overlap, m.distance <= overlap, horizon)
         later = hull_hull(a, b.moved(w * time), np.inf, slack, overlap, epsilon)
     shift = dot(later.normal, w) * time
     if not later.points or min(gap for _, gap, _ in later.points) - shift < -overlap - slack:

@@ -73,10 +73,11 @@ def closing_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         return time
 
     @wp.func(module=module)
-    def corner_time(time: real, d: vec2, w: vec2, radius: real, touching: wp.bool, horizon: real):
+    def corner_time(time: real, d: vec2, w: vec2, radius: real, within: real, touching: wp.bool, horizon: real):
         """When two corners, ``d`` apart at ``time``, are at ``radius`` from each other, or nearest if never.
 
-        Only what touches already looks beyond the horizon: it rolls or slides over the corner, however slowly.
+        What touches already, or is ``within`` of the corner at the horizon, looks beyond it: it rolls or slides over
+        the corner, however slowly, and a normal from just before would be a slope that it climbs.
         """
         squared = wp.dot(w, w)
         nearest = -wp.dot(d, w) / squared
@@ -85,8 +86,10 @@ def closing_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         if radius > real(0.0) and miss < radius * radius:
             nearest = nearest - wp.sqrt((radius * radius - miss) / squared)
         when = wp.max(time + nearest, real(0.0))
-        if not touching:
-            when = wp.min(when, horizon)
+        if when > horizon and not touching:
+            at = d + w * (horizon - time)
+            if wp.dot(at, at) > within * within:
+                when = horizon
         return when
 
     @wp.func(module=module)
@@ -117,7 +120,7 @@ def closing_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         later = hull_disc(hull, p + w * time, r, vertices, vertex_normals)
         if later.count > 0 and later.corner:
             apart = later.normal * (later.gap0 + radii)
-            time = corner_time(time, apart, w, radii - overlap, m.gap0 <= overlap, horizon)
+            time = corner_time(time, apart, w, radii - overlap, radii + overlap, m.gap0 <= overlap, horizon)
             later = hull_disc(hull, p + w * time, r, vertices, vertex_normals)
         if later.count == 0 or (later.normal[0] == m.normal[0] and later.normal[1] == m.normal[1]):
             return m
@@ -170,7 +173,7 @@ def closing_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         later = hull_hull(a, b, moved, far, slack, overlap, vertices, vertex_normals)
         if later.count > 0 and later.corner:
             apart = later.normal * (later.gap0 + radii)
-            time = corner_time(time, apart, w, radii - overlap, m.gap0 <= overlap, horizon)
+            time = corner_time(time, apart, w, radii - overlap, radii + overlap, m.gap0 <= overlap, horizon)
             moved = frame_of(c, s, frame.x + w * time)
             later = hull_hull(a, b, moved, far, slack, overlap, vertices, vertex_normals)
         shift = wp.dot(later.normal, w) * time
