@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -12,24 +13,23 @@ CLEARANCE = 1e-4
 PLACEMENT_ATTEMPTS = 200
 """Fresh starts of a world whose random placement jammed [1]."""
 
+TOGETHER = 128
+"""Candidates of a world that are held to each other at once [1]."""
+PART = 2048
+"""Candidates that are held to the discs at once, within the processor's cache [1]."""
+TRIED = 64
+"""Blocks of candidates before a jammed world starts anew; at the thesis density about 8 are needed [1]."""
+
 Sampler = Callable[[int, int], np.ndarray]
 """A world's stream of candidates: ``sampler(first, count)`` returns the next ``count`` of them, of which the world has
 seen ``first`` since its last fresh start, (count, 2) [m]."""
 
 
-def _neighbour_offsets(width: int) -> list[np.ndarray]:
-    """Return offsets to the 21 cells within reach, in groups to be checked in turn, the likeliest hits first."""
-    near = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
-    diagonal = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
-    far = [(x, y) for y in range(-2, 3) for x in range(-2, 3) if max(abs(x), abs(y)) == 2 and abs(x * y) < 4]
-    return [np.array([y * width + x for x, y in group]) for group in (near, diagonal, far)]
-
-
 def place_discs(samplers: Sequence[Sampler], count: int, distance: float, size: tuple[float, float]) -> np.ndarray:
     """Place discs by random sequential addition: a candidate is kept if it overlaps none that was kept before.
 
-    Worlds and candidates are tested in parallel, but the result is what a loop over single candidates would give.
-    Cells of side ``distance / sqrt(2)`` hold at most one disc, so a candidate looks at 21 cells.
+    Candidates of all worlds are held to the discs placed before, then those of a world to each other; the result is
+    what a loop over single candidates would give.
 
     Args:
         samplers: stream of candidates of each world; those outside ``size`` are dropped.
@@ -47,59 +47,102 @@ def place_discs(samplers: Sequence[Sampler], count: int, distance: float, size: 
     full = f"bodies is {count}: so many do not fit into {size[0]:.3g} x {size[1]:.3g} m of centres"
     if count > most:
         raise ValueError(f"{full}; it must be <= {int(most)}")
-    cell = distance / math.sqrt(2.0)
-    width, height = int(size[0] / cell) + 5, int(size[1] / cell) + 5  # two empty cells on each side
-    worlds, cells = len(samplers), width * height
-    groups = _neighbour_offsets(width)
-    reach = np.concatenate(groups)
-    grid_x, grid_y = np.full(worlds * cells, np.inf), np.full(worlds * cells, np.inf)
-    none = np.iinfo(np.int64).max
-    first_here = np.full(worlds * cells, none)  # first undecided candidate of a cell
+    cells = _Cells(len(samplers), distance, size)
+    block = max(count, 32)
+    centres: list[list[np.ndarray]] = [[] for _ in samplers]
+    left = np.full(len(samplers), count)
+    tried = 0
+    while (active := np.flatnonzero(left)).size:
+        if tried and tried % (TRIED * block) == 0:  # jammed: all active worlds are, as they went through equally many
+            if tried >= TRIED * block * PLACEMENT_ATTEMPTS:
+                raise ValueError(full)
+            cells.clear(active)
+            left[active] = count
+            for w in active.tolist():
+                centres[w] = []
+        points = [samplers[w](tried % (TRIED * block), block) for w in active.tolist()]
+        tried += block
+        for w, found in cells.add(active, np.concatenate(points)):
+            centres[w].append(found[: left[w]])
+            left[w] -= len(centres[w][-1])
+    return np.array([np.concatenate(parts) for parts in centres]).view(np.float64).reshape(-1, count, 2)
 
-    def free(index: np.ndarray, x: np.ndarray, y: np.ndarray, home: np.ndarray) -> np.ndarray:
-        """Return those of the candidates ``index`` that overlap no placed disc."""
-        for group in groups:
-            at = home[index, None] + group
-            gap = (grid_x[at] - x[index, None]) ** 2 + (grid_y[at] - y[index, None]) ** 2
-            index = index[~(gap < distance * distance).any(axis=1)]
+
+class _Cells:
+    """A rectangle of each world in cells that hold at most one disc each; points are complex numbers."""
+
+    def __init__(self, worlds: int, distance: float, size: tuple[float, float]) -> None:
+        """Begin with no disc.
+
+        Args:
+            worlds: their number.
+            distance: of two centres, at least [m]; ``distance / sqrt(2)`` is the side of a cell.
+            size: of the rectangle [m].
+        """
+        self.size, self.cell, self.square = size, distance / math.sqrt(2.0), distance * distance
+        self.width, height = int(size[0] / self.cell) + 5, int(size[1] / self.cell) + 5  # two empty cells on each side
+        self.discs = np.full((worlds, self.width * height), np.inf, np.complex128)
+        self.empty = True
+        near = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
+        reach = [(x, y) for y in range(-2, 3) for x in range(-2, 3) if abs(x * y) < 4]
+        # the 21 cells within reach, the likeliest hits first
+        groups = near, [cell for cell in reach if cell not in near]
+        self.groups = [np.array([y * self.width + x for x, y in group]) for group in groups]
+
+    def clear(self, worlds: np.ndarray) -> None:
+        """Take all discs out of some worlds."""
+        self.discs[worlds] = np.inf
+
+    def add(self, worlds: np.ndarray, points: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Add discs to some worlds, and go through those worlds with what was added.
+
+        Args:
+            worlds: their indices.
+            points: candidates (n, 2), equally many for each world, one world after the other.
+        """
+        block = len(points) // len(worlds)
+        inside = ((points >= 0.0) & (points <= self.size)).all(axis=1).nonzero()[0]
+        points = points[inside]
+        column, row = (points / self.cell).astype(np.int64).T
+        home = (row + 2) * self.width + (column + 2)
+        home += (worlds * self.discs.shape[1]).repeat(block)[inside]
+        points = points.view(np.complex128)[:, 0]
+        free = np.arange(len(home))
+        if not self.empty:
+            parts = [self._free(points, home, free[n : n + PART]) for n in range(0, len(free), PART)]
+            free = np.concatenate(parts) if parts else free
+        self.empty = False
+        ends = inside[free].searchsorted(np.arange(0, block * len(worlds) + 1, block)).tolist()
+        for w, (first, last) in zip(worlds.tolist(), itertools.pairwise(ends)):
+            for start in range(first, last, TOGETHER):
+                index = free[start : min(start + TOGETHER, last)]
+                if start > first:
+                    index = self._free(points, home, index)
+                index = index[self._choose(points[index])]
+                self.discs.reshape(-1)[home[index]] = points[index]
+                yield w, points[index]
+
+    def _free(self, points: np.ndarray, home: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """Return those of the candidates ``index`` that overlap no disc."""
+        for group in self.groups:
+            discs = self.discs.reshape(-1).take(home[index, None] + group)
+            index = index[~self._near(discs, points[index, None]).any(axis=1)]
         return index
 
-    block = max(count, 32)
-    limit = 64 * block  # candidates before a jammed world starts anew; at the thesis density about 8 are needed
-    result = np.empty((worlds, count, 2))
-    placed = np.zeros(worlds, np.int64)
-    tried = 0
-    active = np.arange(worlds)
-    while len(active):
-        if tried and tried % limit == 0:  # jammed: all still active worlds are, as they went through equally many
-            if tried >= limit * PLACEMENT_ATTEMPTS:
-                raise ValueError(full)
-            for grid in (grid_x, grid_y):
-                grid.reshape(worlds, cells)[active] = np.inf
-            placed[active] = 0
-        points = np.concatenate([samplers[w](tried % limit, block) for w in active.tolist()])
-        tried += block
-        x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
-        owner = np.repeat(active, block)
-        inside = (x >= 0.0) & (x <= size[0]) & (y >= 0.0) & (y <= size[1])
-        with np.errstate(invalid="ignore"):
-            home = owner * cells + ((y / cell).astype(np.int64) + 2) * width + (x / cell).astype(np.int64) + 2
-        home[~inside] = 0
-        undecided = free(np.flatnonzero(inside), x, y, home)
-        accepted = []
-        while len(undecided):
-            # a candidate is in when no undecided one in reach comes before it
-            first_here[home[undecided[::-1]]] = undecided[::-1]
-            ready = undecided[first_here[home[undecided, None] + reach].min(axis=1) == undecided]
-            first_here[home[undecided]] = none
-            grid_x[home[ready]], grid_y[home[ready]] = x[ready], y[ready]
-            accepted.append(ready)
-            undecided = free(undecided[~np.isin(undecided, ready, assume_unique=True)], x, y, home)
-        index = np.sort(np.concatenate(accepted)) if accepted else np.empty(0, np.int64)
-        world = owner[index]
-        slot = placed[world] + np.arange(len(index)) - np.searchsorted(world, world)
-        fits = slot < count
-        result[world[fits], slot[fits]] = points[index[fits]]
-        placed += np.bincount(world, minlength=worlds)
-        active = active[placed[active] < count]
-    return result
+    def _choose(self, points: np.ndarray) -> list[int]:
+        """Return the indices of those that overlap none that is returned before."""
+        # a row of bits for each: which of them it overlaps, itself among them
+        rows = np.packbits(self._near(points, points[:, None]), axis=1, bitorder="little")
+        width, bits = rows.shape[1], rows.tobytes()
+        taken, chosen = 0, []
+        for i in range(len(points)):
+            if not taken & int.from_bytes(bits[i * width : (i + 1) * width], "little"):
+                taken |= 1 << i
+                chosen.append(i)
+        return chosen
+
+    def _near(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Tell which points are too near to each other, in any shape that broadcasts."""
+        gap = (a - b).view(np.float64)
+        gap *= gap
+        return gap[..., 0::2] + gap[..., 1::2] < self.square
