@@ -208,14 +208,17 @@ def measure_pile(discs: int, rounds: int) -> dict[str, Any]:
 
 
 def measure_assembly(given: dict[str, Any], options: dict[str, Any], rounds: int) -> dict[str, float]:
-    """W by ``delassus.from_contacts``, with q, checks and a solver's memory, and by products of SciPy's matrices."""
+    """W with q and checks from a solver that is there, and from nothing, beside a product of SciPy's matrices."""
+    import dc_kernels as dc
     from bench import cases
     from dc_kernels import delassus
 
     wide = {name: a.astype(np.float64) if a.dtype == REAL else a for name, a in given.items()}
-    ours = delassus.from_contacts(**wide, **options, dt=cases.DT)
+    solver = dc.ContactSolver(**wide, **options)
+    ours = delassus.from_solver(solver, cases.DT)
     calls = {
-        "ours": lambda: delassus.from_contacts(**wide, **options, dt=cases.DT),
+        "ours": lambda: delassus.from_solver(solver, cases.DT),
+        "once": lambda: delassus.from_contacts(**wide, **options, dt=cases.DT),
         "scipy": lambda: assemble_by_scipy(wide),
     }
     theirs = assemble_by_scipy(wide)
@@ -229,6 +232,7 @@ def measure_assembly(given: dict[str, Any], options: dict[str, Any], rounds: int
     count = len(given["body_a"])
     return {
         "assemble_ns_per_contact": 1e9 * spent["ours"] / count,
+        "assemble_once_ms": 1e3 * spent["once"],
         "scipy_assemble_ns_per_contact": 1e9 * spent["scipy"] / count,
         "assemble_difference": apart,
     }
@@ -258,6 +262,14 @@ def assemble_by_scipy(given: dict[str, Any]) -> Any:
 
 def report(values: dict[str, Any]) -> str:
     """A table for people."""
-    names = (*KEYS, "contacts", "sweeps", "sim_solve_us", "impulse_difference_to_simulation", "assemble_difference")
+    names = (
+        *KEYS,
+        "assemble_once_ms",
+        "contacts",
+        "sweeps",
+        "sim_solve_us",
+        "impulse_difference_to_simulation",
+        "assemble_difference",
+    )
     rows = [(name, *(values[f"{name}_{size}"] for size in SIZES)) for name in names]
     return timing.table(("settled pile in pybox2d", *(f"{size} discs" for size in SIZES)), rows)

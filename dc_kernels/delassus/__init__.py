@@ -1,8 +1,8 @@
 """Contact problems in Delassus form, u = W r + q, and their solvers.
 
-A problem comes from arrays (``DelassusProblem``), from contacts of any engine (``from_contacts``), or from a simulation
-between ``collide`` and ``advance`` (``from_world``). ``solve`` solves it; ``refine`` takes the solve of a simulation
-further. A name is imported from its module when it is first used.
+A problem comes from arrays (``DelassusProblem``), from contacts of any engine (``from_contacts``; ``from_solver`` of a
+``ContactSolver`` that is there), or from a simulation between ``collide`` and ``advance`` (``from_world``). ``solve``
+solves it; ``refine`` takes the solve of a simulation further. A name is imported from its module when it is first used.
 """
 
 from __future__ import annotations
@@ -15,7 +15,14 @@ if TYPE_CHECKING:
     from dc_kernels.delassus.problem import DelassusProblem, assemble_blocks
     from dc_kernels.delassus.search import METHODS, DelassusSolution, Method
     from dc_kernels.delassus.solver import solve, warmup
-    from dc_kernels.delassus.world import from_contacts, from_world, read_impulses, refine, write_impulses
+    from dc_kernels.delassus.world import (
+        from_contacts,
+        from_solver,
+        from_world,
+        read_impulses,
+        refine,
+        write_impulses,
+    )
 
 __all__ = [
     "METHODS",
@@ -24,6 +31,7 @@ __all__ = [
     "Method",
     "assemble_blocks",
     "from_contacts",
+    "from_solver",
     "from_world",
     "read_impulses",
     "refine",
@@ -37,6 +45,6 @@ _MODULES = {
     "problem": ("DelassusProblem", "assemble_blocks"),
     "search": ("METHODS", "DelassusSolution", "Method"),
     "solver": ("solve", "warmup"),
-    "world": ("from_contacts", "from_world", "read_impulses", "refine", "write_impulses"),
+    "world": ("from_contacts", "from_solver", "from_world", "read_impulses", "refine", "write_impulses"),
 }
 __getattr__, __dir__ = lazy_names(__name__, _MODULES)

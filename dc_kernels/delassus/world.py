@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dc_kernels.delassus.problem import DelassusProblem, assemble_blocks
+from dc_kernels.delassus.assemble import assemble_rows
+from dc_kernels.delassus.problem import DelassusProblem
 from dc_kernels.delassus.search import DelassusSolution
 from dc_kernels.delassus.solver import solve
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.model.enums import flag_names
-from dc_kernels.model.settings import checker
+from dc_kernels.model.settings import WrongType, checker, shown
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_positive, check_simulation, check_whole
 from dc_kernels.solve.contacts import ContactSolver
@@ -73,10 +74,31 @@ def from_contacts(
     Raises:
         ValueError: naming argument, index and limit, or a contact or joint between bodies that nothing moves.
     """
-    solver = ContactSolver(body_a, body_b, point, normal, gap, **options)
+    refuse_recording("from_contacts", "the host reads what the kernels leave")
+    return from_solver(ContactSolver(body_a, body_b, point, normal, gap, **options), dt, world)
+
+
+def from_solver(solver: ContactSolver, dt: float, world: int = 0) -> DelassusProblem:
+    """Make the problem of the contacts and joints that the arrays of a solver now hold (see ``from_contacts``).
+
+    To make a solver takes some milliseconds; with one that is there, the matrix of 100 contacts takes half of one.
+
+    Args:
+        solver: whose rows are made anew, as ``solver.pack(dt)`` does.
+        dt: time step, > 0 [s].
+        world: whose problem it is.
+
+    Raises:
+        TypeError: for another solver.
+        ValueError: naming argument, index and limit, or a contact or joint between bodies that nothing moves.
+    """
+    if not isinstance(solver, ContactSolver):
+        raise WrongType(f"solver is {shown(solver)}; it must be a ContactSolver")
+    refuse_recording("from_solver", "the host reads what the kernels leave")
     world = check_world(solver, world)
-    solver.pack(dt)
-    return _from_rows(solver, world)
+    with solver.calls:
+        solver.pack(dt)
+        return _from_rows(solver, world)
 
 
 def _from_rows(solver: Simulation | ContactSolver, world: int) -> DelassusProblem:
@@ -94,12 +116,12 @@ def _from_rows(solver: Simulation | ContactSolver, world: int) -> DelassusProble
         acts = (gap <= 0.0) | (bias * float(solver.motion.numpy("step_dt")[world]) < OPEN * gap)
     slots, bias = slots[acts], bias[acts]
     normal = contacts.numpy("normal")[slots].astype(np.float64)
-    tangent = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
+    directions = normal, np.stack([normal[:, 1], -normal[:, 0]], axis=1)
     body = np.stack([contacts.numpy("body_a")[slots], contacts.numpy("body_b")[slots]], axis=1)
     jacobian = np.zeros((len(slots), 2, 2, 3))  # contact, body A or B, direction, velocity
     for side, arm in ((0, "arm_a"), (1, "arm_b")):
         lever = contacts.numpy(arm)[slots].astype(np.float64)
-        for k, direction in enumerate((normal, tangent)):
+        for k, direction in enumerate(directions):
             jacobian[:, side, k, :2] = direction
             jacobian[:, side, k, 2] = lever[:, 0] * direction[:, 1] - lever[:, 1] * direction[:, 0]
     jacobian[:, 0] *= -1.0
@@ -117,13 +139,14 @@ def _from_rows(solver: Simulation | ContactSolver, world: int) -> DelassusProble
         bias = np.concatenate([bias, row_values("bias", at)])
         mu = np.concatenate([mu, np.zeros(len(lines))])
     predicted = solver.motion.numpy("predicted").astype(np.float64)[body]  # (n, 2, 4)
-    q = np.einsum("nskv,nsv->nk", jacobian, predicted[..., :3])
+    both = jacobian.transpose(0, 2, 1, 3).reshape(-1, 2, 6)  # bodies A and B beside each other
+    q = (both @ predicted[..., :3].reshape(-1, 6, 1))[..., 0]
     q[:, 0] += bias
     inertia = solver.model.numpy("inv_inertia").astype(np.float64)[body]
     inverse = np.stack([predicted[..., 3], predicted[..., 3], inertia], axis=-1)  # (n, 2, 3)
-    start, column, block = _delassus(jacobian, body, inverse)
+    start, column, block = assemble_rows(jacobian, body, inverse, solver.backend)
     bilateral = np.arange(len(mu)) >= len(slots)
-    dead = np.setdiff1d(np.arange(len(mu)), np.repeat(np.arange(len(mu)), np.diff(start)))
+    dead = np.flatnonzero(start[1:] == start[:-1])
     if len(dead):
         raise ValueError(f"contact {dead[0]} of world {world} is between bodies that nothing moves: it has no row of W")
     return DelassusProblem(
@@ -135,26 +158,6 @@ def _from_rows(solver: Simulation | ContactSolver, world: int) -> DelassusProble
         bilateral=bilateral,
         slot=np.concatenate([slots, lines]),
     )
-
-
-def _delassus(jacobian: np.ndarray, body: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Add up J M^-1 J^T in rows of blocks: for each body that moves, the products of all pairs of its contacts."""
-    n = len(body)
-    moving = np.flatnonzero((inverse != 0.0).any(axis=-1).ravel())
-    place = moving[np.argsort(body.ravel()[moving], kind="stable")]  # 2 contact + side, body by body
-    _, count = np.unique(body.ravel()[place], return_counts=True)
-    first = np.cumsum(count) - count
-    # pairs (i, j) within a body: count^2 of them, one body after the other
-    pairs = count.astype(np.int64) ** 2
-    within = np.arange(int(pairs.sum())) - np.repeat(np.cumsum(pairs) - pairs, pairs)
-    i, j = np.divmod(within, np.repeat(count, pairs))
-    base = np.repeat(first, pairs)
-    left, right = place[base + i], place[base + j]
-    flat = jacobian.reshape(-1, 2, 3)
-    scaled = flat * inverse.reshape(-1, 1, 3)
-    products = np.matmul(scaled[left], flat.transpose(0, 2, 1)[right])
-    side = np.arange(2)
-    return assemble_blocks(n, left // 2, right // 2, side[:, None], side, products)
 
 
 def refine(sim: Simulation, tolerance: float, *, max_sweeps: int = 100_000) -> dict[int, DelassusSolution]:

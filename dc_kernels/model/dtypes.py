@@ -54,5 +54,5 @@ def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype, alignment: int = 64) 
     """Zeros whose first byte is aligned for SIMD loads."""
     count = math.prod(shape)
     raw = np.zeros(count * dtype.itemsize + alignment, np.uint8)
-    offset = -raw.ctypes.data % alignment
+    offset = -raw.__array_interface__["data"][0] % alignment  # raw.ctypes.data takes ten times as long
     return raw[offset : offset + count * dtype.itemsize].view(dtype).reshape(shape)

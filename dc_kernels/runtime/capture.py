@@ -7,6 +7,7 @@ whether it is its own thread that records, and otherwise runs as always.
 from __future__ import annotations
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 from dc_kernels.runtime.building import start_warp
@@ -16,8 +17,9 @@ HOST = "a part of it runs on the host"
 
 def recording() -> bool:
     """Whether this thread records a graph on the CPU, so that launches are noted and not run."""
-    device, own_thread = _recorder()
-    return device.is_capturing and own_thread()
+    runtime, device, own_thread = _recorder()
+    # the first is asked most often, and is the cheapest to ask
+    return runtime._apic_capture is not None and device.is_capturing and own_thread()
 
 
 def refuse_recording(what: str, why: str) -> None:
@@ -45,14 +47,15 @@ def clear(array: Any) -> None:
 
 
 @functools.cache
-def _recorder() -> tuple[Any, Any]:
-    """Warp's CPU, and what tells whether the graph that it records is of the present thread."""
+def _recorder() -> tuple[Any, Any, Any]:
+    """What holds the graph that Warp records, its CPU, and what tells whether it is of the present thread."""
     import warp as wp
     from warp._src import context
 
     start_warp()
     own_thread = getattr(context.runtime.core, "wp_apic_get_recording_state", lambda: True)
-    return wp.get_device("cpu"), own_thread
+    runtime = context.runtime if hasattr(context.runtime, "_apic_capture") else SimpleNamespace(_apic_capture=True)
+    return runtime, wp.get_device("cpu"), own_thread
 
 
 def refuse_hosted(backend: str, schedule: str, device: str) -> None:

@@ -170,7 +170,7 @@ class Calls:
         Raises:
             RuntimeError: in a recording.
         """
-        refuse_recording("a torch operator", "torch runs at once")
+        refuse_recording("a call on arrays of its own", "their memory is given at each call")
         each = values["chunks"] if "chunks" in self.elements else 1
         launches = []
         for first, count in shard_worlds(worlds, threads) if threads > 1 else [(0, worlds)]:
@@ -196,7 +196,7 @@ class Calls:
             else:
                 launch.point(name, value.data_ptr(), value.shape, value.stride(0) * value.element_size())
         elif isinstance(value, np.ndarray):
-            launch.point(name, value.ctypes.data, value.shape)
+            launch.point(name, value.__array_interface__["data"][0], value.shape)
         else:
             launch.set(name, value)
 

@@ -102,7 +102,9 @@ class Rounds:
         self.launches, self.watch, self.peak, self.halt, self.sweeps = list(launches), watch, peak, halt, sweeps
         self._worlds = slice(first, first + count)
         self._done = aligned_zeros((CACHE_LINE,), np.dtype(np.int64))
+        self._taken: Any = memoryview(self._done)  # type: ignore[arg-type]  # of which a number is read in half the time
         self._counted = 0
+        self._bound_to = 1  # rounds that the bound launch takes
         self._run: Any = None
         table = address_table(launches)
         if table is None:
@@ -132,7 +134,10 @@ class Rounds:
     def take(self, rounds: int) -> None:
         """Take so many rounds, or fewer if one halts; ``count`` tells how many, with the one that halts."""
         if self._run is not None:
-            self._run.set("rounds", rounds)
+            if rounds != self._bound_to:
+                self._bound_to = -1  # until it is so: an interrupt may fall between the two
+                self._run.set("rounds", rounds)
+                self._bound_to = rounds
             self._run.launch_now()
             return
         for _ in range(rounds):
@@ -148,7 +153,7 @@ class Rounds:
 
     def count(self) -> int:
         """Rounds taken since this was last asked; an interrupt right after they were taken loses none."""
-        done = int(self._done[0])
+        done = self._taken[0]
         found, self._counted = done - self._counted, done
         return found
 

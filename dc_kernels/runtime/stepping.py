@@ -99,11 +99,14 @@ class Shards:
                 each shard has come as far as that which came farthest, unless one has halted. Where that would take
                 longer than ``GRACE``, sweeps end early: then ``cut_flag`` is set.
         """
+        whole, recorded = rounds[-1], recording()
+        alone = count == 1 and len(rounds) == 1 and not recorded
+        if alone and not self.disturbed and self.bodies * whole.sweeps <= SWEPT:
+            return self._run_once(whole)
         self.left = [count] * len(self.ranges) if isinstance(count, int) else list(count)
-        shards, whole = rounds[: len(self.ranges)], rounds[-1]
         longest = max(self.left)
         self.halted = False
-        if recording():
+        if recorded:
             whole.record(longest)
             return False
         for one in rounds:
@@ -119,14 +122,33 @@ class Shards:
             else:
                 self._run(rounds, longest)
         except BaseException:
-            with uninterrupted():
-                taken = whole.count()
-                self.left = [left - taken - shard.count() for left, shard in zip(self.left, shards)]
-                self.halted = any(one.halt[0] for one in rounds)
-                if not self.halted:
-                    self.level(rounds)
+            self._interrupted(rounds)
             raise
         return self.halted
+
+    def _run_once(self, only: Rounds) -> bool:
+        """What ``run`` does where there is one short round of one shard: in small worlds all else takes longer."""
+        left = self.left = [1]
+        self.halted = False
+        only.halt[0] = 0
+        try:
+            only.take(1)
+            left[0] -= only.count()
+            if only.halt[0]:
+                self.halted = True
+        except BaseException:
+            self._interrupted([only])
+            raise
+        return self.halted
+
+    def _interrupted(self, rounds: Sequence[Rounds]) -> None:
+        """Count what was taken before an interrupt, and level the shards unless one has halted."""
+        with uninterrupted():
+            taken = rounds[-1].count()
+            self.left = [left - taken - shard.count() for left, shard in zip(self.left, rounds)]
+            self.halted = any(one.halt[0] for one in rounds)
+            if not self.halted:
+                self.level(rounds)
 
     def cut_short(self) -> None:
         """Let what another thread has under way end after the sweep that it is in."""

@@ -43,6 +43,7 @@ class Integrator:
         """Take over the motion of the same bodies."""
         self.motion = motion
         self._step_dt = motion.numpy("step_dt")  # making a view takes longer than a small world's kernels
+        self._on_cpu = motion.device == "cpu"
         self._checked: float | None = None  # the last time step that was found right
 
     def weigh(self, model: Model) -> None:
@@ -56,6 +57,9 @@ class Integrator:
             ValueError: for one that is not finite and positive.
             RuntimeError: for one of each world in a recording.
         """
+        if self._on_cpu and isinstance(dt, float) and dt == self._checked and not recording():
+            self._step_dt.fill(dt)
+            return
         if not isinstance(dt, float) or dt != self._checked:
             check_time_step(dt, len(self._step_dt), self.motion.dtype)
             self._checked = dt if isinstance(dt, float) else None

@@ -11,6 +11,7 @@ import pytest
 import dc_kernels as dc
 from dc_kernels import delassus
 from dc_kernels.delassus import METHODS, DelassusProblem, from_world, refine, solve
+from dc_kernels.delassus.assemble import assemble_rows
 from dc_kernels.delassus.first_order import delassus_kernels
 from dc_kernels.delassus.lemke import PATCH, lemke, solve_patch
 from dc_kernels.delassus.search import Search, SolveOptions
@@ -297,6 +298,34 @@ def test_empty():
 
 
 # ---------------------------------------------------------------------- the two backends
+
+
+def test_backends_assemble_the_same_matrix():
+    """Rows of few bodies, some of which nothing moves, against the product of matrices."""
+    rng = np.random.default_rng(0)
+    n, bodies = 40, 9
+    body = np.stack([rng.integers(0, 4, n), rng.integers(4, bodies, n)], axis=1) + 100
+    inverse = rng.uniform(0.1, 2.0, (bodies + 100, 3))
+    inverse[[101, 106]] = 0.0
+    jacobian = rng.normal(size=(n, 2, 2, 3))
+    found = [assemble_rows(jacobian, body, inverse[body], backend) for backend in ("warp", "numpy")]
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    np.testing.assert_array_equal(found[0][1], found[1][1])
+    np.testing.assert_allclose(found[0][2], found[1][2], atol=1e-13)
+    wide = np.zeros((2 * n, 3 * len(inverse)))
+    for i, side in np.ndindex(n, 2):
+        at = 3 * body[i, side]
+        wide[2 * i : 2 * i + 2, at : at + 3] += jacobian[i, side]
+    start, column, block = found[0]
+    dense = np.zeros((2 * n, 2 * n))
+    for i in range(n):
+        assert (np.diff(column[start[i] : start[i + 1]]) > 0).all()
+        for k in range(start[i], start[i + 1]):
+            dense[2 * i : 2 * i + 2, 2 * column[k] : 2 * column[k] + 2] = block[k]
+    np.testing.assert_allclose(dense, wide * inverse.ravel() @ wide.T, atol=1e-12)
+    assert 0 < len(column) < n * n
+    empty = assemble_rows(np.zeros((0, 2, 2, 3)), np.zeros((0, 2), int), np.zeros((0, 2, 3)), "warp")
+    assert [len(array) for array in empty] == [1, 0, 0]
 
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])

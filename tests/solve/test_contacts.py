@@ -263,6 +263,19 @@ def test_pivots_find_the_same_velocities():
     problem = delassus.from_contacts(*positional, dt=DT, world=1, **given)
     for name in ("row_start", "column", "block", "q", "mu", "slot"):
         np.testing.assert_array_equal(getattr(problem, name), getattr(delassus.from_world(sim, 1), name))
+    kept = dc.ContactSolver(*positional, **given)
+    for _ in range(2):  # the second time of arrays that have changed
+        again = delassus.from_solver(kept, DT, world=1)
+        np.testing.assert_array_equal(again.block, problem.block)
+        np.testing.assert_array_equal(again.q[:, 1] - problem.q[:, 1], 0.0)
+        given["inv_mass"] *= 2.0
+        given["inv_inertia"] *= 2.0
+        problem = dataclasses.replace(problem, block=2.0 * problem.block)
+    given["inv_mass"] *= 0.25
+    given["inv_inertia"] *= 0.25
+    problem = dataclasses.replace(problem, block=0.25 * problem.block)
+    with pytest.raises(TypeError, match=r"solver is .*; it must be a ContactSolver"):
+        delassus.from_solver(sim, DT)
     wanted = delassus.solve(problem, tolerance=1e-11)
     assert wanted.converged
     config = dataclasses.replace(sim.config, tolerance=1e-13, max_sweeps=20_000)

@@ -11,8 +11,6 @@ from dc_kernels._warp.native import native_code
 from dc_kernels.model.enums import BodyType, Flag
 from dc_kernels.solve.exchange import ARM, EXCHANGE, UNIT
 
-STATIC = wp.constant(int(BodyType.STATIC))
-DYNAMIC = wp.constant(int(BodyType.DYNAMIC))
 CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
 NONFINITE = wp.constant(int(Flag.NONFINITE))
 INVALID = wp.constant(int(Flag.INVALID))
@@ -30,14 +28,24 @@ def is_body(b: int, first: int, last: int):
 def kernels(dtype: str) -> dict[str, Any]:
     """``receive_contacts``, ``receive_velocities`` and ``send``; one thread a world."""
     t = group_types(dtype)
-    real, vec2, vec4 = t.real, t.vec2, t.vec4
+    real, vec2 = t.real, t.vec2
     Exchange = struct_type("exchange", dtype, EXCHANGE)
     module = kernel_module("exchange", dtype)
     contiguous = contiguous_groups(dtype)
-    code = native_code("solve/receive.h", dtype=dtype, UNIT=UNIT, ARM=ARM)
+    limits = {"UNIT": UNIT, "ARM": ARM}
+    kinds = {"FIXED": int(BodyType.STATIC), "MOVABLE": int(BodyType.DYNAMIC)}
 
-    @wp.func_native(code)
-    def look_at(
+    @wp.func_native(native_code("exchange/bodies.h", dtype=dtype, **kinds))
+    def look_at_bodies(
+        inv_mass: wp.array(dtype=real),
+        inv_inertia: wp.array(dtype=real),
+        body_type: wp.array(dtype=wp.int32),
+        b0: wp.int32,
+        b1: wp.int32,
+    ) -> wp.int32: ...
+
+    @wp.func_native(native_code("exchange/contacts.h", dtype=dtype, **limits))
+    def look_at_contacts(
         contacts: t.Contacts,
         point: wp.array(dtype=vec2),
         kept: wp.array(dtype=wp.int32),
@@ -50,26 +58,33 @@ def kernels(dtype: str) -> dict[str, Any]:
         b1: wp.int32,
     ) -> wp.int32: ...
 
+    @wp.func_native(native_code("exchange/velocities.h", dtype=dtype))
+    def take_velocities(
+        kept: wp.int32,
+        given: Exchange,
+        model: t.Model,
+        state: t.State,
+        motion: t.Motion,
+        contacts: t.Contacts,
+        b0: wp.int32,
+        b1: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+    ) -> wp.int32: ...
+
+    @wp.func_native(native_code("exchange/send.h", dtype=dtype))
+    def give_back(
+        taken: Exchange,
+        motion: t.Motion,
+        contacts: t.Contacts,
+        b0: wp.int32,
+        b1: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+    ) -> wp.int32: ...
+
     @wp.func_native(contiguity(EXCHANGE))
     def contiguous_exchange(group: Exchange): ...
-
-    @wp.func(module=module)
-    def receive_bodies(first: int, last: int, model: t.Model):
-        """Which bodies contacts move; 1 where masses are out of range."""
-        bad = int(0)
-        check = real(0.0)
-        for b in range(first, last):
-            m = model.inv_mass[b]
-            i = model.inv_inertia[b]
-            check += (m - m) + (i - i)
-            if m < real(0.0) or i < real(0.0):
-                bad = 1
-            model.body_type[b] = STATIC
-            if m > real(0.0) or i > real(0.0):
-                model.body_type[b] = DYNAMIC
-        if check != real(0.0):
-            bad = 1
-        return bad
 
     @wp.func(module=module)
     def receive_joints(w: int, first: int, last: int, model: t.Model, state: t.State, joints: t.Joints):
@@ -125,10 +140,10 @@ def kernels(dtype: str) -> dict[str, Any]:
         if n_contacts < 0 or n_contacts > contacts.contact_start[w + 1] - start:
             state.flags[w] = CONTACT_OVERFLOW
             return
-        bad = receive_bodies(first, last, model)
+        bad = look_at_bodies(model.inv_mass, model.inv_inertia, model.body_type, first, last)
         bad += receive_joints(w, first, last, model, state, joints)
         end = start + n_contacts
-        bad += look_at(
+        bad += look_at_contacts(
             contacts, exchange.point, exchange.color, state.position, model.inv_inertia, discs, start, end, first, last
         )
         if bad > 0:
@@ -161,31 +176,16 @@ def kernels(dtype: str) -> dict[str, Any]:
         if (state.flags[w] & ~NONFINITE) != 0:
             return
         state.flags[w] = 0
-        before = exchange.velocity_before.shape[0] > 0
-        check = real(0.0)
-        for b in range(model.body_start[w], model.body_start[w + 1]):
-            v = exchange.velocity[b]
-            spin = exchange.angular_velocity[b]
-            m = model.inv_mass[b]
-            if kept == 1:
-                m = motion.predicted[b][3]
-            motion.predicted[b] = vec4(v[0], v[1], spin, m)
-            check += (v[0] - v[0]) + (v[1] - v[1]) + (spin - spin)
-            if before:
-                v = exchange.velocity_before[b]
-                spin = exchange.angular_velocity_before[b]
-                check += (v[0] - v[0]) + (v[1] - v[1]) + (spin - spin)
-            state.velocity[b] = v
-            state.angular_velocity[b] = spin
         start = contacts.contact_start[w]
-        for c in range(start, start + contacts.contact_count[w]):
-            x = exchange.impulse[c]
-            contacts.impulse[c] = x
-            check += (x[0] - x[0]) + (x[1] - x[1])
+        end = start + contacts.contact_count[w]
+        first = model.body_start[w]
+        last = model.body_start[w + 1]
+        bad = take_velocities(kept, exchange, model, state, motion, contacts, first, last, start, end)
+        check = real(0.0)
         for j in range(model.joint_start[w], model.joint_start[w + 1]):
             along = joints.joint_impulse[j]
             check += along - along
-        if check != real(0.0):
+        if bad > 0 or check != real(0.0):
             state.flags[w] = NONFINITE
             if kept == 0:
                 state.flags[w] = NONFINITE | INVALID  # there are no rows of these contacts to go on from
@@ -208,22 +208,11 @@ def kernels(dtype: str) -> dict[str, Any]:
         contiguous_exchange(exchange)
         if state.flags[w] != 0:
             return
-        check = real(0.0)
-        for b in range(model.body_start[w], model.body_start[w + 1]):
-            v = motion.solved[b]
-            check += (v[0] - v[0]) + (v[1] - v[1]) + (v[2] - v[2])
-        if check != real(0.0):
-            state.flags[w] = NONFINITE
-            return
-        for b in range(model.body_start[w], model.body_start[w + 1]):
-            v = motion.solved[b]
-            exchange.velocity[b] = vec2(v[0], v[1])
-            exchange.angular_velocity[b] = v[2]
         start = contacts.contact_start[w]
-        for c in range(start, start + contacts.contact_count[w]):
-            exchange.impulse[c] = contacts.impulse[c]
-        if exchange.color.shape[0] > 0:
-            for c in range(start, start + contacts.contact_count[w]):
-                exchange.color[c] = contacts.color[c]
+        end = start + contacts.contact_count[w]
+        first = model.body_start[w]
+        last = model.body_start[w + 1]
+        if give_back(exchange, motion, contacts, first, last, start, end) > 0:
+            state.flags[w] = NONFINITE
 
     return {"receive_contacts": receive_contacts, "receive_velocities": receive_velocities, "send": send}
