@@ -79,7 +79,8 @@ def fill(column: np.ndarray, name: str, values: Any) -> None:
         TypeError, ValueError: naming field, index and limit.
     """
     kind, limits = _LIMITS[name]
-    if type(values) is kind and limits.hold(values) and abs(values) <= limits.size:
+    plain = type(values) is kind
+    if plain and limits.hold(values) and abs(values) <= limits.size:
         column[:] = values  # as most are, which would take five times as long below
         return
     wanted = f"a number or {column.shape}"

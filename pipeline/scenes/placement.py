@@ -101,7 +101,7 @@ class _Cells:
             points: candidates (n, 2), equally many for each world, one world after the other.
         """
         block = len(points) // len(worlds)
-        inside = ((points >= 0.0) & (points <= self.size)).all(axis=1).nonzero()[0]
+        inside = np.flatnonzero(((points >= 0.0) & (points <= self.size)).all(axis=1))
         points = points[inside]
         column, row = (points / self.cell).astype(np.int64).T
         home = (row + 2) * self.width + (column + 2)

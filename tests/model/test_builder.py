@@ -484,7 +484,7 @@ def test_values_that_float32_cannot_hold():
     ("options", "message"),
     [
         ({"dtype": "float16"}, "dtype is 'float16'"),
-        ({"backend": "taichi"}, "backend is 'taichi'"),
+        ({"backend": "jax"}, "backend is 'jax'"),
         ({"backend": "numpy", "device": "cuda:0"}, "device is 'cuda:0'"),
     ],
 )
