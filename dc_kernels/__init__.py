@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from dc_kernels.collide.color import color
     from dc_kernels.collide.narrowphase import Narrowphase
     from dc_kernels.collide.shapes import ShapeBoxes
+    from dc_kernels.driving.contacts import ContactEvents, contact_forces, joint_forces, net_contact_forces
     from dc_kernels.grid.grid import Grid, GridChoice, choose_grid, shared_cells
     from dc_kernels.grid.image_spec import ImageSpec
     from dc_kernels.grid.images import Images
@@ -53,6 +54,7 @@ __all__ = [
     "LANES",
     "BodyType",
     "Broadphase",
+    "ContactEvents",
     "ContactSolver",
     "Contacts",
     "Flag",
@@ -76,13 +78,16 @@ __all__ = [
     "Transfer",
     "choose_grid",
     "color",
+    "contact_forces",
     "contact_slots",
     "delassus",
     "func",
     "gather",
+    "joint_forces",
     "kinetic_energy",
     "neighbor_lists",
     "neighbor_pairs",
+    "net_contact_forces",
     "overlap",
     "potential_energy",
     "shared_cells",
@@ -100,6 +105,7 @@ _MODULES = {
     "collide.color": ("color",),
     "collide.narrowphase": ("Narrowphase",),
     "collide.shapes": ("ShapeBoxes",),
+    "driving.contacts": ("ContactEvents", "contact_forces", "joint_forces", "net_contact_forces"),
     "grid.grid": ("Grid", "GridChoice", "choose_grid", "shared_cells"),
     "grid.image_spec": ("ImageSpec",),
     "grid.images": ("Images",),

@@ -93,6 +93,7 @@ def describe(sim: Simulation) -> str:
     """One line: what a simulation is of, and which worlds do not advance."""
     model, frozen = sim.model, _frozen(sim)
     line = f"<Simulation of {_count(model.world_count, 'world')} and {_count(model.body_count, 'body')}"
+    line += f", {sim.dtype}, {sim.backend} on {sim.device}"
     if frozen:
         more = f" and {len(frozen) - SHOWN} more" * (len(frozen) > SHOWN)
         line += f"; frozen: {', '.join(f'world {w} ({why})' for w, why in frozen[:SHOWN])}{more}"

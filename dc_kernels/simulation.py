@@ -17,6 +17,7 @@ from dc_kernels.model.config import SimulationOptions, SolverConfig, check_confi
 from dc_kernels.model.enums import CAPACITY_FLAGS
 from dc_kernels.model.fields import GROUPS
 from dc_kernels.model.validate.scene import check_scene
+from dc_kernels.model.worlds import segments_of_worlds
 from dc_kernels.reports import capacity, memory
 from dc_kernels.runtime.backends import Launch, host_threads
 from dc_kernels.runtime.capture import refuse_hosted, refuse_recording
@@ -112,6 +113,7 @@ class Simulation(Driven):
         self.model = model
         self.state = state
         self.built = state.copy()
+        self._segments = segments_of_worlds(model.views())
         self.dtype = model.dtype
         self.device = model.device
         self.backend = model.backend
@@ -178,6 +180,8 @@ class Simulation(Driven):
         for name, group in self.storage.groups().items():
             setattr(self, name, group)
         groups = {name: getattr(self, name) for name in GROUPS}
+        for group in groups.values():
+            group.segments = self._segments
         self._binding.renew(config, groups, self.storage.solver.past_width, self._in_turn)
         self._rounds.clear()
         self._solves.clear()

@@ -16,6 +16,7 @@ import numpy as np
 from dc_kernels.model.dtypes import aligned_zeros, float_dtype, numpy_spec
 from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, Field
 from dc_kernels.model.settings import numeric
+from dc_kernels.model.worlds import Segments, WorldViews, by_world
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
 from dc_kernels.runtime.memory import check_memory
@@ -100,6 +101,8 @@ class ArrayGroup:
     live: Container[str] | None = None
     """Fields that may be written while a simulation uses the group, and act at its next step; None: all that do not
     lead kernels through memory."""
+    segments: Mapping[str, Segments] | None = None
+    """Elements of each world by axis; None before a simulation uses the group."""
     changeable: tuple[str, ...] = ()
     """Fields that ``Simulation.change_model`` writes while a simulation uses the group."""
 
@@ -240,6 +243,28 @@ class ArrayGroup:
         """All arrays as numpy, by name."""
         return {name: self.numpy(name) for name in self.table}
 
+    def worlds(self, name: str) -> WorldViews:
+        """The array of a field world by world, in the same memory on the CPU, of a group that a simulation uses.
+
+        It is one of shape (W, n, ...) where each world has n elements; else a list of W arrays (n, ...), as with
+        contacts, of which a world has those in use.
+
+        Raises:
+            ValueError: for a field that is not divided among worlds, or a group of no simulation.
+        """
+        counted = "contact_count" in self.table
+        slots = (self.numpy("contact_start"), self.numpy("contact_count")) if counted else None
+        label = f"{type(self).__name__.lower()}.{name}"
+        return by_world(label, self.table[name], self.numpy(name), self.segments, slots)
+
+    def __repr__(self) -> str:
+        """Sizes, scalar, backend and device."""
+        axes = dict.fromkeys(axis for field in self.table.values() for axis in field.axes if axis in self.sizes)
+        plural = {"body": "bodies", "vertex": "vertices"}
+        sizes = {axis: self.sizes[axis] for axis in axes if not axis.endswith("+1")}
+        counts = [f"{n} {axis if n == 1 else plural.get(axis, axis + 's')}" for axis, n in sizes.items()]
+        return f"<{type(self).__name__}: {', '.join(counts)}; {self.dtype.name}, {self.backend} on {self.device}>"
+
     def writable(self, name: str) -> bool:
         """Whether ``assign`` takes values of a field now."""
         return not self.fixed or (not self.table[name].points if self.live is None else name in self.live)
@@ -371,21 +396,8 @@ class Model(ArrayGroup):
     table = MODEL
     live = ("gravity", "origin")
     changeable = (
-        "gravity",
-        "origin",
-        "length_scale",
-        "cell_size",
-        "body_type",
-        "mass",
-        "inertia",
-        "inv_mass",
-        "inv_inertia",
-        "shape_radius",
-        "shape_friction",
-        "shape_restitution",
-        "shape_category",
-        "shape_mask",
-        "vertices",
+        *("gravity", "origin", "length_scale", "cell_size", "body_type", "mass", "inertia", "inv_mass", "inv_inertia"),
+        *("shape_radius", "shape_friction", "shape_restitution", "shape_category", "shape_mask", "vertices"),
     )
 
     @property
@@ -426,10 +438,5 @@ class Joints(ArrayGroup):
 
     table = JOINTS
     changeable = (
-        "joint_body_a",
-        "joint_body_b",
-        "joint_anchor_a",
-        "joint_anchor_b",
-        "joint_length",
-        "joint_impulse",
+        *("joint_body_a", "joint_body_b", "joint_anchor_a", "joint_anchor_b", "joint_length", "joint_impulse"),
     )

@@ -40,14 +40,14 @@ def bits(sim):
     }
 
 
-def worlds_of_one_size(worlds=3):
+def worlds_of_one_size(worlds=3, aside=0.1):
     """Two discs on a floor in each world, each of its own height."""
     builder = dc.ModelBuilder()
     for w in range(worlds):
         builder.add_world()
         ground = builder.add_body(type=dc.BodyType.STATIC)
         builder.add_box(ground, 5.0, 0.5, center=(0.0, -0.5))
-        builder.add_discs([(0.0, 0.5 + 0.01 * w), (0.1, 1.6)], 0.5)
+        builder.add_discs([(0.0, 0.5 + 0.01 * w), (aside, 1.6)], 0.5)
     return dc.Simulation(*builder.finalize())
 
 

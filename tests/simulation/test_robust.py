@@ -133,7 +133,7 @@ def test_a_world_that_met_nan_is_named_and_revived(backend):
         builder.add_world()
         builder.add_discs([(0, 0), (3, 0)], 0.5)
     sim = dc.Simulation(*builder.finalize(backend=backend))
-    assert repr(sim) == "<Simulation of 2 worlds and 4 bodies>"
+    assert repr(sim) == f"<Simulation of 2 worlds and 4 bodies, float32, {backend} on cpu>"
     sim.state.numpy("velocity")[2] = np.nan
     sim.run(3, 0.01)
     assert sim.state.numpy("flags").tolist() == [0, dc.Flag.NONFINITE]

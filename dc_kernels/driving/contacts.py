@@ -1,0 +1,194 @@
+"""What contacts do, for programs that drive a simulation: forces [N], and pairs that begin and cease to touch.
+
+A simulation here is anything with the attributes of ``dc_kernels.Simulation`` that are used; no loop runs over worlds.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dc_kernels.measure import contact_slots
+from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
+from dc_kernels.runtime.inputs import check_simulation
+
+PARTS = ("model", "state", "contacts", "joints", "motion", "phase")
+
+
+class NetForces(NamedTuple):
+    """What the contacts of each body do to it together."""
+
+    force: np.ndarray
+    """(bodies, 2) [N]."""
+    torque: np.ndarray
+    """About the centre of mass, (bodies,) [N m]."""
+
+
+def contact_forces(sim: Any) -> np.ndarray:
+    """The force of each contact on its body B, in the world's axes; A feels the opposite one.
+
+    Args:
+        sim: the simulation, between steps or after ``solve``: impulses are those of the last step, or of that solve.
+
+    Returns:
+        (n, 2) float64 [N], a row for each of the slots that ``contact_slots(sim.contacts)`` gives; zero in worlds that
+        have stopped.
+
+    Raises:
+        ValueError: after ``collide``: impulses are what the solve starts from.
+
+    Examples:
+        >>> import dc_kernels as dc
+        >>> builder = dc.ModelBuilder()
+        >>> world = builder.add_world()
+        >>> floor = builder.add_body(type=dc.BodyType.STATIC)
+        >>> shape = builder.add_box(floor, 5.0, 0.5, center=(0.0, -0.5))
+        >>> ball = builder.add_body(position=(0.0, 0.5), mass=2.0)
+        >>> shape = builder.add_disc(ball, 0.5)
+        >>> sim = dc.Simulation(*builder.finalize())
+        >>> sim.run(50, 0.01)
+        >>> dc.contact_forces(sim).round(1).tolist()
+        [[0.0, 19.6]]
+    """
+    check_simulation("sim", sim, PARTS)
+    slots, world = contact_slots(sim.contacts)
+    normal, impulse = (sim.contacts.numpy(name)[slots].astype(np.float64) for name in ("normal", "impulse"))
+    tangent = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
+    with np.errstate(invalid="ignore"):  # in worlds that have stopped
+        force = normal * impulse[:, :1] + tangent * impulse[:, 1:]
+    rate = _rate(sim)[world, None]
+    return np.where(rate > 0, force * rate, 0.0)
+
+
+def net_contact_forces(sim: Any) -> NetForces:
+    """Force and torque of all contacts of each body.
+
+    Args:
+        sim: the simulation, see ``contact_forces``.
+
+    Raises:
+        ValueError: see ``contact_forces``.
+    """
+    force = contact_forces(sim)
+    slots, _ = contact_slots(sim.contacts)
+    bodies = sim.model.body_count
+    total, torque = np.zeros((bodies, 2)), np.zeros(bodies)
+    for side, sign in (("a", -1.0), ("b", 1.0)):
+        body, arm = sim.contacts.numpy(f"body_{side}")[slots], sim.contacts.numpy(f"arm_{side}")[slots]
+        for k in (0, 1):
+            total[:, k] += np.bincount(body, sign * force[:, k], bodies)
+        turn = arm[:, 0] * force[:, 1] - arm[:, 1] * force[:, 0]
+        torque += np.bincount(body, np.where(np.isfinite(turn), sign * turn, 0.0), bodies)
+    return NetForces(total, torque)
+
+
+def joint_forces(sim: Any) -> np.ndarray:
+    """The force of each joint along the line from anchor A to anchor B, positive where it pushes apart: (joints,) [N].
+
+    Args:
+        sim: the simulation, see ``contact_forces``.
+
+    Raises:
+        ValueError: see ``contact_forces``.
+    """
+    check_simulation("sim", sim, PARTS)
+    world = np.repeat(np.arange(sim.model.world_count), np.diff(sim.model.numpy("joint_start")))
+    rate = _rate(sim)[world]
+    return np.where(rate > 0, sim.joints.numpy("joint_impulse") * rate, 0.0)
+
+
+def _rate(sim: Any) -> np.ndarray:
+    """One over the time step of the impulses of each world, (W,) [1/s]; 0 where there are none, or it has stopped."""
+    if sim.phase == "collide":
+        raise ValueError("forces after collide(): impulses are what the solve starts from; solve() first")
+    dt = sim.contacts.numpy("contact_dt") if sim.phase == "advance" else sim.motion.numpy("step_dt")
+    dt = np.where(sim.state.numpy("flags") == 0, dt, 0).astype(np.float64)
+    return np.divide(1.0, dt, out=np.zeros_like(dt), where=dt > 0)
+
+
+class Touches(NamedTuple):
+    """Pairs of shapes, sorted by them; all arrays have the length n."""
+
+    shape_a: np.ndarray
+    """The shape of the lower index, over all worlds."""
+    shape_b: np.ndarray
+    """The other one."""
+    body_a: np.ndarray
+    """The body of the former."""
+    body_b: np.ndarray
+    """The body of the latter."""
+    impulse: np.ndarray
+    """Normal impulse of the step, of all contacts of the pair together [N s]."""
+
+
+class ContactEvents:
+    """Pairs of shapes that have begun or ceased to touch between two looks at a simulation.
+
+        events = dc.ContactEvents(sim)
+        sim.step(0.01)
+        events.update()
+        events.begun.body_a, events.begun.impulse  # how hard they met
+
+    A pair begins to touch when one of its contacts presses or overlaps, and ceases to when it has no contact any more:
+    what lies still does not flicker. A look after each step misses nothing; what comes and goes between two looks is
+    not seen. A world that is reset ceases and begins anew; pairs of one that has stopped stay.
+
+    Attributes:
+        sim: whose contacts are looked at.
+        begun: pairs that touch since the last look, with the impulse of the last step.
+        ended: pairs that touched at the last look and do no more, with the impulse that they had then.
+        touching: all that touch.
+    """
+
+    def __init__(self, sim: Any) -> None:
+        """Begin with what touches now, without events."""
+        check_simulation("sim", sim, PARTS)
+        self.sim = sim
+        nothing = np.zeros(0, np.int64)
+        self._ids, self._impulse = nothing, np.zeros(0)
+        self.begun = self.ended = self.touching = self._touches(nothing, self._impulse)
+        self.update()
+        self.begun = self._touches(nothing, np.zeros(0))
+
+    def update(self) -> None:
+        """Look at the contacts of the last step.
+
+        Raises:
+            ValueError: in the middle of a step.
+        """
+        sim = self.sim
+        if sim.phase != "advance":
+            raise ValueError("update() in the middle of a step: finish it with solve() and advance(), or take a step")
+        slots, world = contact_slots(sim.contacts)
+        live = sim.state.numpy("flags") == 0
+        slots, world = slots[live[world]], world[live[world]]
+        key, first = sim.contacts.numpy("key")[slots], sim.model.numpy("shape_start")[world].astype(np.int64)
+        mask = 2**KEY_SHAPE_BITS - 1
+        a, b = ((key >> shift) & mask for shift in (KEY_FEATURE_BITS + KEY_SHAPE_BITS, KEY_FEATURE_BITS))
+        pair, place = np.unique((np.minimum(a, b) + first) << 32 | (np.maximum(a, b) + first), return_inverse=True)
+        normal = sim.contacts.numpy("impulse")[slots, 0]
+        impulse = np.bincount(place, normal, len(pair))
+        presses = np.bincount(place, (normal != 0) | (sim.contacts.numpy("gap")[slots] < 0), len(pair)) > 0
+        known = np.isin(pair, self._ids, assume_unique=True)
+        touches = presses | known
+        pair, impulse, known = pair[touches], impulse[touches], known[touches]
+        stays = np.isin(self._ids, pair, assume_unique=True)
+        shapes = np.diff(sim.model.numpy("shape_start"))
+        stopped = ~np.repeat(live, shapes)[self._ids >> 32]
+        kept, gone = stopped & ~stays, ~stopped & ~stays
+        self.begun = self._touches(pair[~known], impulse[~known])
+        self.ended = self._touches(self._ids[gone], self._impulse[gone])
+        ids, impulses = np.concatenate([pair, self._ids[kept]]), np.concatenate([impulse, self._impulse[kept]])
+        order = np.argsort(ids)
+        self._ids, self._impulse = ids[order], impulses[order]
+        self.touching = self._touches(self._ids, self._impulse)
+
+    def _touches(self, pairs: np.ndarray, impulse: np.ndarray) -> Touches:
+        a, b, body = pairs >> 32, pairs & (2**32 - 1), self.sim.model.numpy("shape_body")
+        return Touches(a, b, body[a], body[b], impulse)
+
+    def __repr__(self) -> str:
+        """Numbers of pairs."""
+        counts = (len(touches.impulse) for touches in (self.begun, self.ended, self.touching))
+        return "<ContactEvents: {} pairs begun, {} ended, {} touching>".format(*counts)

@@ -1,0 +1,71 @@
+"""Arrays of a group world by world, in the same memory."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dc_kernels.model.fields import Field
+from dc_kernels.model.rules import Start
+
+WorldViews = np.ndarray | list[np.ndarray]
+"""(W, n, ...) where each world has n elements; else an array (n, ...) of each world."""
+
+
+class Segments(NamedTuple):
+    """Elements of each world on an axis."""
+
+    start: np.ndarray
+    """First of each world and their number, (W + 1,)."""
+    each: int | None
+    """How many each world has; None where they differ."""
+
+    @classmethod
+    def of(cls, start: np.ndarray) -> Segments:
+        """Elements of worlds that begin at ``start``, (W + 1,)."""
+        count = np.diff(start)
+        return cls(start, int(count[0]) if (count == count[0]).all() else None)
+
+
+def segments_of_worlds(model: Mapping[str, np.ndarray]) -> dict[str, Segments]:
+    """Elements of each world by axis, from the arrays of a model."""
+    start = {axis: model[f"{axis}_start"] for axis in ("body", "shape", "joint")}
+    start["vertex"] = model["vertex_start"][start["shape"]]
+    return {axis: Segments.of(first) for axis, first in start.items()}
+
+
+def by_world(
+    label: str, field: Field, values: np.ndarray, segments: Mapping[str, Segments] | None, slots: Any
+) -> WorldViews:
+    """Views of an array, world by world.
+
+    Args:
+        label: what errors call the array.
+        field: whose array it is.
+        values: the array.
+        segments: elements of each world by axis; None: not known yet.
+        slots: first slot of each world (W + 1,) and slots in use (W,) of a field of contacts; else None.
+
+    Raises:
+        ValueError: for an array that is not divided among worlds, or before a simulation has it.
+    """
+    axis = field.axes[0]
+    if axis == "world":
+        return values
+    if slots is not None and axis == "contact":
+        start, count = slots
+        return [values[first : first + n] for first, n in zip(start.tolist(), count.tolist())]
+    axis = axis.removesuffix("+1")  # of bodies, behind which lie padding ones
+    if isinstance(field.rule, Start) or axis not in ("body", "shape", "vertex", "joint"):
+        raise ValueError(f"{label} is not divided among worlds")
+    if segments is None:
+        raise ValueError(f"{label} is of no simulation yet, which knows what belongs to which world")
+    start, each = segments[axis]
+    if each is not None:
+        used = values[: start[-1]]
+        return used.reshape((len(start) - 1, each, *used.shape[1:]))
+    edges = start.tolist()
+    return [values[first:last] for first, last in itertools.pairwise(edges)]
