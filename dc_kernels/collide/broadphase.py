@@ -13,7 +13,7 @@ from dc_kernels.model.enums import BodyType, Flag
 from dc_kernels.model.fields import LAUNCH, MODEL, PAIRS, STATE
 from dc_kernels.model.room import Room, starts
 from dc_kernels.runtime.backends import bind, check_backend, host_threads, kernel_file, make_kernels
-from dc_kernels.runtime.capture import recording
+from dc_kernels.runtime.capture import Recordings, recording
 from dc_kernels.runtime.inputs import (
     check_count,
     check_index,
@@ -176,6 +176,7 @@ class Broadphase:
         slots = check_slots("max_pairs", max_pairs, len(counts)) if self.fixed else np.ceil(PAIRS_PER_BOX * counts)
         self._candidates = CandidatePairs(counts, slots, self.dtype, "cpu", backend)
         self._flags = np.zeros(len(counts), np.int32)
+        self._recordings = Recordings()
         self._filters = np.zeros(len(counts), np.int64)
         self.check_boxes()
         self._lock = threading.Lock()
@@ -223,12 +224,15 @@ class Broadphase:
             ValueError: naming the box, for one that is not finite or whose lower corner is not the lower one.
         """
         run_shards(self._shards, self.threads)
-        if not recording() and self._flags.any():
+        if recording():
+            self._recordings.note()
+        elif self._flags.any():
             with self._lock:
                 while self._flags.any():
-                    self.check(room=self.fixed)
+                    self._explain(room=self.fixed)
                     self._candidates.room.grow(self._flags, self._candidates.needed, error=False)
                     self._candidates.relayout()
+                    self._flags = self._recordings.renew(self._flags, self._shards)
                     self._bind()
                     run_shards(self._shards, self.threads)
         return self.count
@@ -253,7 +257,13 @@ class Broadphase:
 
         Raises:
             OverflowError, ValueError: see ``__call__``.
+            RuntimeError: for a replay of a graph that was recorded before ``layout_version`` changed.
         """
+        self._recordings.check(self.layout_version)
+        self._explain(room)
+
+    def _explain(self, room: bool) -> None:
+        """Raise for the flags of the last call."""
         if (self._flags & Flag.INVALID).any():
             self.check_boxes()
             check_index("shape_body", self.shape_body, len(self.body_type))

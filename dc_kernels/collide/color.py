@@ -10,7 +10,7 @@ from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import CONTACTS, JOINTS, LAUNCH, MODEL, ROWS, STATE
 from dc_kernels.runtime.backends import bind, check_backend, kernel_file, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
-from dc_kernels.runtime.inputs import check_layout, check_start
+from dc_kernels.runtime.inputs import check_layout, check_start, refuse_overlap
 from dc_kernels.runtime.interop import host_view
 
 INT = np.dtype(np.int32)
@@ -84,6 +84,7 @@ def color(
         colors = np.full(contacts, -1, np.int32)
     else:
         colors = check_layout("color", color, (contacts,), INT, writes=True)
+        refuse_overlap({"color": colors}, {"body_a": body_a, "body_b": body_b, "movable": moves})
     kinds = np.where(moves != 0, BodyType.DYNAMIC, BodyType.STATIC).astype(np.int32)
     groups = {
         "launch": (LAUNCH, {"world_offset": 0}),

@@ -16,7 +16,7 @@ from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import LAUNCH, MOTION, ROWS
 from dc_kernels.model.room import starts
 from dc_kernels.runtime.backends import Launch, bind, kernel_file, make_kernels
-from dc_kernels.runtime.capture import recording
+from dc_kernels.runtime.capture import Recordings, recording
 from dc_kernels.runtime.inputs import (
     MAX_INDEX,
     check_array,
@@ -106,6 +106,7 @@ class Narrowphase:
         worlds = self.shapes.worlds
         self._flags = np.zeros(worlds, np.int32)
         self.position, self.angle = position, angle
+        self._recordings = Recordings()
         self._state = self.shapes.state(position, angle, flags=self._flags)
         self.flags = self._state.flags
         self.threads = check_count("threads", threads)
@@ -204,15 +205,17 @@ class Narrowphase:
         """
         if self._broadphase is not None and self._broadphase.layout_version != self._version:
             with self._lock:
-                self._bind()
+                self._rebind()
         run_shards(self._shards, self.threads)
-        if not recording() and self._flags.any():
+        if recording():
+            self._recordings.note()
+        elif self._flags.any():
             with self._lock:
                 while self._flags.any():
-                    self.check(room=self.fixed)
+                    self._explain(room=self.fixed)
                     self._found.room.grow(self._flags, self._needed, error=False)
                     self._found.relayout()
-                    self._bind()
+                    self._rebind()
                     run_shards(self._shards, self.threads)
         return self.count
 
@@ -224,7 +227,20 @@ class Narrowphase:
 
         Raises:
             OverflowError, ValueError: see ``__call__``.
+            RuntimeError: for a replay of a graph that was recorded before ``layout_version`` changed.
         """
+        self._recordings.check(self.layout_version)
+        self._explain(room)
+
+    def _rebind(self) -> None:
+        """Bind to other arrays than before; graphs that were recorded go on with those."""
+        self._flags = self._recordings.renew(self._flags, self._shards)
+        self._state = self.shapes.state(self.position, self.angle, flags=self._flags)
+        self.flags = self._state.flags
+        self._bind()
+
+    def _explain(self, room: bool) -> None:
+        """Raise for the flags of the last call."""
         if (self._flags & Flag.INVALID).any():
             check_array("position", self.position, (None, 2))
             check_array("angle", self.angle, (None,))

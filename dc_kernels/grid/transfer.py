@@ -22,6 +22,7 @@ from dc_kernels.runtime.inputs import (
     check_places,
     check_start,
     check_truth,
+    refuse_overlap,
 )
 from dc_kernels.runtime.interop import host_view
 from dc_kernels.runtime.program import Program, Stage
@@ -75,6 +76,7 @@ class Transfer:
             out = allocate_image(shape[0], shape[1], self.grid, bound.points.dtype)
         else:
             out = check_layout("out", out, shape, bound.points.dtype, writes=True)
+            refuse_overlap({"out": out}, {"points": bound.points, "values": values})
             clear(kernel_array(out, self.backend))
         bound.bind_splat(values, out)()  # what is checked already is not looked at again
         return out
@@ -102,6 +104,7 @@ class Transfer:
             out = np.zeros((len(bound.points), channels), bound.points.dtype)
         else:
             out = check_layout("out", out, (len(bound.points), channels), bound.points.dtype, writes=True)
+            refuse_overlap({"out": out}, {"points": bound.points, "image": image})
         bound.bind_gather(image, out, reverse)()
         return out
 
@@ -152,7 +155,9 @@ class PointTransfer:
             ValueError: for arrays of another shape, dtype or memory layout.
         """
         values = self.check_values(values)
-        image = check_layout("image", image, self.image_shape(values.shape[1]), self.points.dtype)
+        shape = self.image_shape(values.shape[1])
+        image = check_layout("image", image, shape, self.points.dtype, writes=True)
+        refuse_overlap({"image": image}, {"points": self.points, "values": values})
         return self.bind_splat(values, image)
 
     def gather(self, image: Any, values: Any, *, reverse: bool = False) -> Launch:
@@ -162,8 +167,9 @@ class PointTransfer:
             ValueError: for arrays of another shape, dtype or memory layout, or a stencil that no gather has.
         """
         self.transfer.stencil.check_gather(check_truth("reverse", reverse))
-        values = check_layout("values", values, (len(self.points), None), self.points.dtype)
+        values = check_layout("values", values, (len(self.points), None), self.points.dtype, writes=True)
         image = check_array("image", image, self.image_shape(values.shape[1]), self.points.dtype)
+        refuse_overlap({"values": values}, {"points": self.points, "image": image})
         return self.bind_gather(image, values, reverse)
 
     def bind_splat(self, values: np.ndarray, image: np.ndarray) -> Launch:

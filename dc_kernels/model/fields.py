@@ -12,7 +12,7 @@ body or the one with the lower index; the tangent is the normal turned by -90 de
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from dc_kernels.model.enums import BodyType, Flag, ShapeType
@@ -22,6 +22,7 @@ from dc_kernels.model.rules import (
     NOT_NEGATIVE,
     POSITIVE,
     SHARE,
+    TIME_STEP,
     Ascending,
     Code,
     Index,
@@ -122,7 +123,14 @@ STATE = field_table(
 CONTACTS = field_table(
     ("contact_start", "world+1", "int32", "1", "first reserved slot of each world", Start("contact")),
     ("contact_count", "world", "int32", "1", "contacts in slots from contact_start, sorted by key", COUNT),
-    ("contact_dt", "world", "real", "s", "time step of the impulses, 0 before the first", NOT_NEGATIVE),
+    (
+        "contact_dt",
+        "world",
+        "real",
+        "s",
+        "time step of the impulses, 0 before the first",
+        replace(TIME_STEP, zero=True),
+    ),
     ("key", "contact", "int64", "1", "shape A, shape B, feature: the same in each step", Ascending()),
     ("body_a", "contact", "int32", "1", "body A", Index("body")),
     ("body_b", "contact", "int32", "1", "body B", Index("body")),

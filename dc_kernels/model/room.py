@@ -47,7 +47,9 @@ class Room:
         return starts(self.slots)
 
     def grow(self, flags: np.ndarray, needed: np.ndarray, error: bool) -> None:
-        """Reserve more for the worlds whose flags say that they ran out.
+        """Reserve more for the worlds whose flags say that they ran out; never less than before.
+
+        A flag that was set by hand, or by a graph that knows the room of before, stands beside a need that has room.
 
         Args:
             flags: of the worlds, (W,).
@@ -58,13 +60,14 @@ class Room:
             OverflowError: with ``error``, naming world, need and room.
         """
         full = np.flatnonzero(flags & int(self.flag))
-        if len(full) and error:
-            w = int(full[0])
+        short = full[needed[full] > self.slots[full]]
+        if len(short) and error:
+            w = int(short[0])
             raise OverflowError(
                 f"world {w} needs {int(needed[w])} {self.what}, {int(self.slots[w])} are reserved; "
                 "the step was not taken"
             )
-        self.slots[full] = np.ceil(GROWTH * needed[full]).astype(np.int64)
+        self.slots[full] = np.maximum(self.slots[full], np.ceil(GROWTH * needed[full]).astype(np.int64))
 
 
 def starts(slots: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -16,10 +16,14 @@ class Number:
     low: float = -math.inf
     high: float = math.inf
     open: bool = False
+    zero: bool = False
+    """Whether 0 keeps to the rule as well."""
 
     @property
     def limits(self) -> str:
         """The range in words."""
+        if self.zero:
+            return f"0, or {replace(self, zero=False).limits}"
         if math.isfinite(self.high):
             return f"in {'(' if self.open else '['}{self.low:.16g}, {self.high:.16g}]"
         return f"finite and {'>' if self.open else '>='} {self.low:.16g}" if math.isfinite(self.low) else "finite"
@@ -63,6 +67,7 @@ POSITIVE = Number(0.0, open=True)
 NOT_NEGATIVE = Number(0.0)
 SHARE = Number(0.0, 1.0)
 COUNT = Number(0, 2**31 - 1)
+TIME_STEP = Number(1e-18, 1e18)  # [s]; the ratio of two, and the square of one, are normal numbers of float32
 UNIT_TOLERANCE = 2e-3  # of the squared length of a unit vector: far above rounding, far below what moves a contact
 INVERSE_TOLERANCE = 1e-3  # of mass times inverse mass: inverses of large float32 numbers have few digits
 

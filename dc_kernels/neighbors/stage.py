@@ -11,7 +11,7 @@ from dc_kernels.model.arrays import kernel_array, kernel_arrays
 from dc_kernels.neighbors.cells import PADDING, ROOM, SortedCells, Workspace, allowed, shards_of
 from dc_kernels.neighbors.search import square
 from dc_kernels.runtime.backends import Launch, bind, check_backend
-from dc_kernels.runtime.capture import recording
+from dc_kernels.runtime.capture import Recordings, recording
 from dc_kernels.runtime.inputs import check_count, check_points, check_slots, check_start
 from dc_kernels.runtime.sequences import as_one
 from dc_kernels.runtime.threads import run_shards
@@ -70,7 +70,7 @@ class NeighborSearch:
         self._room = check_slots("max_pairs", max_pairs, len(counts)) if self.fixed else ROOM * counts + ROOM
         self._cells = SortedCells(radius, self.points, Workspace(backend))
         self._found = np.zeros(len(counts), np.int64)
-        self.count = kernel_array(self._found, backend)
+        self._recordings = Recordings()
         self.layout_version = 0
         self._lock = threading.Lock()
         self._bind()
@@ -78,6 +78,7 @@ class NeighborSearch:
     def _bind(self) -> None:
         """Allocate the room for pairs, and bind the launches of each shard of worlds."""
         hashed, starts, backend = self._cells, self._starts, self.backend
+        self.count = kernel_array(self._found, backend)
         firsts = np.concatenate([[0], np.cumsum(self._room + PADDING)])  # lanes write behind the last pair too
         allowed(int(firsts[-1]))
         array = np.zeros((int(firsts[-1]), 2), np.int32)
@@ -115,6 +116,7 @@ class NeighborSearch:
             ValueError: naming the point, for one that is not finite, or points too far apart for float64.
         """
         if recording():
+            self._recordings.note()
             run_shards(self._shards, self.threads)
             return self.count
         with self._lock:
@@ -132,10 +134,11 @@ class NeighborSearch:
 
     def _grow(self) -> None:
         """More room for the worlds without; raises for what no room mends."""
-        self.check(self.fixed)
+        self._explain(self.fixed)
         full = self._found > self._room
         self._room[full] = self._found[full] + self._found[full] // 8
         self.layout_version += 1
+        self._found = self._recordings.renew(self._found, self._shards)
         self._bind()
 
     def check(self, room: bool = True) -> None:
@@ -146,7 +149,13 @@ class NeighborSearch:
 
         Raises:
             OverflowError, ValueError: see ``__call__``.
+            RuntimeError: for a replay of a graph that was recorded before ``layout_version`` changed.
         """
+        self._recordings.check(self.layout_version)
+        self._explain(room)
+
+    def _explain(self, room: bool) -> None:
+        """Raise for what the last call met."""
         check_points("points", self.points, (2, 3))
         lower, upper = self._box["lower"], self._box["upper"]
         with np.errstate(over="ignore", invalid="ignore"):

@@ -10,6 +10,8 @@ import functools
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from dc_kernels.runtime.building import start_warp
 
 HOST = "a part of it runs on the host"
@@ -34,6 +36,50 @@ def refuse_recording(what: str, why: str) -> None:
     """
     if recording():
         raise RuntimeError(f"{what} cannot be recorded in a graph: {why}")
+
+
+class Recordings:
+    """Tells whether a graph was replayed that knows the arrays of a stage from before they were allocated anew."""
+
+    def __init__(self) -> None:
+        """Nothing is recorded yet."""
+        self._live = False
+        self._retired: list[tuple[np.ndarray, Any]] = []
+
+    def note(self) -> None:
+        """A call became part of a graph."""
+        self._live = True
+
+    def renew(self, written: np.ndarray, launches: Any) -> np.ndarray:
+        """Zeros in place of an array that each call writes; graphs that were recorded so far write to the old one.
+
+        Args:
+            written: integers of each world, none of which a call makes -1.
+            launches: what knows the arrays of before, which is kept for those graphs.
+        """
+        if self._live:
+            written.fill(-1)
+            self._retired.append((written, launches))
+            self._live = False
+        return np.zeros_like(written)
+
+    def check(self, version: int) -> None:
+        """Raise for a replay of a graph that was recorded before arrays were allocated anew.
+
+        Args:
+            version: ``layout_version`` of the stage.
+
+        Raises:
+            RuntimeError: naming it.
+        """
+        stale = [written for written, _ in self._retired if (written != -1).any()]
+        for written in stale:
+            written.fill(-1)
+        if stale:
+            raise RuntimeError(
+                f"a graph was replayed that was recorded before layout_version changed to {version}: it writes to the "
+                "arrays of before; record it anew"
+            )
 
 
 def clear(array: Any) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from dc_kernels.model.arrays import check_values
 from dc_kernels.model.dtypes import FLOATS
+from dc_kernels.model.rules import TIME_STEP
 from dc_kernels.model.settings import Count, Limits, NotNegative, Positive, Whole, WrongType, checker, numeric, shown
 from dc_kernels.runtime.interop import host_view
 
@@ -82,6 +83,36 @@ def check_layout(
     if writes and not array.flags.writeable:
         raise ValueError(f"{name} is read-only; it must be writable")
     return array
+
+
+def refuse_overlap(written: Mapping[str, np.ndarray], read: Mapping[str, np.ndarray]) -> None:
+    """Refuse arrays that are written to while their memory, or a part of it, is also that of another.
+
+    Args:
+        written: contiguous arrays by name; the same under two names is one too many.
+        read: arrays that are only read, which may be each other's.
+
+    Raises:
+        ValueError: naming both.
+    """
+    spans = [(*_span(array), name, name in written) for group in (written, read) for name, array in group.items()]
+    any_end, any_name, written_end, written_name = 0, "", 0, ""
+    for low, high, name, writes in sorted(span for span in spans if span[0] < span[1]):
+        if low < written_end or (writes and low < any_end):
+            one, other = (name, any_name) if writes else (written_name, name)
+            raise ValueError(f"{one} shares memory with {other}; it is written to and must have memory of its own")
+        if high > any_end:
+            any_end, any_name = high, name
+        if writes and high > written_end:
+            written_end, written_name = high, name
+
+
+def _span(array: np.ndarray) -> tuple[int, int]:
+    """First byte of an array in memory, and one past its last."""
+    first = array.__array_interface__["data"][0]
+    if not array.size:
+        return first, first
+    return first, first + array.itemsize + sum((n - 1) * step for n, step in zip(array.shape, array.strides))
 
 
 def check_array(
@@ -279,3 +310,5 @@ def check_time_step(dt: float | np.ndarray, worlds: int, dtype: np.dtype) -> Non
         narrow = value.astype(dtype)
     if not (narrow.all() and np.isfinite(narrow).all()):
         raise ValueError(f"dt is {shown(dt)}; it does not fit {dtype.name}")
+    if not ((value >= TIME_STEP.low) & (value <= TIME_STEP.high)).all():
+        raise ValueError(f"dt is {shown(dt)}; it must be {TIME_STEP.limits} s")

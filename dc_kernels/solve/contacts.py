@@ -26,6 +26,7 @@ from dc_kernels.solve.exchange import (
     make_exchange,
     offsets,
     refuse_lacking,
+    refuse_shared,
     scalar_of,
     share_all,
     stays,
@@ -168,11 +169,11 @@ class ContactSolver:
         self.variant = "joints" if lengths["joint"] else "discs" if discs else "general"
         pull = gravity_of(gravity, restitution)
         self._make_groups({**lengths, "world": worlds, "world+1": worlds + 1}, starts, length_scale, weight, pull)
-        share_all(self.model, {"inv_mass": inv_mass, "inv_inertia": inv_inertia})
-        share_all(self.state, {"position": position, "angle": angle})
-        share_all(self.contacts, {"body_a": body_a, "body_b": body_b, "normal": normal, "gap": gap})
-        share_all(self.contacts, {"arm_a": arm_a, "arm_b": arm_b, "friction": friction, "restitution": restitution})
-        share_all(self.joints, lines, writes=("joint_impulse",))
+        touch = {"body_a": body_a, "body_b": body_b, "normal": normal, "gap": gap, "arm_a": arm_a, "arm_b": arm_b}
+        self._shared = share_all(self.model, {"inv_mass": inv_mass, "inv_inertia": inv_inertia})
+        self._shared |= share_all(self.state, {"position": position, "angle": angle})
+        self._shared |= share_all(self.contacts, {**touch, "friction": friction, "restitution": restitution})
+        self._shared |= share_all(self.joints, lines, writes=WRITTEN)
         self._has_positions = position is not None
         given = dict(zip(PER_CALL, (velocity, angular_velocity, impulse, velocity_before, angular_velocity_before)))
         given |= {"count": count, "point": point, "color": color}
@@ -195,8 +196,7 @@ class ContactSolver:
         self.contacts.assign("contact_start", starts["contact"])
         self.model.assign("length_scale", for_each("length_scale", length_scale, sizes["world"], positive=True))
         self.model.numpy("gravity")[:, 1] = for_each("gravity", gravity, sizes["world"])
-        weights = for_each("weight", weight, sizes["world"]).astype(self.dtype)
-        shards = len(self._shards.ranges)
+        weights, shards = for_each("weight", weight, sizes["world"]).astype(self.dtype), len(self._shards.ranges)
         self._integrator = Integrator(self.model, shards, self._config.method, weights)
         self.motion = self._integrator.motion
         self._storage = SolverStorage(
@@ -222,7 +222,7 @@ class ContactSolver:
 
     def _bind_all(self) -> None:
         """Take arrays and settings anew; launches are bound when they are first wanted."""
-        share_all(self.exchange, self._given, writes=WRITTEN)
+        self._shared |= share_all(self.exchange, self._given, writes=WRITTEN)
         groups: dict[str, ArrayGroup] = {name: getattr(self, name) for name in GROUPS_TAKEN}
         self._binding.renew(self._config, groups, self._storage.past_width, self._in_turn)
         self._rounds: dict[tuple[Call, SolverConfig | None], list[Rounds]] = {}
@@ -355,8 +355,7 @@ class ContactSolver:
             self._check_complete()
         if self._moved and recording():
             self._bind_all()
-        key = (call, config)
-        if key not in self._rounds:
+        if (key := (call, config)) not in self._rounds:
             self._bind(call, config)
         self._packed = False
         if self._shards.run(self._rounds[key], 1):
@@ -373,6 +372,7 @@ class ContactSolver:
                 raise ValueError(f"{name} is missing; it must be given here or to the constructor")
         if (BEFORE[0] in self._given) != (BEFORE[1] in self._given):
             raise ValueError(f"{' and '.join(BEFORE)} go together")
+        refuse_shared(self._shared)
         self._complete = True
 
     def _take(self, name: str, array: Any) -> None:
@@ -381,7 +381,7 @@ class ContactSolver:
         if name in BEFORE:
             self.exchange.sizes["body before"] = self.exchange.sizes["body"]
         view = view_of(self.exchange, name, array, writes=name in WRITTEN)
-        self._given[name], self._at[name] = array, view.ctypes.data
+        self._given[name], self._at[name], self._shared[name] = array, view.ctypes.data, view
         if self.backend == "warp":
             for launch in self._exchanges if view.size else ():
                 launch.point(f"exchange.{name}", view.ctypes.data, view.shape)  # type: ignore[attr-defined]

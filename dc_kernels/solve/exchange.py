@@ -14,7 +14,7 @@ from dc_kernels.model.fields import field_table
 from dc_kernels.model.rules import UNIT_TOLERANCE, refuse
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
-from dc_kernels.runtime.inputs import check_layout, check_start
+from dc_kernels.runtime.inputs import check_layout, check_start, refuse_overlap
 from dc_kernels.runtime.interop import host_view
 
 UNIT = 2.0 * UNIT_TOLERANCE  # of a squared length
@@ -35,7 +35,7 @@ EXCHANGE = field_table(
 
 VELOCITIES = ("velocity", "angular_velocity")
 BEFORE = ("velocity_before", "angular_velocity_before")
-WRITTEN = (*VELOCITIES, "impulse", "color")
+WRITTEN = (*VELOCITIES, "impulse", "color", "joint_impulse")
 
 
 class Exchange(ArrayGroup):
@@ -84,7 +84,7 @@ def stays(array: Any, before: Any, at: int | None) -> bool:
     return array is before and (not hasattr(array, "data_ptr") or array.data_ptr() == at)
 
 
-def share_all(group: ArrayGroup, arrays: Mapping[str, Any], writes: Container[str] = ()) -> None:
+def share_all(group: ArrayGroup, arrays: Mapping[str, Any], writes: Container[str] = ()) -> dict[str, np.ndarray]:
     """Let fields of a group lie in the memory of given arrays, which live as long as the group.
 
     Args:
@@ -92,9 +92,13 @@ def share_all(group: ArrayGroup, arrays: Mapping[str, Any], writes: Container[st
         arrays: by the names of fields: arrays (see ``view_of``), numbers that fill the field's own, or None.
         writes: fields that kernels write to.
 
+    Returns:
+        The arrays that were given, as numpy.
+
     Raises:
         ValueError: naming the field.
     """
+    views = {}
     for name, array in arrays.items():
         if name not in group.table:
             raise ValueError(f"{name} is unknown; it must be one of {tuple(group.table)}")
@@ -103,7 +107,7 @@ def share_all(group: ArrayGroup, arrays: Mapping[str, Any], writes: Container[st
         if isinstance(array, Real):
             group.numpy(name)[...] = array  # the kernels look at it
             continue
-        view = view_of(group, name, array, writes=name in writes)
+        views[name] = view = view_of(group, name, array, writes=name in writes)
         if on_numpy(group.backend):
             group.share(name, view)
             continue
@@ -114,6 +118,23 @@ def share_all(group: ArrayGroup, arrays: Mapping[str, Any], writes: Container[st
         element = kernel_file(group.backend, "groups").field_type(field, group.dtype.name)
         shape = view.shape[: len(field.axes)]
         group.share(name, wp.array(view, dtype=element, shape=shape, device="cpu", copy=False))
+    return views
+
+
+def refuse_shared(arrays: Mapping[str, np.ndarray]) -> None:
+    """Refuse arrays that a solve writes to where they lie in the memory of another.
+
+    Velocities may be their own of before the step's forces, which are read first.
+
+    Raises:
+        ValueError: naming both.
+    """
+    written = {name: array for name, array in arrays.items() if name in WRITTEN}
+    read = {name: array for name, array in arrays.items() if name not in WRITTEN}
+    for name, before in zip(VELOCITIES, BEFORE):
+        if name in written and before in read and read[before].ctypes.data == written[name].ctypes.data:
+            del read[before]
+    refuse_overlap(written, read)
 
 
 def scalar_of(name: str, array: Any) -> np.dtype:

@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dc_kernels.model.enums import BodyType
+from dc_kernels.model.settings import WrongType, shown
 from dc_kernels.runtime.optional import require
 from pipeline.data.batch import BODY, CONTACT, SHAPE, Batch, World
 from pipeline.data.folders import Folders, Paths, row_counts
@@ -125,7 +126,22 @@ class States(Dataset):
 
     def world_of(self, indices: Any) -> np.ndarray:
         """Return the world of each state, counted through the data set."""
-        return self._world_of(self.rows[np.asarray(indices, np.int64)])
+        return self._world_of(self.rows[self._checked(indices)])
+
+    def _checked(self, indices: Any) -> np.ndarray:
+        """Return indices of states, (n,) int64; negative ones count from the end.
+
+        Raises:
+            TypeError: for what are no integers.
+            IndexError: naming the first that is out of range.
+        """
+        found = np.asarray(indices)
+        if found.size and found.dtype.kind not in "iu":
+            raise WrongType(f"index is {shown(indices)}; it must be an integer, or several")
+        bad = (found < -len(self.rows)) | (found >= len(self.rows))
+        if bad.any():
+            raise IndexError(f"index is {found[bad].flat[0]}; it must lie in [{-len(self.rows)}, {len(self.rows) - 1}]")
+        return found.astype(np.int64)
 
     def _world_of(self, rows: np.ndarray) -> np.ndarray:
         """Return the world of each row of the steps."""
@@ -150,10 +166,12 @@ class States(Dataset):
         """Put states together as a batch, in the order given.
 
         Raises:
+            TypeError: for what is no index, such as 1.5 or True.
             IndexError: for an index out of range.
             ValueError: for a shard that is damaged.
         """
-        rows, numbers = self.rows[np.asarray(indices, np.int64)], self.world_of(indices)
+        chosen = self._checked(indices)
+        rows, numbers = self.rows[chosen], self.world_of(chosen)
         worlds = [self._world(int(number)) for number in numbers]
         steps = (rows - self.step_start[numbers]).tolist()
         motion = [slice(*w.motion_start[s : s + 2]) for w, s in zip(worlds, steps)]

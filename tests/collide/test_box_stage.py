@@ -253,3 +253,22 @@ def test_what_goes_bad_after_it_was_checked_is_named_at_the_call(backend):
             broadphase()
         np.testing.assert_array_equal(broadphase.numpy(), others)
         array[index] = good
+
+
+def test_a_graph_of_before_the_room_grew_is_told_of():
+    lower, upper = boxes(100, np.random.default_rng(5))
+    broadphase = dc.Broadphase(lower, upper)
+    broadphase()
+    with wp.ScopedCapture(device="cpu") as capture:
+        broadphase()
+    upper += np.float32(20.0)
+    broadphase()
+    wp.capture_launch(capture.graph)
+    with pytest.raises(RuntimeError, match=r"recorded before layout_version changed to \d+: .*; record it anew"):
+        broadphase.check()
+    np.testing.assert_array_equal(broadphase.numpy(), brute(lower, upper))
+    broadphase.check()
+    with wp.ScopedCapture(device="cpu") as capture:
+        broadphase()
+    wp.capture_launch(capture.graph)
+    broadphase.check()

@@ -293,3 +293,22 @@ def test_bad_input_is_named():
     other = dc.Broadphase(place, place.copy())
     with pytest.raises(ValueError, match=r"pairs.start is .*; that of the shapes, shape_start, differs"):
         dc.Narrowphase(shapes, place, turn, other)
+
+
+def test_a_graph_of_before_the_room_grew_is_told_of():
+    shapes, position, _ = discs()
+    angle = np.zeros(60, np.float32)
+    boxes = dc.ShapeBoxes(shapes, position, angle, margin=30.0)
+    broadphase = dc.Broadphase(boxes.lower, boxes.upper, [0, 20, 60])
+    narrowphase = dc.Narrowphase(shapes, position, angle, broadphase)
+    boxes(), broadphase(), narrowphase()
+    with wp.ScopedCapture(device="cpu") as capture:
+        narrowphase()
+    position *= np.float32(0.01)
+    narrowphase()
+    found = narrowphase.numpy("gap")
+    wp.capture_launch(capture.graph)
+    with pytest.raises(RuntimeError, match=r"recorded before layout_version changed to \d+: .*; record it anew"):
+        narrowphase.check()
+    np.testing.assert_array_equal(narrowphase.numpy("gap"), found)
+    narrowphase.check()

@@ -599,3 +599,17 @@ def test_points_in_space_are_splatted_by_tiles_too():
     deep = rng.uniform(0.0, 749.0, (500, 3)).astype(np.float32)
     values = rng.normal(size=(500, 1)).astype(np.float32)
     np.testing.assert_array_equal(splat(deep, values, grid), splat(deep[:, :2].copy(), values, grid))
+
+
+def test_what_is_written_shares_no_memory_with_what_is_read():
+    grid = Grid(rows=3, columns=4, spacing=1.0)
+    points = np.random.default_rng(0).uniform(0.0, 3.0, (12, 2))
+    with pytest.raises(ValueError, match="out shares memory with values; it is written to"):
+        splat(points, (values := np.ones((12, 1))), grid, out=values.reshape(1, 1, 3, 4))
+    with pytest.raises(ValueError, match="out shares memory with points; it is written to"):
+        gather(np.ones((1, 2, 3, 4)), points, grid, out=points)
+    with pytest.raises(ValueError, match="image shares memory with values"):
+        Transfer(grid).at(points).splat(values, values.reshape(1, 1, 3, 4))
+    values.flags.writeable = False
+    with pytest.raises(ValueError, match="values is read-only; it must be writable"):
+        Transfer(grid).at(points).gather(np.ones((1, 1, 3, 4)), values)

@@ -135,7 +135,7 @@ def test_what_is_right_takes_one_look(scene, backend):
         for group in ("model", "state", "contacts")
         for name, field in TABLES[group].items()
         if isinstance(field.rule, Number | Code | Unit) and field.dtype not in ("vec2d", "float64")
-    }
+    } - {"contact_dt"}  # which may be 0 beside its range
     assert seen == (each if backend == "warp" else set())
 
 

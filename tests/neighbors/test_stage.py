@@ -142,3 +142,17 @@ def test_bad_input_is_named():
     wide = np.array([[1e308, 0.0], [-1e308, 0.0]])
     with pytest.raises(ValueError, match=r"points of world 0 span more than float64 holds on axis 0"):
         dc.NeighborSearch(wide, 1.0)()
+
+
+def test_a_graph_of_before_the_room_grew_is_told_of():
+    points, start = worlds(300)
+    search = dc.NeighborSearch(points, 1.0, start=start)
+    with wp.ScopedCapture(device="cpu") as capture:
+        search()
+    points *= 0.02  # all of a world are near each other
+    search()
+    wp.capture_launch(capture.graph)
+    with pytest.raises(RuntimeError, match=r"recorded before layout_version changed to 1: .*; record it anew"):
+        search.check()
+    check(search, points, 1.0, start)
+    search.check()

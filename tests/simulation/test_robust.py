@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -97,6 +98,19 @@ def test_a_time_step_that_does_not_fit_is_refused(dt):
         simulation().step(dt)
 
 
+@pytest.mark.parametrize("dt", [9e-19, 2e18, 1e-40])
+def test_time_steps_whose_ratio_is_no_number_are_refused(dt):
+    """Start impulses are scaled by the ratio of two time steps."""
+    sim = simulation()
+    limits = r"in \[1e-18, 1e\+18\]"
+    with pytest.raises(ValueError, match=f"dt is {re.escape(str(dt))}; it must be {limits} s"):
+        sim.step(dt)
+    sim.step(0.01)
+    contacts = {name: sim.contacts.numpy(name)[:0] for name in ("key", "impulse", "color", "age")}
+    with pytest.raises(ValueError, match=rf"contact_dt\[1\] is .*; it must be 0, or {limits}"):
+        sim.restore_contacts([0, 0], contacts, [0.0, dt])
+
+
 def test_settings_of_another_type_leave_those_there_are():
     sim = simulation()
     before = sim.config
@@ -146,3 +160,17 @@ def test_a_world_that_met_nan_is_named_and_revived(backend):
     assert not sim.state.numpy("flags").any() and "frozen" not in repr(sim) + sim.explain()
     assert sim.state.numpy("time") == pytest.approx([0.06, 0.03])
     assert (sim.state.numpy("velocity")[2:, 1] < -0.2).all()  # it falls
+
+
+@pytest.mark.parametrize("on_overflow", ["grow", "raise"])
+@pytest.mark.parametrize("flag", [dc.Flag.PAIR_OVERFLOW, dc.Flag.CONTACT_OVERFLOW, dc.Flag.ROW_OVERFLOW])
+def test_a_flag_of_room_that_was_set_by_hand_costs_no_step(flag, on_overflow):
+    sim, alone = simulation(on_overflow=on_overflow), simulation()
+    for one in (sim, alone):
+        one.run(60, 0.01)
+    sim.state.numpy("flags")[1] = flag
+    for one in (sim, alone):
+        one.run(10, 0.01)
+    assert not sim.state.numpy("flags").any()
+    for name in ("position", "velocity", "time"):
+        np.testing.assert_array_equal(sim.state.numpy(name), alone.state.numpy(name))

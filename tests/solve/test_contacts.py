@@ -642,3 +642,23 @@ def test_whatever_stands_in_any_array_is_named_or_harmless():
                 np.isfinite(held["impulse"][a : a + n]).all() for a, n in zip(held["contact_start"], held["count"])
             )
     assert len(named) > 15 and named <= {*arrays, *(f"the solve of world {w} ran off: its" for w in range(2))}
+
+
+@pytest.mark.parametrize(
+    ("name", "other"), [("impulse", "point"), ("velocity", "position"), ("angular_velocity", "inv_inertia")]
+)
+def test_what_is_written_shares_no_memory_with_what_is_read(name, other):
+    given = drop()
+    given[other] = given[name]
+    before = given[name].copy()
+    with pytest.raises(ValueError, match=f"{name} shares memory with {other}; it is written to"):
+        dc.ContactSolver(**given).solve(DT)
+    np.testing.assert_array_equal(given[name], before)
+
+
+def test_arrays_of_a_call_share_no_memory():
+    solver, spin, whole = dc.ContactSolver(**drop()), np.zeros(2), np.zeros((3, 2))
+    with pytest.raises(ValueError, match="impulse shares memory with velocity; it is written to"):
+        solver.solve(DT, whole[:2], impulse=whole[1:2])
+    velocity = whole[:2]
+    solver.solve(DT, velocity, spin, whole[2:], velocity_before=velocity, angular_velocity_before=spin)

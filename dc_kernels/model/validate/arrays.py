@@ -109,6 +109,8 @@ def check_rule(label: str, values: np.ndarray, rule: Number | Code | Unit, first
         bad = ~np.isfinite(values) | (values < rule.low) | (values > rule.high)
         if rule.open:
             bad |= values == rule.low
+        if rule.zero:
+            bad &= values != 0
         refuse(label, values, bad, rule.limits, first)
     elif isinstance(rule, Code):
         codes = sorted(int(value) for value in rule.values)

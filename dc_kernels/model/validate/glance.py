@@ -109,7 +109,7 @@ class Glance:
         if isinstance(rule, Code) and sorted(rule.values) == list(range(len(rule.values))):
             rule = Number(0, len(rule.values) - 1)
         kind = {self._dtype: Element.NUMBERS, np.dtype(np.int32): Element.INTEGERS}.get(dtype)
-        return (kind, *_range(dtype, rule)) if isinstance(rule, Number) and kind is not None else None
+        return (kind, *_range(dtype, rule)) if isinstance(rule, Number) and not rule.zero and kind is not None else None
 
     def _launch(self, name: str, fields: int = 1, /, **values: np.ndarray) -> np.ndarray:
         """Launch a kernel; what it finds wrong."""

@@ -295,3 +295,14 @@ def test_a_shard_that_changes_is_checked_anew(folder, tmp_path, monkeypatch):
     states = pickle.loads(pickle.dumps(states))  # as a worker has it, which knows what was checked
     with pytest.raises(ValueError, match=r"shard-.*h5 is damaged: step/motion_start must ascend"):
         states[last]
+
+
+def test_what_is_no_index_of_a_state_is_refused(folder):
+    states = States(folder)
+    for index in (1.5, True, "1", None, np.zeros(len(states), bool)):
+        with pytest.raises(TypeError, match=r"index is .*; it must be an integer, or several"):
+            states[index]
+    for index in (len(states), -len(states) - 1):
+        with pytest.raises(IndexError, match=rf"index is {index}; it must lie in \[-\d+, \d+\]"):
+            states[index]
+    assert same(states[-1], states[np.int32(len(states) - 1)])
