@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dc_kernels.model.enums import BodyType, ShapeType, flag_names
+from dc_kernels.model.settings import counted
 from dc_kernels.solve.rows import LANES, SERIAL_COLOR
 from dc_kernels.stages import PHASES, of_phase
 
@@ -14,13 +15,6 @@ if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
 
 SHOWN = 8  # frozen worlds that one line names
-
-
-def _count(number: int, name: str) -> str:
-    if number == 1:
-        return f"1 {name}"
-    plural = name[:-1] + "ies" if name.endswith("y") else name + "s"
-    return f"{number} {plural}"
 
 
 def explain(sim: Simulation) -> str:
@@ -31,17 +25,17 @@ def explain(sim: Simulation) -> str:
     friction = bool(model.numpy("shape_friction").any())
     bounce = bool(model.numpy("shape_restitution").any())
     kinds = ", ".join(
-        _count(int((body_type == kind).sum()), f"{kind.name.lower()} body")
+        counted(int((body_type == kind).sum()), f"{kind.name.lower()} body")
         for kind in BodyType
         if (body_type == kind).any()
     )
     shapes = ", ".join(
-        _count(int((shape_type == kind).sum()), kind.name.lower()) for kind in ShapeType if (shape_type == kind).any()
+        counted(int((shape_type == kind).sum()), kind.name.lower()) for kind in ShapeType if (shape_type == kind).any()
     )
     lines = [
-        f"scene: {_count(model.world_count, 'world')}, {kinds or 'no bodies'}; {shapes or 'no shapes'}; "
-        f"{_count(model.joint_count, 'distance joint')}",
-        f"backend: {sim.backend} on {sim.device}, {sim.dtype.name}, {_count(sim.threads, 'thread')} over worlds, "
+        f"scene: {counted(model.world_count, 'world')}, {kinds or 'no bodies'}; {shapes or 'no shapes'}; "
+        f"{counted(model.joint_count, 'distance joint')}",
+        f"backend: {sim.backend} on {sim.device}, {sim.dtype.name}, {counted(sim.threads, 'thread')} over worlds, "
         f"schedule {sim.schedule!r}",
         f"broadphase: pairs are kept while no shape leaves a margin of {config.margin:g} length scales "
         f"(rebuilt {int(sim.pairs.numpy('rebuilds').sum())} times so far)",
@@ -82,7 +76,7 @@ def explain(sim: Simulation) -> str:
         lines.append(f"position correction: {config.position_correction}; the position phase is skipped")
     serial = int((sim.contacts.numpy("color") == SERIAL_COLOR).sum())
     if serial:
-        lines.append(f"serial colour: {_count(serial, 'contact')} swept one by one (a body has more than 63)")
+        lines.append(f"serial colour: {counted(serial, 'contact')} swept one by one (a body has more than 63)")
     if not config.history:
         lines.append("history of sweeps: not kept")
     lines += [f"world {w}: frozen ({why})" for w, why in _frozen(sim)]
@@ -92,7 +86,7 @@ def explain(sim: Simulation) -> str:
 def describe(sim: Simulation) -> str:
     """One line: what a simulation is of, and which worlds do not advance."""
     model, frozen = sim.model, _frozen(sim)
-    line = f"<Simulation of {_count(model.world_count, 'world')} and {_count(model.body_count, 'body')}"
+    line = f"<Simulation of {counted(model.world_count, 'world')} and {counted(model.body_count, 'body')}"
     line += f", {sim.dtype}, {sim.backend} on {sim.device}"
     if frozen:
         more = f" and {len(frozen) - SHOWN} more" * (len(frozen) > SHOWN)

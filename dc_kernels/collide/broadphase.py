@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from dc_kernels.runtime.inputs import (
     check_slots,
     check_start,
 )
+from dc_kernels.runtime.interop import InPlace
 from dc_kernels.runtime.threads import run_shards, shard_worlds
 
 PAIRS_PER_BOX = 4.0  # reserved at first
@@ -89,7 +91,7 @@ class CandidatePairs:
         pairs.assign("start", self.room.starts())
 
 
-class Broadphase:
+class Broadphase(InPlace):
     """Pairs of boxes that overlap, of anybody's boxes, whose sizes may differ by any ratio.
 
         broadphase = dc.Broadphase(lower, upper, margin=0.1)  # numpy, torch, wp.array: read where they lie
@@ -205,6 +207,11 @@ class Broadphase:
             bind(kernel, n, {**values, "launch": groups.group("launch", dtype, LAUNCH, {"world_offset": w})}, "cpu")
             for w, n in shard_worlds(len(start) - 1, host_threads(self.backend, self.threads))
         ]
+
+    @property
+    def lengths(self) -> Mapping[str, int]:
+        """How many it works on, by noun."""
+        return {"box": len(self.lower), "world": len(self.start) - 1}
 
     @property
     def layout_version(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from dc_kernels.runtime.inputs import (
     check_slots,
     check_start,
 )
+from dc_kernels.runtime.interop import InPlace
 from dc_kernels.runtime.sequences import as_one
 from dc_kernels.runtime.threads import run_shards, shard_worlds
 
@@ -34,7 +36,7 @@ CONTACTS_PER_BODY = 2.5  # reserved at first
 FOUND = ("key", "body_a", "body_b", "normal", "arm_a", "arm_b", "gap", "friction", "restitution")
 
 
-class Narrowphase:
+class Narrowphase(InPlace):
     """Contact points of pairs of shapes: discs, capsules, polygons with or without rounding, segments of chains.
 
         narrowphase = dc.Narrowphase(model, position, angle, broadphase)
@@ -189,6 +191,11 @@ class Narrowphase:
             return as_one([bind(table[name], count, {**values, "launch": launch}, "cpu") for name in names])
 
         self._shards = [shard(*part) for part in shard_worlds(worlds, self.threads)] if worlds else []
+
+    @property
+    def lengths(self) -> Mapping[str, int]:
+        """How many it works on, by noun."""
+        return {"shape": len(self.shapes.arrays["shape_type"]), "world": self.shapes.worlds}
 
     @property
     def layout_version(self) -> int:

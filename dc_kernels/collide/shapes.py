@@ -24,6 +24,7 @@ from dc_kernels.runtime.inputs import (
     check_not_negative,
     check_start,
 )
+from dc_kernels.runtime.interop import InPlace
 from dc_kernels.runtime.threads import run_shards, shard_worlds
 
 NEEDED = ("shape_type", "shape_radius", "vertex_start", "vertices")
@@ -89,7 +90,7 @@ class Shapes:
         return whole_group("state", self.dtype, STATE, given, self.backend)
 
 
-class ShapeBoxes:
+class ShapeBoxes(InPlace):
     """The boxes of shapes that move, for a broadphase: ``dc.Broadphase(boxes.lower, boxes.upper)``.
 
     Attributes:
@@ -120,7 +121,7 @@ class ShapeBoxes:
             ValueError, TypeError: naming the argument, the index and the limit.
         """
         self.shapes = Shapes(shapes, backend)
-        backend, dtype = self.shapes.backend, self.shapes.dtype
+        self.backend, self.dtype = backend, dtype = self.shapes.backend, self.shapes.dtype
         self._kept = (position, angle)
         self.threads = check_count("threads", threads)
         corners = {name: np.zeros((len(self.shapes.arrays["shape_type"]), 2), dtype) for name in ("lower", "upper")}
@@ -140,6 +141,11 @@ class ShapeBoxes:
             bind(kernel, n, {**values, "launch": groups.group("launch", dtype.name, LAUNCH, first)}, "cpu")
             for w, n, first in launch
         ]
+
+    @property
+    def lengths(self) -> Mapping[str, int]:
+        """How many it works on, by noun."""
+        return {"shape": len(self.shapes.arrays["shape_type"]), "world": self.shapes.worlds}
 
     def __call__(self) -> None:
         """Make the boxes of the shapes where their bodies are now; one that is not finite is the broadphase's error."""

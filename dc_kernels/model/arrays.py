@@ -15,7 +15,7 @@ import numpy as np
 
 from dc_kernels.model.dtypes import aligned_zeros, float_dtype, numpy_spec
 from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, Field
-from dc_kernels.model.settings import numeric
+from dc_kernels.model.settings import counted, numeric
 from dc_kernels.model.worlds import Segments, WorldViews, by_world
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
@@ -260,9 +260,7 @@ class ArrayGroup:
     def __repr__(self) -> str:
         """Sizes, scalar, backend and device."""
         axes = dict.fromkeys(axis for field in self.table.values() for axis in field.axes if axis in self.sizes)
-        plural = {"body": "bodies", "vertex": "vertices"}
-        sizes = {axis: self.sizes[axis] for axis in axes if not axis.endswith("+1")}
-        counts = [f"{n} {axis if n == 1 else plural.get(axis, axis + 's')}" for axis, n in sizes.items()]
+        counts = [counted(self.sizes[axis], axis) for axis in axes if not axis.endswith("+1")]
         return f"<{type(self).__name__}: {', '.join(counts)}; {self.dtype.name}, {self.backend} on {self.device}>"
 
     def writable(self, name: str) -> bool:

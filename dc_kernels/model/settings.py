@@ -187,6 +187,16 @@ def number_limits(hint: Any) -> tuple[type, Limits]:
     return plain_type(hint), limits[0] if limits else Limits()
 
 
+def counted(number: int, name: str) -> str:
+    """Return a number with its noun, as "1 body", "2 bodies", "3 boxes"."""
+    if number == 1:
+        return f"1 {name}"
+    for end, plural in (("y", "ies"), ("ex", "ices"), ("x", "xes")):
+        if name.endswith(end):
+            return f"{number} {name.removesuffix(end)}{plural}"
+    return f"{number} {name}s"
+
+
 def numeric(name: str, values: Any, wanted: str = "numbers", kinds: str = "iuf") -> np.ndarray:
     """Return numbers of any shape as an array: what is one, or a nested list, and no text, set, mapping or object.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,12 @@ from dc_kernels.neighbors.search import square
 from dc_kernels.runtime.backends import Launch, bind, check_backend
 from dc_kernels.runtime.capture import Recordings, recording
 from dc_kernels.runtime.inputs import check_count, check_points, check_slots, check_start
+from dc_kernels.runtime.interop import InPlace
 from dc_kernels.runtime.sequences import as_one
 from dc_kernels.runtime.threads import run_shards
 
 
-class NeighborSearch:
+class NeighborSearch(InPlace):
     """Pairs of points within a radius, found anew at each call in memory that is allocated once.
 
         search = dc.NeighborSearch(points, radius=0.1)   # numpy, torch, wp.array: read where they lie
@@ -61,6 +63,7 @@ class NeighborSearch:
         """
         self.backend = check_backend(backend)
         self.points = check_points("points", points, (2, 3))
+        self.dtype = self.points.dtype
         self._kept = points  # whose memory the kernels read
         self._starts = check_start("start", start, len(self.points))
         self._limit = square("radius", radius, self.points.dtype)
@@ -107,6 +110,11 @@ class NeighborSearch:
 
         shards = shards_of(np.diff(starts), self.threads)
         self._shards = [as_one(shard(first, count)) for first, count in shards]
+
+    @property
+    def lengths(self) -> Mapping[str, int]:
+        """How many it works on, by noun."""
+        return {"point": len(self.points), "world": len(self._starts) - 1}
 
     def __call__(self) -> Any:
         """Find the pairs of the points as they are now; returns ``count``.

@@ -3,11 +3,43 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from dc_kernels.model.dtypes import FLOATS
+from dc_kernels.model.settings import counted
+
+
+class InPlace:
+    """What works on arrays of others where they lie, and so is neither copied nor pickled."""
+
+    dtype: np.dtype
+    backend: str
+
+    @property
+    def lengths(self) -> Mapping[str, int]:
+        """How many it works on, by noun."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        """What it works on, scalar and backend."""
+        counts = ", ".join(counted(number, name) for name, number in self.lengths.items())
+        return f"<{type(self).__name__}: {counts}; {self.dtype}, {self.backend} on cpu>"
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Refuse: a copy would be of none of its arrays' owners.
+
+        Raises:
+            TypeError: saying what to do.
+        """
+        name = type(self).__name__
+        raise TypeError(
+            f"this {name} works on arrays where their owner has them, and is neither copied nor pickled; "
+            f"make another {name} on copies of them"
+        )
+
 
 DLPACK_CPU = 1  # of its types of devices
 

@@ -13,6 +13,7 @@ from dc_kernels.model.config import SimulationOptions, SolverConfig, check_confi
 from dc_kernels.runtime.backends import Launch, bind, check_backend, make_kernels
 from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recording
 from dc_kernels.runtime.inputs import check_truth
+from dc_kernels.runtime.interop import InPlace
 from dc_kernels.runtime.sequences import Rounds, Watch
 from dc_kernels.runtime.stepping import Shards
 from dc_kernels.runtime.threads import OneCaller
@@ -43,7 +44,7 @@ FILES = (("solve.exchange",), ("collide.color",), ("solve.pack", "variant"), ("s
 Call = Literal["pack", "solve", "solve kept"]
 
 
-class ContactSolver:
+class ContactSolver(InPlace):
     """Impulses and velocities of bodies in contact, of any engine: the solver of ``Simulation`` as a stage.
 
     The arrays of bodies and contacts are given once and read where they lie at each call: refill them in place. They
@@ -228,6 +229,11 @@ class ContactSolver:
         self._rounds: dict[tuple[Call, SolverConfig | None], list[Rounds]] = {}
         self._exchanges: list[Launch] = []  # launches that take the arrays of a call
         self._moved = False  # whether a call was given others than those that are shared
+
+    @property
+    def lengths(self) -> Mapping[str, int]:
+        """How many it works on, by noun."""
+        return {name: self.contacts.sizes[name] for name in ("contact", "body", "joint", "world")}
 
     @property
     def config(self) -> SolverConfig:

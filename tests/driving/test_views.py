@@ -1,5 +1,8 @@
 """Arrays world by world, and what objects say about themselves."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -72,3 +75,43 @@ def test_objects_say_what_they_are():
     assert repr(sim.joints) == "<Joints: 1 joint; float64, numpy on cpu>"
     assert repr(sim.model).startswith("<Model: 2 worlds, 22 bodies, 26 shapes, ")
     assert "contacts" in repr(sim.contacts)
+
+
+def stages():
+    """One stage of each kind on the arrays of a small scene."""
+    model = scene("float64")[0]
+    bodies = model.body_count
+    position, angle = np.zeros((bodies, 2)), np.zeros(bodies)
+    boxes = dc.ShapeBoxes(model, position, angle)
+    boxes()
+    broadphase = dc.Broadphase(dc.to_numpy(boxes.lower), dc.to_numpy(boxes.upper), model.numpy("shape_start").copy())
+    pair = np.zeros((3, 2))
+    solver = dc.ContactSolver(
+        np.zeros(3, np.int32),
+        np.ones(3, np.int32),
+        None,
+        pair + np.array([0.0, 1.0]),
+        np.zeros(3),
+        arm_a=pair,
+        arm_b=pair,
+        inv_mass=np.ones(2),
+        inv_inertia=np.ones(2),
+    )
+    return {
+        "ShapeBoxes: 26 shapes, 2 worlds": boxes,
+        "Broadphase: 26 boxes, 2 worlds": broadphase,
+        "Narrowphase: 26 shapes, 2 worlds": dc.Narrowphase(model, position, angle, broadphase),
+        "NeighborSearch: 22 points, 1 world": dc.NeighborSearch(position, 0.1),
+        "ContactSolver: 3 contacts, 2 bodies, 0 joints, 1 world": solver,
+    }
+
+
+def test_stages_say_what_they_are_and_are_not_copied():
+    for text, stage in stages().items():
+        assert repr(stage) == f"<{text}; float64, warp on cpu>"
+        name = type(stage).__name__
+        for make in (copy.copy, copy.deepcopy, pickle.dumps):
+            with pytest.raises(
+                TypeError, match=f"this {name} works on arrays .* make another {name} on copies of them"
+            ):
+                make(stage)

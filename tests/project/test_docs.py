@@ -107,10 +107,13 @@ def check_driving(scope: dict) -> None:
     assert other.state.numpy("time").tolist() == pytest.approx([0.1, 0.3, 0.1, 0.3])
     assert (sim.model.numpy("shape_friction") == np.float32(0.1)).all()
     assert (sim.model.numpy("mass") == other.model.numpy("mass")).all()
-    weight = 9.81 * np.pi / 4 * 0.01
+    weight = 9.81 * np.pi / 4
+    assert scope["observed"].shape == (4, 3, 2) and len(scope["pressing"]) == 4
+    assert scope["force"].reshape(4, 3, 2)[:, 0, 1] == pytest.approx(-2 * weight, rel=0.1)
+    assert len(scope["events"].touching.impulse) == 8 and not len(scope["struck"])
     first = sim.contacts.numpy("contact_start")[:-1]
-    found = sim.contacts.numpy("impulse")[first, 0] / weight
-    assert found == pytest.approx([1, 2, 2, 2], rel=1e-2)  # both discs on the floor; one on the frozen one
+    found = sim.contacts.numpy("impulse")[first, 0] / weight / 0.01
+    assert found == pytest.approx([1, 2, 2, 2], rel=0.1)  # both discs on the floor; one on the frozen one
 
 
 CHECKS = {
