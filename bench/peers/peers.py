@@ -6,13 +6,14 @@ both keep their warm start and never sleep, so that each step of every engine so
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any
 
 import numpy as np
+
+import dc_kernels as dc
+from pipeline import scenes
 
 TOUCHING = 1e-3  # [m]: a thousandth of the thesis discs' diameter
 
@@ -31,77 +32,38 @@ class DiscWorld:
     density: float = 1.0
     friction: float = 0.5
 
+    def builder(self) -> dc.ModelBuilder:
+        """The world as ours: body 0 is the ground, body i + 1 is disc i."""
+        builder = dc.ModelBuilder()
+        builder.add_world(gravity=self.gravity)
+        ground = builder.add_body(type=dc.BodyType.STATIC)
+        for wall in self.walls:
+            builder.add_chain(ground, wall, friction=self.friction)
+        builder.add_discs(self.positions, self.radii, density=self.density, friction=self.friction)
+        return builder
+
 
 Runner = Callable[[DiscWorld, int, float], np.ndarray]
 """Build a world, take a number of steps of dt [s], return the final positions (n, 2) [m]."""
 
 
-def require(module: str) -> ModuleType:
-    """Import a peer, or say which extra installs it.
-
-    Raises:
-        ImportError: when it is missing.
-    """
-    import importlib
-
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        name = {"Box2D": "pybox2d (Box2D)"}.get(module, module)
-        raise ImportError(f"this bench needs {name}: install it with  pip install 'deep-contact[bench]'") from error
-
-
 def run_pymunk(world: DiscWorld, steps: int, dt: float, iterations: int) -> np.ndarray:
-    """One world in pymunk; Chipmunk multiplies friction, so each shape has the root of the pair's coefficient."""
-    pymunk = require("pymunk")
-    friction = math.sqrt(world.friction)
-    space = pymunk.Space()
-    space.gravity = world.gravity
+    """One world in pymunk (see ``scenes.to_pymunk``)."""
+    space, bodies = scenes.to_pymunk(world.builder())
     space.iterations = iterations  # sleep_time_threshold stays infinite: nothing sleeps
-    for (x1, y1), (x2, y2) in world.walls.tolist():
-        wall = pymunk.Segment(space.static_body, (x1, y1), (x2, y2), 0.0)
-        wall.friction, wall.elasticity = friction, 0.0
-        space.add(wall)
-    bodies = []
-    for (x, y), radius in zip(world.positions.tolist(), world.radii.tolist(), strict=True):
-        mass = world.density * math.pi * radius * radius
-        body = pymunk.Body(mass, pymunk.moment_for_circle(mass, 0.0, radius))
-        body.position = (x, y)
-        shape = pymunk.Circle(body, radius)
-        shape.friction, shape.elasticity = friction, 0.0
-        space.add(body, shape)
-        bodies.append(body)
     for _ in range(steps):
         space.step(dt)
-    return np.array([body.position for body in bodies], np.float64).reshape(-1, 2)
+    return np.array([body.position for body in bodies[1:]], np.float64).reshape(-1, 2)
 
 
 def build_pybox2d(world: DiscWorld) -> tuple[Any, list[Any]]:
-    """One world in Box2D 2.3 and its discs; the ground's ``userData`` is 0, that of disc i is i + 1.
-
-    Box2D mixes friction by the root of the product: each shape has the pair's coefficient. Its edges carry a skin of
-    1 cm, which is taken away here: the discs rest on the same walls in every engine. Each body is told not to sleep:
-    the world's ``doSleep=False`` alone lets piles at rest fall asleep.
-    """
-    box2d = require("Box2D")
-    space = box2d.b2World(gravity=world.gravity, doSleep=False)
-    space.warmStarting = True
-    ground = space.CreateStaticBody(userData=0)
-    for start, end in world.walls.tolist():
-        edge = box2d.b2EdgeShape(vertices=[tuple(start), tuple(end)])
-        edge.radius = 0.0
-        ground.CreateFixture(shape=edge, friction=world.friction, restitution=0.0)
-    bodies: list[Any] = []
-    for (x, y), radius in zip(world.positions.tolist(), world.radii.tolist(), strict=True):
-        body = space.CreateDynamicBody(position=(x, y), userData=len(bodies) + 1, allowSleep=False)
-        shape = box2d.b2CircleShape(radius=radius)
-        body.CreateFixture(shape=shape, density=world.density, friction=world.friction, restitution=0.0)
-        bodies.append(body)
-    return space, bodies
+    """One world in Box2D 2.3 and its discs; ``userData`` is 0 of the ground, i + 1 of disc i."""
+    space, bodies = scenes.to_box2d(world.builder())
+    return space, bodies[1:]
 
 
 def run_pybox2d(world: DiscWorld, steps: int, dt: float, velocity_iterations: int, position_iterations: int):
-    """One world in Box2D 2.3 (see ``build_pybox2d``)."""
+    """One world in Box2D 2.3 (see ``scenes.to_box2d``)."""
     space, bodies = build_pybox2d(world)
     for _ in range(steps):
         space.Step(dt, velocity_iterations, position_iterations)

@@ -10,6 +10,7 @@ from pipeline.scenes.chain import Chain
 from pipeline.scenes.discs import THESIS_BODIES, Settled, Thesis, ThesisClustered, box_side
 from pipeline.scenes.incline import Incline
 from pipeline.scenes.mixed import Mixed
+from pipeline.scenes.peers import PeerWorld, to_box2d, to_pymunk
 from pipeline.scenes.placement import CLEARANCE, Sampler, place_discs
 from pipeline.scenes.registry import SCENES, register, scene
 
@@ -20,6 +21,7 @@ __all__ = [
     "Chain",
     "Incline",
     "Mixed",
+    "PeerWorld",
     "Pyramid",
     "Sampler",
     "Scene",
@@ -31,4 +33,6 @@ __all__ = [
     "place_discs",
     "register",
     "scene",
+    "to_box2d",
+    "to_pymunk",
 ]
