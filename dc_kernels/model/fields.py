@@ -229,6 +229,7 @@ ITERATION = field_table(
     ("finished", "world", "int32", "1", "1 where the solve has ended"),
     ("change", "world", "real", "N s", "largest impulse change of the last sweep"),
     ("least_change", "world", "real", "N s", "least change of those whose impulses were kept to go back to"),
+    ("change_bound", "world", "real", "N s", "change beyond which the adaptive acceleration was led astray"),
     # Aitken's extrapolation:
     ("period", "world", "int32", "1", "sweeps of the present period"),
     ("inside", "world", "int32", "1", "sweeps done in it; negative: plain sweeps before the next"),

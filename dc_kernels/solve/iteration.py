@@ -10,6 +10,9 @@ NEVER = 2**30  # sweeps until a pause, where there is none
 PAST = 5
 BEST = 4
 RETREAT = 4.0  # times the least change: a solve that hits its cap beyond goes back to where that was
+# times the first change, or what would stop each row alone where that is more: an accelerated sweep that changes more
+# was led astray, by steps along which rows are nearly singular
+GROWTH = 100.0
 
 
 class Stretch(IntEnum):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from dc_kernels._numpy.solve.accelerate import METHODS
+from dc_kernels._numpy.solve.accelerate import METHODS, adaptive
 from dc_kernels._numpy.solve.row import by_lane
 from dc_kernels._numpy.solve.world import BY_RESIDUAL, JACOBI, World
 from dc_kernels.model.config import ACCELERATIONS
-from dc_kernels.solve.iteration import BEST, NEVER, RETREAT, Stretch
+from dc_kernels.solve.iteration import BEST, GROWTH, NEVER, RETREAT, Stretch
 
 AITKEN = ACCELERATIONS["aitken"]
 PLAIN = ACCELERATIONS["none"]
@@ -53,9 +53,10 @@ def conclude_sweep(world: World, largest: Any) -> bool:
     anew = bool(it.finished) and config.acceleration == ADAPTIVE and it.stretch_method == Stretch.MOMENTUM
     if config.acceleration != PLAIN and world.pause_at == NEVER:
         anew = keep_best(world, largest, last) or anew
-    if it.finished:
-        if anew:
-            world.refresh()
+    astray = not it.finished and config.acceleration == ADAPTIVE and go_back(world, largest)
+    if anew or astray:
+        world.refresh()
+    if it.finished or astray:
         return False
     inside = it.inside + 1
     if config.acceleration in METHODS and METHODS[config.acceleration].after_sweep(world):
@@ -81,6 +82,19 @@ def keep_best(world: World, largest: Any, last: bool) -> bool:
         it.change = it.least_change
         return True
     return False
+
+
+def go_back(world: World, largest: Any) -> bool:
+    """Whether a sweep changes more than any problem asks for: then to the best impulses, and on by another method."""
+    it, x = world.iteration, world.impulse
+    if it.sweeps == 1:
+        it.change_bound = x.dtype.type(GROWTH) * max(largest, world.rows.scale[world.w])
+    if largest <= it.change_bound:
+        return False
+    if it.least_change < HUGE:
+        x[:] = world.past[BEST]
+    adaptive.forbid(world)
+    return True
 
 
 def report(world: World) -> None:

@@ -7,11 +7,11 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
-from dc_kernels._warp.solve.accelerate import accelerate_functions
+from dc_kernels._warp.solve.accelerate import accelerate_functions, adaptive
 from dc_kernels._warp.solve.ranges import range_functions
 from dc_kernels._warp.solve.world import world_functions
 from dc_kernels.model.config import ACCELERATIONS, METHODS, STOPS
-from dc_kernels.solve.iteration import BEST, NEVER, RETREAT, Stretch
+from dc_kernels.solve.iteration import BEST, GROWTH, NEVER, RETREAT, Stretch
 
 JACOBI = wp.constant(METHODS["jacobi"])
 AITKEN = wp.constant(ACCELERATIONS["aitken"])
@@ -34,6 +34,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     module = kernel_module("solver", dtype, variant)
     accelerate = accelerate_functions(dtype, variant)
     reset, accelerated = accelerate.reset, accelerate.after_sweep
+    forbid = adaptive.functions(dtype, variant).forbid
     squares = range_functions(dtype).squares
     world = world_functions(dtype, variant)
     refresh, natural_map = world.refresh, world.natural_map
@@ -104,6 +105,24 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         return 0
 
     @wp.func(module=module)
+    def go_back(span: t.Span, change: real, config: t.Config, rows: t.Rows, iteration: wp.array(dtype=t.Iteration)):
+        """1 where a sweep changes more than any problem asks for: to the best impulses, and on by another method.
+
+        Along impulses that hardly move a body an acceleration may grow without end: float32 then loses the velocities.
+        """
+        w = span.world
+        if iteration[w].sweeps == 1:
+            iteration[w].change_bound = real(GROWTH) * wp.max(change, rows.scale[w])
+        if change <= iteration[w].change_bound:
+            return 0
+        if iteration[w].least_change < huge:
+            best = span.past_at + AT_BEST * (span.high - span.low)
+            for i in range(span.low, span.high):
+                rows.impulse[i] = rows.past[best + i - span.low]
+        forbid(w, iteration)
+        return 1
+
+    @wp.func(module=module)
     def conclude_sweep(
         span: t.Span,
         change: real,
@@ -133,10 +152,15 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         if config.acceleration != PLAIN and span.pause_at == NO_PAUSE:
             if keep_best(span, change, config, rows, stats.iteration) == 1:
                 anew = True
+        astray = int(0)
+        if done == 0 and config.acceleration == ADAPTIVE:
+            astray = go_back(span, change, config, rows, stats.iteration)
+        if anew or astray == 1:
+            refresh(span, motion, rows)
         if done == 1:
-            if anew:
-                refresh(span, motion, rows)
             return ENDED
+        if astray == 1:
+            return GOES_ON
         inside = stats.iteration[w].inside
         if accelerated(span, config, motion, rows, stats.iteration) == 1:
             return PAUSES

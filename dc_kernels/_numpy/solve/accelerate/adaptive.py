@@ -20,6 +20,15 @@ def reset(world: World) -> None:
     it.rate = UNTRIED
 
 
+def forbid(world: World) -> None:
+    """Never again the method of this stretch, and the next one at once."""
+    it = world.iteration
+    rates = it.rate.copy()
+    rates[it.stretch_method] = -UNTRIED
+    it.rate = rates
+    it.stretch_sweeps = it.stretch_length = 0
+
+
 def begin_stretch(world: World) -> None:
     """Judge the stretch before by the squared step of the sweep after it, and choose the next method."""
     it = world.iteration
@@ -35,7 +44,7 @@ def begin_stretch(world: World) -> None:
                 rates[i] = min(rates[i] + 0.15 * best, 0.5 * UNTRIED)
         it.rate = rates
     it.stretch_method = int(np.argmax(rates))
-    it.inside = 0
+    it.inside = 0 if rates.max() > -UNTRIED else -NEVER  # none is left: plain sweeps
     it.stretch_step = now
     if it.stretch_method == Stretch.MOMENTUM:
         momentum.reset(world)

@@ -41,7 +41,7 @@ ALWAYS = wp.constant(NEVER)
 
 @cache
 def functions(dtype: str, variant: str) -> SimpleNamespace:
-    """``reset`` and ``after_sweep``."""
+    """``reset`` and ``after_sweep``; ``forbid`` where a method has led astray."""
     t = group_types(dtype)
     real = t.real
     vec3 = wp.types.vector(3, real)
@@ -68,6 +68,15 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         iteration[w].stretch_method = AITKEN
         iteration[w].stretch_length = 0
         iteration[w].rate = vec3(untried, untried, untried)
+
+    @wp.func(module=module)
+    def forbid(w: int, iteration: wp.array(dtype=t.Iteration)):
+        """Never again the method of this stretch, and the next one at once."""
+        rates = iteration[w].rate
+        rates[iteration[w].stretch_method] = -untried
+        iteration[w].rate = rates
+        iteration[w].stretch_sweeps = 0
+        iteration[w].stretch_length = 0
 
     @wp.func(module=module)
     def begin_stretch(
@@ -101,6 +110,8 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
                 chosen = i
         iteration[w].stretch_method = chosen
         iteration[w].inside = 0
+        if rates[chosen] <= -untried:
+            iteration[w].inside = -ALWAYS  # none is left: plain sweeps
         iteration[w].stretch_step = now
         if chosen == MOMENTUM:
             reset_momentum(span, motion, rows, iteration)
@@ -146,4 +157,4 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
             iteration[w].stretch_sweeps = 0
         return 0
 
-    return SimpleNamespace(reset=reset, after_sweep=after_sweep)
+    return SimpleNamespace(reset=reset, after_sweep=after_sweep, forbid=forbid)
