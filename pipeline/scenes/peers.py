@@ -34,7 +34,7 @@ class PeerWorld(NamedTuple):
 class _Shape(NamedTuple):
     """A shape as the engines are told of it."""
 
-    index: int
+    number: int
     """Of the model, which errors name."""
     kind: int
     points: np.ndarray
@@ -135,7 +135,7 @@ def to_pymunk(scene: Any, world: int = 0, *, seed: int = 0) -> PeerWorld:
     for shape in shapes:
         if shape.restitution != shapes[0].restitution:
             raise ValueError(
-                f"shape_restitution[{shape.index}] is {shape.restitution:g} and [{shapes[0].index}] is "
+                f"shape_restitution[{shape.number}] is {shape.restitution:g} and [{shapes[0].number}] is "
                 f"{shapes[0].restitution:g}; they must be equal: a pair of pymunk has their product, ours the larger"
             )
     space = pymunk.Space()
@@ -243,11 +243,11 @@ def to_box2d(scene: Any, world: int = 0, *, seed: int = 0) -> PeerWorld:
 
 def _add_fixtures(box2d: Any, body: Any, shape: _Shape) -> None:
     if shape.category >= 1 << BITS:
-        raise ValueError(f"shape_category[{shape.index}] is {shape.category:#x}; Box2D has {BITS} bits")
+        raise ValueError(f"shape_category[{shape.number}] is {shape.category:#x}; Box2D has {BITS} bits")
     edges = np.linalg.norm(shape.points - np.roll(shape.points, 1, axis=0), axis=1)
     if len(shape.points) > 1 and shape.kind != ShapeType.DISC and edges.min() < WELD:
         raise ValueError(
-            f"shape {shape.index} has vertices {edges.min():g} m apart; Box2D welds those nearer than {WELD} m"
+            f"shape {shape.number} has vertices {edges.min():g} m apart; Box2D welds those nearer than {WELD} m"
         )
     for made in _box2d_shapes(box2d, shape):
         fixture = body.CreateFixture(shape=made, density=1.0, friction=shape.friction, restitution=shape.restitution)
