@@ -10,7 +10,7 @@ import warp as wp
 
 from dc_kernels._warp.common import scalar_types
 from dc_kernels.model.config import CONFIG
-from dc_kernels.model.dtypes import FLOATS, aligned_zeros, numpy_spec, struct_dtype
+from dc_kernels.model.dtypes import FLOATS, aligned_zeros, float_name, numpy_spec, struct_dtype
 from dc_kernels.model.fields import CONTACTS, GROUPS, ITERATION, LAUNCH, ROW, SPAN, Field
 from dc_kernels.runtime.building import building
 
@@ -52,6 +52,18 @@ def field_type(field: Field, dtype: str) -> Any:
     scalar, shape = numpy_spec(field, FLOATS[dtype])
     base = wp.dtype_from_numpy(scalar)
     return wp.types.vector(shape[0], base) if shape else base
+
+
+_types: dict[tuple[int, np.dtype], tuple[Mapping[str, Field], dict[str, Any]]] = {}
+
+
+def field_types(table: Mapping[str, Field], real: np.dtype) -> Mapping[str, Any]:
+    """The Warp types of the elements of all fields of a table, which does not change, by name."""
+    key = id(table), real
+    if key not in _types:
+        # the table is kept, as its id is the key
+        _types[key] = table, {name: field_type(field, float_name(real)) for name, field in table.items()}
+    return _types[key][1]
 
 
 def _struct(name: str, dtype: str, table: Mapping[str, Field], element: bool) -> _Made:
@@ -133,7 +145,16 @@ def _shared(array: np.ndarray, field: Field) -> wp.array:
 
 def array_group(arrays: Any, name: str) -> Any:
     """The arrays of a ``model.arrays.ArrayGroup`` as kernels take them (see ``group``)."""
-    return group(name, arrays.dtype.name, arrays.table, {field: arrays.array(field) for field in arrays.table})
+    struct = struct_type(name, float_name(arrays.dtype), arrays.table)()
+    native, attributes = struct.__ctype__(), vars(struct)
+    for field in arrays.table:
+        array = arrays.array(field)
+        if arrays.own(field):  # of the type that the struct has: Warp's checks would take most of the time
+            setattr(native, field, array.__ctype__())
+            attributes[field] = array
+        else:
+            setattr(struct, field, array)
+    return struct
 
 
 def element_array(name: str, dtype: str, table: Mapping[str, Field]) -> tuple[Any, np.ndarray]:

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup, Contacts, Model, check_values, to_numpy
+from dc_kernels.model.arrays import ArrayGroup, Contacts, Model, to_numpy
+from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import CACHE, CONTACTS

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dc_kernels.delassus.groups import PackedProblem
-from dc_kernels.model.arrays import check_values
+from dc_kernels.model.checks import check_values
 from dc_kernels.model.rules import refuse
 from dc_kernels.model.settings import numeric
 from dc_kernels.model.validate.arrays import check_start

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup, Joints, Model, check_values, to_numpy
+from dc_kernels.model.arrays import ArrayGroup, Joints, Model, to_numpy
 from dc_kernels.model.assemble import Geometry
+from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL

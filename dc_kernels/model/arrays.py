@@ -13,9 +13,10 @@ from weakref import WeakSet
 
 import numpy as np
 
-from dc_kernels.model.dtypes import aligned_zeros, float_dtype, numpy_spec
+from dc_kernels.model.checks import check_values
+from dc_kernels.model.dtypes import elements, float_dtype, float_name, many_zeros, numpy_spec
 from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, Field
-from dc_kernels.model.settings import counted, numeric
+from dc_kernels.model.settings import counted
 from dc_kernels.model.worlds import Segments, WorldViews, by_world
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
@@ -26,22 +27,6 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 Group = TypeVar("Group", bound="ArrayGroup")
-
-
-def allocate(field: Field, sizes: Mapping[str, int], real: np.dtype, device: str, backend: str) -> Any:
-    """One zeroed array on the device of a backend, with ``sizes`` elements along each of the field's axes."""
-    scalar, inner = numpy_spec(field, real)
-    shape = tuple(sizes[axis] for axis in field.axes)
-    if on_numpy(backend):
-        array = aligned_zeros((*shape, *inner), scalar)
-        return array.view(np.recarray) if scalar.names else array
-    import warp as wp
-
-    start_warp()
-    dtype = kernel_file(backend, "groups").field_type(field, real.name)
-    if device == "cpu":
-        return wp.array(aligned_zeros((*shape, *inner), scalar), dtype=dtype, device="cpu", copy=False)
-    return wp.zeros(shape, dtype=dtype, device=device)
 
 
 def to_numpy(array: Any) -> np.ndarray:
@@ -125,9 +110,10 @@ class ArrayGroup:
         """Whether a simulation uses the arrays: those that it has checked or derived others from are then read-only."""
         self.users: WeakSet[Any] = WeakSet()
         """The simulations that do."""
+        self._memory: dict[str, np.ndarray] = {}  # what was allocated on the CPU, as numpy sees it
+        self._arrays: dict[str, Any] = {}  # what kernels take of it
         self._check_room(self.table)
-        for name, field in self.table.items():
-            self.share(name, allocate(field, sizes, self.dtype, device, backend))
+        self._allocate(self.table)
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Set what is no field; kernels would go on with the array that a field had.
@@ -143,9 +129,49 @@ class ArrayGroup:
             )
         object.__setattr__(self, name, value)
 
+    def __getattr__(self, name: str) -> Any:
+        """The array of a field, as the backend's kernels take it; all are made when the first is asked for."""
+        memory = self.__dict__.get("_memory", {})
+        if name not in memory:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        made = memory
+        if not on_numpy(self.backend):
+            from dc_kernels.runtime.launches import shared_arrays
+
+            made = shared_arrays(memory, kernel_file(self.backend, "groups").field_types(self.table, self.dtype))
+        for field, array in made.items():
+            # the same for all threads that ask at once
+            self._arrays[field] = self.__dict__.setdefault(field, array)
+        return self._arrays[name]
+
+    def _allocate(self, names: Iterable[str]) -> None:
+        """Make zeroed arrays for some fields; none are left of those before."""
+        found = elements(self.table, self.dtype)
+        shapes = {name: tuple(self.sizes[axis] for axis in found[name].axes) for name in names}
+        if not on_numpy(self.backend):
+            start_warp()
+        if self.device != "cpu":
+            import warp as wp
+
+            types = kernel_file(self.backend, "groups").field_types(self.table, self.dtype)
+            for name, shape in shapes.items():
+                self.share(name, wp.zeros(shape, dtype=types[name], device=self.device))
+            return
+        wanted = [((*shape, *found[name].shape), found[name].scalar) for name, shape in shapes.items()]
+        for name, array in zip(shapes, many_zeros(wanted)):
+            self.__dict__.pop(name, None)
+            self._arrays.pop(name, None)
+            named = found[name].scalar.names and on_numpy(self.backend)
+            self._memory[name] = array.view(np.recarray) if named else array
+
     def share(self, name: str, array: Any) -> None:
-        """Let a field lie in another array, laid out as ``allocate`` does; launches bound before keep the old one."""
+        """Let a field lie in another array, laid out as its own; launches bound before keep the old one."""
+        self._memory.pop(name, None)
         self.__dict__[name] = array
+
+    def own(self, name: str) -> bool:
+        """Whether a field has the array on the CPU that was allocated for it, and no other."""
+        return name in self._memory and self.__dict__.get(name) is self._arrays.get(name)
 
     def copy(self) -> Self:
         """A group of its own memory with the values of this one, which no simulation uses yet."""
@@ -165,15 +191,13 @@ class ArrayGroup:
 
     def _parts(self) -> tuple[Any, ...]:
         """What ``_filled`` makes a group of."""
-        values = {name: to_numpy(self.array(name)) for name in self.table}
-        return type(self), self.sizes, self.dtype.name, self.device, self.backend, values
+        values = {name: self._values(name) for name in self.table}
+        return type(self), self.sizes, float_name(self.dtype), self.device, self.backend, values
 
     def _check_room(self, names: Iterable[str]) -> None:
         """Raise a MemoryError, naming the largest array, for arrays that do not fit into the free memory."""
-        taken = {}
-        for name in names:
-            scalar, inner = numpy_spec(self.table[name], self.dtype)
-            taken[name] = math.prod((*(self.sizes[axis] for axis in self.table[name].axes), *inner, scalar.itemsize))
+        found = elements(self.table, self.dtype)
+        taken = {name: found[name].width * math.prod(self.sizes[axis] for axis in found[name].axes) for name in names}
         if taken and self.device == "cpu":
             largest = max(taken, key=taken.__getitem__)
             sizes = ", ".join(f"{axis} {self.sizes[axis]}" for axis in self.table[largest].axes)
@@ -195,8 +219,7 @@ class ArrayGroup:
             self.sizes = before
             raise
         self.version += 1
-        for name in names:
-            self.share(name, allocate(self.table[name], self.sizes, self.dtype, self.device, self.backend))
+        self._allocate(names)
 
     def renew(self, **sizes: int) -> dict[str, Any]:
         """Allocate every array anew; those whose axes keep their sizes keep their values.
@@ -215,14 +238,10 @@ class ArrayGroup:
         for name, field in self.table.items():
             if changed.isdisjoint(field.axes):
                 if isinstance(before[name], np.ndarray) or self.device == "cpu":
-                    to_numpy(self.array(name))[...] = to_numpy(before[name])
+                    self._values(name)[...] = to_numpy(before[name])
                 else:
                     getattr(self, name).assign(before[name])
         return before
-
-    if TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any: ...
 
     def array(self, name: str) -> Any:
         """The array of a field."""
@@ -233,11 +252,16 @@ class ArrayGroup:
 
         It is read-only where its values lead kernels through memory, and where ``assign`` refuses others.
         """
-        array = to_numpy(getattr(self, name))
+        array = self._values(name)
         if self.table[name].points or (self.fixed and not self.writable(name)):
             array = array.view()
             array.flags.writeable = False
         return array
+
+    def _values(self, name: str) -> np.ndarray:
+        """The array of a field as numpy, to be written to."""
+        memory = self._memory.get(name)
+        return to_numpy(getattr(self, name)) if memory is None else memory
 
     def views(self) -> dict[str, np.ndarray]:
         """All arrays as numpy, by name."""
@@ -284,26 +308,25 @@ class ArrayGroup:
                 f"{name} is in use by a simulation, which has checked it and derived others from it; {way}write into a "
                 f"copy ({kind}.copy()), or make a {kind} with another one, and a new simulation of it"
             )
-        field = self.table[name]
-        scalar, shape = numpy_spec(field, self.dtype)
-        self.fill(name, check_values(name, values, (*(self.sizes[axis] for axis in field.axes), *shape), scalar))
+        element = elements(self.table, self.dtype)[name]
+        shape = (*(self.sizes[axis] for axis in element.axes), *element.shape)
+        self.fill(name, check_values(name, values, shape, element.scalar))
 
     def fill(self, name: str, values: np.ndarray) -> None:
         """Copy values of a field's own shape and dtype into it, whatever they are: ``assign`` looks at them."""
-        target = getattr(self, name)
-        if isinstance(target, np.ndarray):
-            target[...] = values
-        elif self.device == "cpu":
-            target.numpy()[...] = values
+        if self.device == "cpu":
+            self._values(name)[...] = values
         else:
-            target.assign(values)
+            getattr(self, name).assign(values)
 
     def check(self, label: str) -> None:
         """Raise ValueError, naming the field, for an array that a kernel must not see, whatever it holds.
 
-        That is one of another type, dtype, shape, device or memory layout than ``allocate`` gives.
+        That is one of another type, dtype, shape, device or memory layout than is allocated.
         """
         for name, field in self.table.items():
+            if self.own(name):
+                continue
             array = getattr(self, name)
             scalar, shape = numpy_spec(field, self.dtype)
             count = self.sizes[field.per]
@@ -318,7 +341,7 @@ class ArrayGroup:
             else:
                 import warp as wp
 
-                dtype = kernel_file(self.backend, "groups").field_type(field, self.dtype.name)
+                dtype = kernel_file(self.backend, "groups").field_type(field, float_name(self.dtype))
                 if found[0] == "array" and wp.types.types_equal(found[1], dtype):
                     found = (found[0], dtype, found[2])  # Warp makes equal vector types anew
                 found += (str(getattr(array, "device", None)),)
@@ -357,35 +380,6 @@ def _filled(
     for name in made.table:
         made.fill(name, values[name])
     return made
-
-
-def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype, *, finite: bool = True) -> np.ndarray:
-    """Values as a contiguous array of the given shape and dtype.
-
-    Raises:
-        ValueError: naming field and first bad index: another shape, an integer that does not fit, and, where numbers
-            must be ``finite``, NaN or inf.
-    """
-    array = numeric(name, values, f"numbers of shape {shape}", "buif")
-    if array.shape != shape:
-        raise ValueError(f"{name} has shape {array.shape}; it must be {shape}")
-    if dtype.kind == "f":
-        bad = np.zeros((0, array.ndim), np.int64)
-        with np.errstate(over="ignore", invalid="ignore"):
-            whole = not finite or bool(np.isfinite(array.sum()))  # looking at each takes several times as long
-        if not whole:
-            bad = np.argwhere(~np.isfinite(array))
-    elif array.dtype == dtype:
-        return np.ascontiguousarray(array)
-    else:
-        with np.errstate(invalid="ignore"):
-            bad = np.argwhere(array.astype(dtype) != array)
-    if len(bad):
-        index = tuple(int(i) for i in bad[0])
-        limit = "finite" if dtype.kind == "f" else f"a {dtype.name}"
-        raise ValueError(f"{name}[{', '.join(map(str, index))}] is {array[index]}; it must be {limit}")
-    with np.errstate(over="ignore"):
-        return np.ascontiguousarray(array, dtype=dtype)
 
 
 class Model(ArrayGroup):

@@ -1,4 +1,4 @@
-"""Checks of what is given to a builder; what is wrong is named with its field, index and limit."""
+"""Checks of numbers that a builder or an array is given; what is wrong is named with its field, index and limit."""
 
 from __future__ import annotations
 
@@ -109,3 +109,34 @@ def pair(name: str, value: Any, where: str) -> tuple[float, float]:
         if value.shape != (2,):
             raise ValueError(f"{name} of {where} is {shown(given)}; it must be two numbers")
     return _finite(f"{name}[0] of {where}", value[0]), _finite(f"{name}[1] of {where}", value[1])
+
+
+def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype, *, finite: bool = True) -> np.ndarray:
+    """Values as a contiguous array of the given shape and dtype.
+
+    Raises:
+        ValueError: naming field and first bad index: another shape, an integer that does not fit, and, where numbers
+            must be ``finite``, NaN or inf.
+    """
+    array = numeric(name, values, f"numbers of shape {shape}", "buif")
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}; it must be {shape}")
+    if dtype.kind == "f":
+        bad = np.zeros((0, array.ndim), np.int64)
+        with np.errstate(over="ignore", invalid="ignore"):
+            whole = not finite or bool(np.isfinite(array.sum()))  # looking at each takes several times as long
+        if not whole:
+            bad = np.argwhere(~np.isfinite(array))
+    elif array.dtype == dtype:
+        return np.ascontiguousarray(array)
+    else:
+        with np.errstate(invalid="ignore"):
+            bad = np.argwhere(array.astype(dtype) != array)
+    if len(bad):
+        index = tuple(int(i) for i in bad[0])
+        limit = "finite" if dtype.kind == "f" else f"a {dtype.name}"
+        raise ValueError(f"{name}[{', '.join(map(str, index))}] is {array[index]}; it must be {limit}")
+    if array.dtype == dtype:
+        return np.ascontiguousarray(array)
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(array, dtype=dtype)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from dc_kernels.model.fields import ITERATION, Field
 from dc_kernels.model.settings import shown
 
 FLOATS: dict[str, np.dtype] = {"float32": np.dtype(np.float32), "float64": np.dtype(np.float64)}
+SMALL = 2**14  # bytes of an array that shares its memory with others: making each on its own takes longer
+_NAMES = {dtype: name for name, dtype in FLOATS.items()}
 _COMPONENTS = {"vec2": 2, "vec2d": 2, "vec3": 3, "vec3i": 3, "vec4": 4, "vec8": 8}
 
 
@@ -28,6 +30,11 @@ def float_dtype(dtype: Any) -> np.dtype:
     if name not in FLOATS:
         raise ValueError(f"dtype is {shown(dtype) if name is None else repr(name)}; it must be one of {tuple(FLOATS)}")
     return FLOATS[name]
+
+
+def float_name(dtype: np.dtype) -> str:
+    """The name of a dtype of ``FLOATS``, in a hundredth of the time that numpy takes for it."""
+    return _NAMES[dtype]
 
 
 def numpy_spec(field: Field, real: np.dtype) -> tuple[np.dtype, tuple[int, ...]]:
@@ -50,9 +57,53 @@ def struct_dtype(table: Mapping[str, Field], real: np.dtype) -> np.dtype:
     return np.dtype([(name, *numpy_spec(field, real)) for name, field in table.items()], align=True)
 
 
+class Element(NamedTuple):
+    """An element of the array of a field."""
+
+    axes: tuple[str, ...]
+    """Axes of the array, without those within an element."""
+    scalar: np.dtype
+    """Type of its numbers."""
+    shape: tuple[int, ...]
+    """Shape of an element."""
+    width: int
+    """Size of an element [B]."""
+
+
+_elements: dict[tuple[int, np.dtype], tuple[Mapping[str, Field], dict[str, Element]]] = {}
+
+
+def elements(table: Mapping[str, Field], real: np.dtype) -> Mapping[str, Element]:
+    """The elements of all arrays of a table, which does not change, by name; found once for each scalar."""
+    key = id(table), real
+    if key not in _elements:
+        made = {}
+        for name, field in table.items():
+            scalar, shape = numpy_spec(field, real)
+            made[name] = Element(field.axes, scalar, shape, scalar.itemsize * math.prod(shape))
+        _elements[key] = table, made  # the table is kept, as its id is the key
+    return _elements[key][1]
+
+
 def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype, alignment: int = 64) -> np.ndarray:
     """Zeros whose first byte is aligned for SIMD loads."""
-    count = math.prod(shape)
-    raw = np.zeros(count * dtype.itemsize + alignment, np.uint8)
-    offset = -raw.__array_interface__["data"][0] % alignment  # raw.ctypes.data takes ten times as long
-    return raw[offset : offset + count * dtype.itemsize].view(dtype).reshape(shape)
+    return _zeros([(shape, dtype, math.prod(shape) * dtype.itemsize)], alignment)[0]
+
+
+def many_zeros(arrays: Sequence[tuple[tuple[int, ...], np.dtype]], alignment: int = 64) -> list[np.ndarray]:
+    """Arrays of the given shapes and dtypes as ``aligned_zeros`` makes them; small ones share one piece of memory."""
+    sized = [(shape, dtype, math.prod(shape) * dtype.itemsize) for shape, dtype in arrays]
+    small = iter(_zeros([one for one in sized if one[2] <= SMALL], alignment))
+    return [next(small) if one[2] <= SMALL else _zeros([one], alignment)[0] for one in sized]
+
+
+def _zeros(arrays: Sequence[tuple[tuple[int, ...], np.dtype, int]], alignment: int) -> list[np.ndarray]:
+    """Zeros of shapes, dtypes and bytes in one piece of memory, the first byte of each aligned."""
+    room = sum(size + -size % alignment for _, _, size in arrays)
+    raw = np.zeros(room + alignment, np.uint8)
+    offset = -raw.__array_interface__["data"][0] % alignment
+    made = []
+    for shape, dtype, size in arrays:
+        made.append(np.ndarray(shape, dtype, raw, offset))
+        offset += size + -size % alignment
+    return made

@@ -12,6 +12,7 @@ body or the one with the lower index; the tangent is the normal turned by -90 de
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -60,14 +61,14 @@ class Field:
         if self.rule is None and self.dtype not in _INTEGERS:
             object.__setattr__(self, "rule", FINITE)
 
-    @property
+    @functools.cached_property
     def points(self) -> bool:
         """Whether a kernel goes by the values to places in memory, so that a wrong one crashes the process."""
         if isinstance(self.rule, Start | Index) or self.rule is COLOR or self.rule == Code(ShapeType):
             return True
         return self.rule is COUNT
 
-    @property
+    @functools.cached_property
     def axes(self) -> tuple[str, ...]:
         """The axes, one for each dimension: ``per`` names several of them with commas between."""
         return () if self.per == "launch" else tuple(self.per.split(","))

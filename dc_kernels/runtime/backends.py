@@ -52,7 +52,7 @@ def check_backend(backend: str) -> str:
     Raises:
         ValueError: for an unknown one.
     """
-    return check_choice("backend", backend, BACKENDS)
+    return backend if type(backend) is str and backend in BACKENDS else check_choice("backend", backend, BACKENDS)
 
 
 def check_device(device: str, backend: str) -> str:

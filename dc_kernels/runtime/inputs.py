@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from dc_kernels.model.arrays import check_values
+from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import FLOATS
 from dc_kernels.model.rules import TIME_STEP
 from dc_kernels.model.settings import Count, Limits, NotNegative, Positive, Whole, WrongType, checker, numeric, shown

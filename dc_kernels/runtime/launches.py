@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -27,6 +28,44 @@ def descriptor(pointer: int, shape: tuple[int, ...], element: Any) -> Any:
     result = type(template).from_buffer_copy(template)
     result.data = pointer
     return result
+
+
+def shared_arrays(memory: Mapping[str, np.ndarray], elements: Mapping[str, Any]) -> dict[str, Any]:
+    """Warp arrays in the memory of contiguous numpy arrays, which they keep alive, by name.
+
+    Args:
+        memory: on the CPU, by name.
+        elements: their types for Warp, by name; those of a vector take an axis of the memory.
+    """
+    made = {}
+    for name, array in memory.items():
+        element = elements[name]
+        dimensions = array.ndim - hasattr(element, "_shape_")
+        shape = array.shape[:dimensions]
+        if not wp.__version__.startswith(PACKED):
+            made[name] = wp.array(array, dtype=element, shape=shape, device="cpu", copy=False)
+            continue
+        # as Warp's constructor makes it, in a tenth of the time: a simulation has a hundred arrays
+        attributes = _attributes(element, dimensions).copy()
+        template = attributes["ctype"]
+        native = type(template).from_buffer_copy(template)
+        native.data = pointer = array.__array_interface__["data"][0]
+        strides = array.strides[:dimensions]
+        for axis in range(dimensions):
+            native.shape[axis], native.strides[axis] = shape[axis], strides[axis]
+        attributes.update(ctype=native, ptr=pointer, shape=shape, strides=strides, _ref=array)
+        attributes.update(size=math.prod(shape), capacity=array.nbytes)
+        made[name] = object.__new__(wp.array)
+        made[name].__dict__ = attributes
+    return made
+
+
+@functools.lru_cache(256)
+def _attributes(element: Any, dimensions: int) -> dict[str, Any]:
+    """What Warp keeps of an array in the CPU's memory."""
+    array = wp.array(ptr=0, dtype=element, shape=(0,) * dimensions, device="cpu")
+    array.__ctype__()
+    return dict(vars(array))
 
 
 @functools.lru_cache(256)

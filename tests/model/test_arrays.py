@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import dc_kernels as dc
-from dc_kernels.model.arrays import State, check_values
+from dc_kernels.model.arrays import State
+from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import aligned_zeros, float_dtype
 
 SIZES = {"body": 5, "world": 2}
