@@ -77,7 +77,7 @@ def test_archives_hold_all_files(archives):
 
 
 def test_the_wheel_runs_in_an_environment_of_its_own(archives, tmp_path):
-    """Dependencies are those of this environment, by a line that makes them importable, and not what is editable here."""
+    """Dependencies are those of this environment, which a line makes importable, but not what is editable here."""
     pytest.importorskip("pip", minversion="22.3")
     _, wheel = archives
     place = tmp_path / "venv"
