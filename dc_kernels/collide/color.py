@@ -41,7 +41,7 @@ def color(
             that another contact of a body has too is chosen anew. None: all contacts are new.
         body_start: first body of each world and N, (W + 1,); None: one world.
         contact_start: first contact of each world and C, (W + 1,); None: one world.
-        backend: "warp", or "numpy": the oracle.
+        backend: "warp", "taichi", or "numpy": the oracle.
 
     Returns:
         The colours, (C,) int32; ``color`` as numpy, if that was given.

@@ -13,10 +13,11 @@ from dc_kernels.collide.contacts import FoundContacts
 from dc_kernels.collide.shapes import Shapes, whole_group
 from dc_kernels.model.arrays import kernel_array, kernel_vectors, to_numpy
 from dc_kernels.model.config import CONFIG, SLACK, SolverConfig
+from dc_kernels.model.dtypes import aligned_zeros
 from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import LAUNCH, MOTION, ROWS
 from dc_kernels.model.room import starts
-from dc_kernels.runtime.backends import Launch, bind, kernel_file, make_kernels
+from dc_kernels.runtime.backends import Launch, bind, host_threads, kernel_file, make_kernels
 from dc_kernels.runtime.capture import Recordings, recording
 from dc_kernels.runtime.inputs import (
     MAX_INDEX,
@@ -96,8 +97,8 @@ class Narrowphase(InPlace):
             reach: contacts are made of gaps up to this [m]; it must cover what two shapes approach by in a step.
             max_contacts: contacts of each world that there is room for, a number or one for each, (W,): more are an
                 error; None: room grows.
-            threads: Python threads that the worlds are shared among; the contacts do not depend on it.
-            backend: "warp", or "numpy" for the oracle; None: that of the model.
+            threads: threads that the worlds are shared among; the contacts do not depend on it.
+            backend: "warp", "taichi", or "numpy" for the oracle; None: that of the model.
 
         Raises:
             ValueError, TypeError: naming the argument, the index and the limit.
@@ -161,9 +162,9 @@ class Narrowphase(InPlace):
         for name in FOUND:
             setattr(self, name, contacts.array(name))
         self.count, self.contact_start = contacts.contact_count, contacts.contact_start
-        point = np.zeros((contacts.sizes["contact"], 2), dtype)
+        point = aligned_zeros((contacts.sizes["contact"], 2), dtype)
         # nothing moves; the share of a body in what parts two goes by its inverse mass
-        still = np.zeros((self.shapes.bodies, 4), dtype)
+        still = aligned_zeros((self.shapes.bodies, 4), dtype)
         still[:, 3] = arrays.get("inv_mass", arrays["body_type"] == BodyType.DYNAMIC)
         motion = {"step_dt": np.zeros(worlds, dtype), "reach": np.full(worlds, self.reach, dtype), "predicted": still}
         slop = SolverConfig().slop
@@ -179,6 +180,7 @@ class Narrowphase(InPlace):
             "pair": kernel_array(self._pair, backend),
             "pair_count": kernel_array(self._pair_count, backend),
             "point": kernel_vectors(point, backend),
+            "threads": self.threads,
         }
         self.point = values["point"]
         table = dict(make_kernels(backend, "collide.narrowphase", dtype.name, factory="stage_kernels"))
@@ -190,7 +192,8 @@ class Narrowphase(InPlace):
             launch = groups.group("launch", dtype.name, LAUNCH, {"world_offset": first})
             return as_one([bind(table[name], count, {**values, "launch": launch}, "cpu") for name in names])
 
-        self._shards = [shard(*part) for part in shard_worlds(worlds, self.threads)] if worlds else []
+        parts = shard_worlds(worlds, host_threads(backend, self.threads))
+        self._shards = [shard(*part) for part in parts] if worlds else []
 
     @property
     def lengths(self) -> Mapping[str, int]:

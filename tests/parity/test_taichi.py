@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import dc_kernels as dc
+from dc_kernels.collide.narrowphase import FOUND
 from dc_kernels.model.config import CONFIG
 from dc_kernels.model.dtypes import aligned_zeros
 from dc_kernels.model.fields import GROUPS, LAUNCH
@@ -147,6 +149,45 @@ def test_pairs_of_boxes_have_the_bits_of_warp(dtype: str) -> None:
         found[backend] |= {"lower": broadphase.lower.tobytes(), "filters": broadphase._filters.tobytes()}
         assert broadphase.count.numpy().sum() > 50 if backend == "warp" else broadphase.count.sum() > 50
     assert [name for name in found["warp"] if found["warp"][name] != found["taichi"][name]] == []
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_contacts_of_a_stage_have_the_bits_of_warp(dtype: str) -> None:
+    found = {}
+    for backend in ("warp", "taichi"):
+        builder = dc.ModelBuilder()
+        many(builder)
+        model, state, _ = builder.finalize(dtype, backend=backend)
+        place = state.numpy("position"), state.numpy("angle")
+        every = [
+            np.stack(np.triu_indices(b - a, 1), axis=1) + a
+            for a, b in itertools.pairwise(model.numpy("shape_start").tolist())
+        ]
+        start = np.cumsum([0, *(len(rows) for rows in every)])
+        pairs = np.concatenate(every).astype(np.int32)[:, ::-1]  # taken in either order
+        narrowphase = dc.Narrowphase(model, *place, np.ascontiguousarray(pairs), pair_start=start, threads=2)
+        narrowphase()  # grows
+        found[backend] = {name: narrowphase.numpy(name) for name in (*FOUND, "point")}
+        place[0][-1, 1] = np.inf
+        with pytest.raises(ValueError, match="position"):
+            narrowphase()
+    assert len(found["warp"]["key"]) > 200
+    for name, want in found["warp"].items():
+        assert want.tobytes() == found["taichi"][name].tobytes(), difference(found["taichi"][name], want)
+
+
+def test_colors_of_a_stage_are_those_of_warp() -> None:
+    draw = np.random.default_rng(3)
+    a = np.zeros(400, np.int32)
+    b = draw.integers(1, 40, 400).astype(np.int32)
+    a[200:] = (b[200:] + draw.integers(1, 38, 200) - 1) % 39 + 1
+    color = draw.integers(-3, 70, 400).astype(np.int32)
+    movable = np.arange(40) % 9 != 2
+    for kept in (None, color):
+        want = dc.color(a, b, movable, color=None if kept is None else kept.copy())
+        got = dc.color(a, b, movable, color=None if kept is None else kept.copy(), backend="taichi")
+        np.testing.assert_array_equal(got, want)
+    assert (want == 63).sum() > 9 and (want == color).sum() > 9
 
 
 @pytest.mark.parametrize("stage", PORTED, ids=lambda stage: stage.kernel)

@@ -1,0 +1,307 @@
+"""Candidate pairs -> contact points with normals from A to B and stable keys, sorted by key."""
+
+from functools import cache
+from typing import Any
+
+from dc_kernels._taichi.collide.closing import closing_functions
+from dc_kernels._taichi.collide.manifold import dot, length, manifold_functions
+from dc_kernels._taichi.common import cross, rotate, rotate_back
+from dc_kernels._taichi.groups import group_types
+from dc_kernels._taichi.runtime.compiler import ti
+from dc_kernels._taichi.runtime.kernels import kernel
+from dc_kernels._taichi.solve.laws import inverse_or_zero, linear_speed, relative_speed
+from dc_kernels.model.enums import BodyType, Flag, ShapeType
+from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
+
+DISC = int(ShapeType.DISC)
+STATIC = int(BodyType.STATIC)
+CONTACT_OVERFLOW = int(Flag.CONTACT_OVERFLOW)
+INVALID = int(Flag.INVALID)
+SHIFT_A = KEY_SHAPE_BITS + KEY_FEATURE_BITS
+SHIFT_B = KEY_FEATURE_BITS
+SLOPS = 2.0  # overlap up to which shapes touch: what rests a slop deep meets a tile a slop higher
+
+
+@cache
+def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
+    """``narrowphase``; one thread a world.
+
+    Args:
+        dtype: "float32" or "float64".
+        only_discs: whether all that moves are discs about their centre of mass; what they don't need is not compiled.
+    """
+    t = group_types(dtype)
+    vec2 = t.vec2
+    shapes = manifold_functions(dtype)
+    Manifold, hull_of, frame_of = shapes.Manifold, shapes.hull_of, shapes.frame_of
+    moving = closing_functions(dtype)
+    Approach, disc_disc_moving, hull_disc_moving = moving.Approach, moving.disc_disc_moving, moving.hull_disc_moving
+    hull_hull_moving = moving.hull_hull_moving
+
+    @ti.func
+    def velocity_at(ba, bb, arm_a, arm_b, state: t.State):
+        """Velocity of a point of B against one of A, before the step's forces: what rests does not fall."""
+        turning = vec2(-arm_b[1], arm_b[0]) * state.angular_velocity[bb]
+        turning = turning - vec2(-arm_a[1], arm_a[0]) * state.angular_velocity[ba]
+        return state.velocity[bb] - state.velocity[ba] + turning
+
+    @ti.func
+    def discs_manifold(a, b, speculative, dt, slop, model: t.Model, state: t.State, motion: t.Motion):
+        """Two discs."""
+        ba = model.shape_body[a]
+        bb = model.shape_body[b]
+        va = motion.predicted[ba]
+        vb = motion.predicted[bb]
+        ra = model.shape_radius[a]
+        rb = model.shape_radius[b]
+        pa = state.position[ba]
+        pb = state.position[bb]
+        m = Manifold()
+        # nearly all candidates end here: too far apart even if they close at their full relative speed
+        far = ra + rb + speculative + dt * (ti.abs(vb[0] - va[0]) + ti.abs(vb[1] - va[1]))
+        to_a = vec2(0.0, 0.0)
+        to_b = vec2(0.0, 0.0)
+        if ti.static(not only_discs):
+            center_a = model.shape_center[a]
+            center_b = model.shape_center[b]
+            pa = pa + rotate(ti.cos(state.angle[ba]), ti.sin(state.angle[ba]), center_a)
+            pb = pb + rotate(ti.cos(state.angle[bb]), ti.sin(state.angle[bb]), center_b)
+            far += dt * (ti.abs(va[2]) * length(center_a) + ti.abs(vb[2]) * length(center_b))
+            to_a = pa - state.position[ba]
+            to_b = pb - state.position[bb]
+        d = pb - pa
+        if dot(d, d) <= far * far:
+            dv = vec2(vb[0] - va[0], vb[1] - va[1])
+            if ti.static(not only_discs):
+                dv = dv + (vec2(-to_b[1], to_b[0]) * vb[2] - vec2(-to_a[1], to_a[0]) * va[2])
+            m = disc_disc_moving(pa, ra, pb, rb, dv, dt, slop)
+        return m
+
+    @ti.func
+    def hull_disc_manifold(a, b, toward, model: t.Model, state: t.State):
+        """A disc and a hull, whichever comes first."""
+        disc_first = model.shape_type[a] == DISC
+        disc = b
+        other = a
+        if disc_first:
+            disc = a
+            other = b
+        body = model.shape_body[other]
+        round_body = model.shape_body[disc]
+        x = state.position[body]
+        c = ti.cos(state.angle[body])
+        s = ti.sin(state.angle[body])
+        center = rotate(ti.cos(state.angle[round_body]), ti.sin(state.angle[round_body]), model.shape_center[disc])
+        p = state.position[round_body] + center
+        hull = hull_of(other, model.shape_type[other], model.shape_radius[other], model)
+        drift = velocity_at(body, round_body, p - x, p - state.position[round_body], state)
+        toward.velocity = rotate_back(c, s, drift)
+        m = hull_disc_moving(hull, rotate_back(c, s, p - x), model.shape_radius[disc], toward, model)
+        m.normal = rotate(c, s, m.normal)
+        if disc_first:
+            m.normal = m.normal * -1.0
+        m.point0 = rotate(c, s, m.point0) + x
+        return m
+
+    @ti.func
+    def hulls_manifold(a, b, speculative, toward, model: t.Model, state: t.State, motion: t.Motion):
+        """Two hulls."""
+        ba = model.shape_body[a]
+        bb = model.shape_body[b]
+        xa = state.position[ba]
+        va = motion.predicted[ba]
+        vb = motion.predicted[bb]
+        center_a = model.shape_center[a]
+        center_b = model.shape_center[b]
+        ca = ti.cos(state.angle[ba])
+        sa = ti.sin(state.angle[ba])
+        cb = ti.cos(state.angle[bb])
+        sb = ti.sin(state.angle[bb])
+        c = ca * cb + sa * sb
+        s = ca * sb - sa * cb
+        drift = vec2(vb[0] - va[0], vb[1] - va[1])
+        arms_a = ti.abs(va[2]) * (length(center_a) + model.shape_extent[a])
+        arms_b = ti.abs(vb[2]) * (length(center_b) + model.shape_extent[b])
+        within = speculative + toward.dt * (length(drift) + arms_a + arms_b)
+        hull_a = hull_of(a, model.shape_type[a], model.shape_radius[a], model)
+        hull_b = hull_of(b, model.shape_type[b], model.shape_radius[b], model)
+        frame = frame_of(c, s, rotate_back(ca, sa, state.position[bb] - xa))
+        drift = velocity_at(ba, bb, rotate(ca, sa, center_a), rotate(cb, sb, center_b), state)
+        toward.velocity = rotate_back(ca, sa, drift)
+        toward.share = vb[3] * inverse_or_zero(va[3] + vb[3])
+        m = hull_hull_moving(hull_a, hull_b, frame, within, toward, model)
+        m.normal = rotate(ca, sa, m.normal)
+        m.point0 = rotate(ca, sa, m.point0) + xa
+        m.point1 = rotate(ca, sa, m.point1) + xa
+        return m
+
+    @kernel
+    def narrowphase(
+        tid,
+        launch: t.Launch,
+        config: t.Config,
+        model: t.Model,
+        state: t.State,
+        motion: t.Motion,
+        pairs: t.Pairs,
+        contacts: t.Contacts,
+        rows: t.Rows,
+    ):
+        """Contacts of a world: gap below the speculative distance, or closing within the step."""
+        w = tid + launch.world_offset
+        if state.flags[w] == 0:
+            dt = motion.step_dt[w]
+            speculative = motion.reach[w]
+            slop = config.slop * model.length_scale[w]
+            toward = Approach()
+            toward.dt = dt
+            toward.slack = config.slack * model.length_scale[w]
+            toward.overlap = SLOPS * slop
+            shape0 = model.shape_start[w]
+            start = contacts.contact_start[w]
+            capacity = contacts.contact_start[w + 1] - start
+            n = 0
+            first_pair = pairs.start[w]
+            for pair in range(first_pair, first_pair + pairs.count[w]):
+                a = pairs.shape_a[pair]
+                b = pairs.shape_b[pair]
+                kind_a = model.shape_type[a]
+                kind_b = model.shape_type[b]
+                m = Manifold()
+                if kind_a == DISC and kind_b == DISC:
+                    m = discs_manifold(a, b, speculative, dt, slop, model, state, motion)
+                elif kind_a == DISC or kind_b == DISC:
+                    m = hull_disc_manifold(a, b, toward, model, state)
+                else:
+                    if ti.static(not only_discs):
+                        m = hulls_manifold(a, b, speculative, toward, model, state, motion)
+                if m.count > 0:
+                    ba = model.shape_body[a]
+                    bb = model.shape_body[b]
+                    va = motion.predicted[ba]
+                    vb = motion.predicted[bb]
+                    # the lower feature first, so that contacts are sorted by key
+                    swap = 0
+                    if m.count == 2 and m.feature1 < m.feature0:
+                        swap = 1
+                    for i in range(m.count):
+                        p = m.point0
+                        g = m.gap0
+                        feature = m.feature0
+                        if (i ^ swap) == 1:
+                            p = m.point1
+                            g = m.gap1
+                            feature = m.feature1
+                        to_a = p - state.position[ba]
+                        to_b = p - state.position[bb]
+                        speed = linear_speed(m.normal, va, vb)
+                        if ti.static(not only_discs):
+                            speed = relative_speed(m.normal, va, vb, cross(to_a, m.normal), cross(to_b, m.normal))
+                        # a gap that the step's motion closes is a contact too
+                        if g <= speculative + ti.max(-speed * dt, 0.0):
+                            if n < capacity:
+                                # a scene of one material need not look it up
+                                mu = config.uniform_friction
+                                e = config.uniform_restitution
+                                if mu < 0.0:
+                                    mu = model.shape_friction[a]
+                                    if model.shape_friction[b] != mu:
+                                        mu = ti.sqrt(mu * model.shape_friction[b])
+                                if e < 0.0:
+                                    e = ti.max(model.shape_restitution[a], model.shape_restitution[b])
+                                shape_key = (ti.i64(a - shape0) << SHIFT_A) | (ti.i64(b - shape0) << SHIFT_B)
+                                contacts.key[start + n] = shape_key | ti.i64(feature)
+                                contacts.body_a[start + n] = ba
+                                contacts.body_b[start + n] = bb
+                                contacts.normal[start + n] = m.normal
+                                contacts.arm_a[start + n] = to_a
+                                contacts.arm_b[start + n] = to_b
+                                contacts.gap[start + n] = g
+                                contacts.friction[start + n] = mu
+                                contacts.restitution[start + n] = e
+                            n += 1
+            rows.contact_needed[w] = n
+            if n > capacity:
+                state.flags[w] = state.flags[w] | CONTACT_OVERFLOW
+                n = 0
+            contacts.contact_count[w] = n
+
+    return {"narrowphase": narrowphase}
+
+
+@cache
+def stage_kernels(dtype: str) -> dict[str, Any]:
+    """What a stage for anybody's arrays runs before and after ``narrowphase``; one thread a world."""
+    t = group_types(dtype)
+
+    @ti.func
+    def is_finite(x):
+        return x - x == 0.0
+
+    @kernel
+    def take_pairs(
+        tid,
+        launch: t.Launch,
+        model: t.Model,
+        state: t.State,
+        pair: ti.types.ndarray(dtype=ti.i32, ndim=2),
+        pair_count: ti.types.ndarray(dtype=ti.i32, ndim=1),
+        # Out:
+        pairs: t.Pairs,
+        contacts: t.Contacts,
+    ):
+        """Take a world's pairs of shapes in the order given, A static or the lower index, and look at its bodies.
+
+        ``pair`` has no rows where ``pairs`` are made by others. A world with a body that is not finite, or a pair that
+        is not of two shapes of it, is flagged and has no contacts.
+        """
+        w = tid + launch.world_offset
+        flags = 0
+        contacts.contact_count[w] = 0
+        for body in range(model.body_start[w], model.body_start[w + 1]):
+            x = state.position[body]
+            if not (is_finite(x[0]) and is_finite(x[1]) and is_finite(state.angle[body])):
+                flags = INVALID
+        if pair.shape[0] != 0:
+            first = pairs.start[w]
+            count = pair_count[w]
+            if count < 0 or count > pairs.start[w + 1] - first:
+                flags = INVALID
+            else:
+                low = model.shape_start[w]
+                high = model.shape_start[w + 1]
+                bad = 0
+                for i in range(first, first + count):
+                    a = ti.min(pair[i, 0], pair[i, 1])
+                    b = ti.max(pair[i, 0], pair[i, 1])
+                    if a < low or b >= high or a == b:
+                        bad = 1
+                        break
+                    if model.body_type[model.shape_body[b]] == STATIC:
+                        pairs.shape_a[i] = b
+                        pairs.shape_b[i] = a
+                    else:
+                        pairs.shape_a[i] = a
+                        pairs.shape_b[i] = b
+                if bad != 0:
+                    flags = INVALID
+                else:
+                    pairs.count[w] = count
+        state.flags[w] = flags
+
+    @kernel
+    def place_contacts(
+        tid,
+        launch: t.Launch,
+        state: t.State,
+        contacts: t.Contacts,
+        # Out:
+        point: ti.types.ndarray(dtype=t.vec2, ndim=1),
+    ):
+        """Where the contacts of a world are, midway between the surfaces."""
+        w = tid + launch.world_offset
+        first = contacts.contact_start[w]
+        for i in range(first, first + contacts.contact_count[w]):
+            point[i] = state.position[contacts.body_a[i]] + contacts.arm_a[i]
+
+    return {"take_pairs": take_pairs, "place_contacts": place_contacts}
