@@ -32,7 +32,7 @@ TEXTS = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 FOLDERS = "dc_kernels|pipeline|bench|docs|tests"
 # options of other programs that the pages name
-FOREIGN = {"--nproc-per-node", "--quick", "--pages"}
+FOREIGN = {"--nproc-per-node", "--no-python", "--quick", "--pages"}
 
 
 def blocks(page: str, language: str) -> list[str]:

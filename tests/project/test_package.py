@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -149,3 +150,19 @@ def test_constraints_pin_every_requirement(pyproject):
 @pytest.mark.parametrize("package", ["dc_kernels", "pipeline"])
 def test_packages_are_marked_as_typed(package):
     assert (ROOT / package / "py.typed").is_file()
+
+
+def test_the_command_runs_beside_files_of_its_packages_names(pyproject, tmp_path):
+    """As pip's script does: Python looks for modules beside the script, not in the present folder."""
+    module, function = pyproject["project"]["scripts"]["deep-contact"].split(":")
+    script, folder = tmp_path / "bin" / "deep-contact", tmp_path / "mine"
+    for path in (script.parent, folder):
+        path.mkdir()
+    script.write_text(f"import sys\nfrom {module} import {function}\nsys.exit({function}())\n")
+    for name in ("pipeline", "dc_kernels"):
+        (folder / f"{name}.py").write_text("raise SystemExit('a file of the user was imported')\n")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(script), "explain", "stack"]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("scene: 1 world")
