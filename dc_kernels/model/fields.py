@@ -20,6 +20,7 @@ from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.rules import (
     COUNT,
     FINITE,
+    INVERSE,
     NOT_NEGATIVE,
     POSITIVE,
     SHARE,
@@ -92,8 +93,8 @@ MODEL = field_table(
     ("body_type", "body", "int32", "1", "BodyType", Code(BodyType)),
     ("mass", "body", "real", "kg", "mass; 0 where infinite", NOT_NEGATIVE),
     ("inertia", "body", "real", "kg m^2", "moment of inertia about the centre of mass; 0 where infinite", NOT_NEGATIVE),
-    ("inv_mass", "body", "real", "1/kg", "0 for static and kinematic bodies", NOT_NEGATIVE),
-    ("inv_inertia", "body", "real", "1/(kg m^2)", "0 for static, kinematic and non-rotating bodies", NOT_NEGATIVE),
+    ("inv_mass", "body", "real", "1/kg", "0 for static and kinematic bodies", INVERSE),
+    ("inv_inertia", "body", "real", "1/(kg m^2)", "0 for static, kinematic and non-rotating bodies", INVERSE),
     ("center_of_mass", "body", "vec2", "m", "in the frame the shapes were given in; vertices are relative to it"),
     ("body_shape_start", "body+1", "int32", "1", "first shape of each body; shapes are sorted by body", Start("shape")),
     ("shape_body", "shape", "int32", "1", "body of the shape", Index("body")),

@@ -65,6 +65,8 @@ Rule = Number | Code | Start | Index | Unit | Ascending
 FINITE = Number()
 POSITIVE = Number(0.0, open=True)
 NOT_NEGATIVE = Number(0.0)
+INVERSE = Number(0.0, 8e37)
+"""An inverse mass: those of two bodies and of their turns add up within float32."""
 SHARE = Number(0.0, 1.0)
 COUNT = Number(0, 2**31 - 1)
 TIME_STEP = Number(1e-18, 1e18)  # [s]; the ratio of two, and the square of one, are normal numbers of float32

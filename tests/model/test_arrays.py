@@ -167,7 +167,7 @@ def test_an_index_array_edited_in_its_memory_is_found_by_the_next_simulation():
         ("shape_body", 1, 7, r"model\.shape_body\[1\] is 7; it must be a body of its world 0 \(bodies 0 \.\. 1\)"),
         ("shape_type", 0, 7, r"model\.shape_type\[0\] is 7; it must be one of 0 \(DISC\), 1 \(POLYGON\)"),
         ("body_type", 0, 9, r"model\.body_type\[0\] is 9; it must be one of 0 \(STATIC\)"),
-        ("inv_mass", 0, -1.0, r"model\.inv_mass\[0\] is -1\.0; it must be finite and >= 0"),
+        ("inv_mass", 0, -1.0, r"model\.inv_mass\[0\] is -1\.0; it must be in \[0, 8e\+37\]"),
         ("cell_size", 0, 0.0, r"model\.cell_size\[0\] is 0\.0; it must be finite and > 0"),
     ):
         model, state, joints = builder.finalize()

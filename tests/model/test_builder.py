@@ -502,3 +502,13 @@ def test_what_underflows_the_dtype_is_named():
     builder.finalize("float64", backend="numpy")
     with pytest.raises(ValueError, match=r"model\.shape_radius\[0\] is 0\.0; it must be > 0"):
         builder.finalize("float32", backend="numpy")
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_masses_whose_inverses_add_up_beyond_float32_are_refused(dtype):
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_disc(builder.add_body(mass=1.0), 0.5)
+    builder.add_disc(builder.add_body(mass=1.2e-38, inertia=1.0), 0.5)
+    with pytest.raises(ValueError, match=r"inv_mass\[1\] is 8\.3.*e\+37; it must be in \[0, 8e\+37\]"):
+        dc.Simulation(*builder.finalize(dtype))

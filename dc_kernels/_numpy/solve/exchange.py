@@ -8,6 +8,7 @@ import numpy as np
 
 from dc_kernels._numpy.common import Kernels
 from dc_kernels.model.enums import BodyType, Flag
+from dc_kernels.model.rules import INVERSE
 from dc_kernels.solve.exchange import ARM, UNIT
 
 
@@ -32,7 +33,7 @@ def receive_contacts(
     lines = slice(model.joint_start[w], model.joint_start[w + 1])
     m, i = model.inv_mass[bodies], model.inv_inertia[bodies]
     model.body_type[bodies] = np.where((m > 0) | (i > 0), BodyType.DYNAMIC, BodyType.STATIC)
-    good = [np.isfinite(m), np.isfinite(i), m >= 0, i >= 0]
+    good = [m >= 0, i >= 0, m <= INVERSE.high, i <= INVERSE.high]
     for a, b in (
         (contacts.body_a[own], contacts.body_b[own]),
         (joints.joint_body_a[lines], joints.joint_body_b[lines]),

@@ -12,7 +12,7 @@ from dc_kernels._numpy.common import Array
 from dc_kernels._numpy.solve.row import Row, by_lane, jacobi_row, natural_map_row, read_row, sweep_row
 from dc_kernels.model.config import ACCELERATIONS, METHODS, STOPS
 from dc_kernels.solve.iteration import NEVER, PAST
-from dc_kernels.solve.rows import COLORS, LANES
+from dc_kernels.solve.rows import COLORS, COLUMNS, LANES
 
 JACOBI = METHODS["jacobi"]
 SOR = ACCELERATIONS["sor"]
@@ -119,12 +119,18 @@ class World:
         self.apply(self.rows.impulse)
 
     def load_impulses(self, joints: Any, contacts: Any) -> None:
-        """Impulses of contacts and joints to the rows; predicted velocities plus what they add."""
+        """Impulses of contacts and joints to the rows; predicted velocities plus what they add.
+
+        A row along which nothing can move has none.
+        """
         rows, w = self.rows, self.w
         self.impulse[:] = 0.0
         own = slice(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
-        rows.impulse[rows.slot[own]] = contacts.impulse[own, 0]
-        rows.impulse[rows.slot[own] + LANES] = contacts.impulse[own, 1]
+        columns = COLUMNS[self.variant]
+        block, lane = np.divmod(rows.slot[own], 2 * LANES)
+        moves = by_lane(rows.column, len(columns))[block, :, lane] > 0
+        rows.impulse[rows.slot[own]] = contacts.impulse[own, 0] * moves[:, columns.index("en")]
+        rows.impulse[rows.slot[own] + LANES] = contacts.impulse[own, 1] * moves[:, columns.index("et")]
         own = slice(self.model.joint_start[w], self.model.joint_start[w + 1])
         rows.impulse[rows.joint_slot[own]] = joints.joint_impulse[own]
         self.refresh()

@@ -9,6 +9,7 @@ from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import contiguity, contiguous_groups, group_types, struct_type
 from dc_kernels._warp.native import native_code
 from dc_kernels.model.enums import BodyType, Flag
+from dc_kernels.model.rules import INVERSE
 from dc_kernels.solve.exchange import ARM, EXCHANGE, UNIT
 
 CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
@@ -33,7 +34,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     module = kernel_module("exchange", dtype)
     contiguous = contiguous_groups(dtype)
     limits = {"UNIT": UNIT, "ARM": ARM}
-    kinds = {"FIXED": int(BodyType.STATIC), "MOVABLE": int(BodyType.DYNAMIC)}
+    kinds = {"FIXED": int(BodyType.STATIC), "MOVABLE": int(BodyType.DYNAMIC), "LARGEST": INVERSE.high}
 
     @wp.func_native(native_code("exchange/bodies.h", dtype=dtype, **kinds))
     def look_at_bodies(

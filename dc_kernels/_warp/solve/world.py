@@ -11,7 +11,7 @@ from dc_kernels._warp.solve.lanes import has_lanes, lane_functions
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels.model.config import METHODS, STOPS
 from dc_kernels.solve.iteration import NEVER
-from dc_kernels.solve.rows import COLORS, LANES, SERIAL_COLOR
+from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR
 
 ENDS = wp.constant(COLORS + 1)
 N_COLORS = wp.constant(COLORS)
@@ -36,6 +36,9 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     sweep_lanes, apply_lanes = lanes.sweep, lanes.apply
     jointed = variant == "joints"
     tiny = real(1e-30)
+    columns = COLUMNS[variant]
+    width = wp.constant(len(columns) * LANES)
+    EN, ET = (wp.constant(columns.index(name) * LANES) for name in ("en", "et"))
 
     @wp.func(module=module)
     def span_of(w: int, past_at: int, config: t.Config, model: t.Model, motion: t.Motion, rows: t.Rows):
@@ -102,15 +105,21 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     def load_impulses(
         span: Span, model: t.Model, joints: t.Joints, contacts: t.Contacts, motion: t.Motion, rows: t.Rows
     ):
-        """Impulses of contacts and joints to the rows; predicted velocities plus what they add."""
+        """Impulses of contacts and joints to the rows; predicted velocities plus what they add.
+
+        A row along which nothing can move has none: no sweep would change it.
+        """
         w = span.world
         for i in range(span.low, span.high):
             rows.impulse[i] = real(0.0)
         start = contacts.contact_start[w]
         for c in range(start, start + contacts.contact_count[w]):
             i = rows.slot[c]
-            rows.impulse[i] = contacts.impulse[c][0]
-            rows.impulse[i + N_LANES] = contacts.impulse[c][1]
+            r = i / (2 * N_LANES) * width + i % N_LANES
+            if rows.column[r + EN] > real(0.0):
+                rows.impulse[i] = contacts.impulse[c][0]
+            if rows.column[r + ET] > real(0.0):
+                rows.impulse[i + N_LANES] = contacts.impulse[c][1]
         if wp.static(jointed):
             for j in range(model.joint_start[w], model.joint_start[w + 1]):
                 rows.impulse[rows.joint_slot[j]] = joints.joint_impulse[j]
