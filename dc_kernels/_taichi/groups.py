@@ -25,16 +25,18 @@ FOUND = {name: CONTACTS[name] for name in _FOUND}
 LANED = {"rows": ("column", "body", "impulse", "change", "before", "direction")}
 """Fields that kernels see as vectors of ``LANES`` numbers, rows being solved in SIMD lanes; by the group's name."""
 LANES = 8
+WIDE = {"points": ("place",)}
+"""Vectors that may be the first numbers of longer rows, and lie at any address: one more axis; by the group's name."""
 VECTORS = (2, 4, 8)  # lengths of vectors that lie in memory as Taichi loads them; others are one more axis
 
 
 class GroupType(ti.template):
     """Annotation of an argument that is a group of arrays and numbers."""
 
-    def __init__(self, name: str, dtype: str, table: Mapping[str, Field]) -> None:
-        """``name``: of the group; ``dtype``: what "real" is; ``table``: its fields."""
+    def __init__(self, name: str, dtype: str, table: Mapping[str, Field], constants: tuple[str, ...] = ()) -> None:
+        """``name``: of the group; ``dtype``: what "real" is; ``table``: its fields; ``constants``: compiled in."""
         super().__init__()
-        self.name, self.dtype, self.table = name, dtype, table
+        self.name, self.dtype, self.table, self.constants = name, dtype, table, constants
 
     def annotation(self, field: str) -> Any:
         """Taichi's type of a field: of an array, or of a number or small vector that a launch is given."""
@@ -42,23 +44,24 @@ class GroupType(ti.template):
 
 
 @cache
-def _group_type(name: str, dtype: str, table: int) -> GroupType:
-    return GroupType(name, dtype, _tables[table])
+def _group_type(name: str, dtype: str, table: int, constants: tuple[str, ...]) -> GroupType:
+    return GroupType(name, dtype, _tables[table], constants)
 
 
 _tables: dict[int, Mapping[str, Field]] = {}
 
 
-def struct_type(name: str, dtype: str, table: Mapping[str, Field]) -> GroupType:
+def struct_type(name: str, dtype: str, table: Mapping[str, Field], constants: tuple[str, ...] = ()) -> GroupType:
     """The type of a group: an array for each field of its table, and a number for each without axes.
 
     Args:
         name: of the group.
         dtype: "float32" or "float64": what "real" is.
         table: fields by name; each object is a table of its own.
+        constants: numbers among them that are compiled in, for ``ti.static`` to look at: a kernel for each value.
     """
     _tables[id(table)] = table
-    return _group_type(name, dtype, id(table))
+    return _group_type(name, dtype, id(table), constants)
 
 
 @cache
@@ -79,7 +82,8 @@ def _element(field: Field, dtype: str) -> Any:
 def field_type(group: str, field: Field, dtype: str) -> Any:
     """Taichi's type of a field of a group.
 
-    A vector of another length than ``VECTORS`` is one more axis; a struct of numbers is seen as words of four bytes.
+    A vector of another length than ``VECTORS``, or of ``WIDE``, is one more axis; a struct of numbers is seen as words
+    of four bytes.
     """
     if field.dtype == "iteration":
         return ti.types.ndarray(dtype=ti.i32, ndim=2)
@@ -88,7 +92,7 @@ def field_type(group: str, field: Field, dtype: str) -> Any:
         return element
     if field.name in LANED.get(group, ()):
         return ti.types.ndarray(dtype=ti.types.vector(LANES, element), ndim=1)
-    if hasattr(element, "get_shape") and element.get_shape()[0] not in VECTORS:
+    if hasattr(element, "get_shape") and (element.get_shape()[0] not in VECTORS or field.name in WIDE.get(group, ())):
         return ti.types.ndarray(dtype=element.dtype, ndim=axes + 1)
     return ti.types.ndarray(dtype=element, ndim=axes)
 
@@ -97,6 +101,8 @@ def seen(group: str, field: Field, array: np.ndarray) -> np.ndarray:
     """The memory of a field's array in the shape of ``field_type``."""
     if field.name in LANED.get(group, ()):
         return array[: len(array) // LANES * LANES].reshape(-1, LANES)
+    if field.name in WIDE.get(group, ()) and array.strides == (3 * array.itemsize, array.itemsize):
+        return np.lib.stride_tricks.as_strided(array, (len(array), 3), writeable=array.flags.writeable)
     if array.dtype.names:
         return array.view(np.ndarray).view(np.int32).reshape(len(array), -1)
     return array

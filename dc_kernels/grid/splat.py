@@ -14,7 +14,7 @@ from dc_kernels.grid.layout import BAND, CHUNK, TILE_COLUMNS, TILE_ROWS
 from dc_kernels.grid.stencil import Stencil
 from dc_kernels.model.arrays import kernel_array, to_numpy
 from dc_kernels.model.dtypes import aligned_zeros, float_dtype
-from dc_kernels.runtime.backends import Launch, bind, kernel_file, make_kernels
+from dc_kernels.runtime.backends import Launch, bind, host_threads, kernel_file, make_kernels
 from dc_kernels.runtime.capture import HOST, recording, refuse_recording
 from dc_kernels.runtime.memory import check_memory
 from dc_kernels.runtime.program import Kernel, Stage
@@ -110,7 +110,7 @@ class Splat:
             channel_offset: first channel that is written.
             backend: of the arrays.
             threads: that worlds or tiles are shared by.
-            tiled: None: as the size of the image tells, but not in a recording; the oracle has no tiles.
+            tiled: None: as the size of the image tells, but not in a recording; only Warp's kernels have tiles.
         """
         dtype = to_numpy(value).dtype
         self.table, self.backend, self.threads = transfer_kernels(backend, dtype.name), backend, threads
@@ -137,7 +137,8 @@ class Splat:
         if not self.tiled:
             self.touched = kernel_array(np.zeros((worlds, -(-rows // BAND)), np.int32), backend)
             self.values["touched"] = self.touched
-            self._launches = [self._bind("splat_worlds", n, world_offset=w) for w, n in shard_worlds(worlds, threads)]
+            shards = shard_worlds(worlds, host_threads(backend, threads))
+            self._launches = [self._bind("splat_worlds", n, world_offset=w, threads=threads) for w, n in shards]
             return
         self._tile_rows, self._tile_columns = -(-rows // TILE_ROWS), -(-columns // TILE_COLUMNS)
         tiles = self._tile_rows * self._tile_columns

@@ -51,7 +51,7 @@ class Transfer:
             stencil: weights of the nodes.
             bins: parts of an image that points are kept apart in, such as directions of contact normals.
             threads: worlds, or tiles of a large image, are shared by so many; the bits do not depend on it.
-            backend: "warp", or "numpy": the oracle.
+            backend: "warp", "taichi", or "numpy": the oracle.
 
         Raises:
             ValueError: naming the setting, when it is out of range.
@@ -239,7 +239,7 @@ def splat(
         bins: parts of the image that points are kept apart in, such as directions of contact normals.
         point_bin: bin of each point, (n,); needed for bins > 1.
         threads: worlds, or tiles of a large image, are shared by so many threads; the bits do not depend on it.
-        backend: "warp", or "numpy": the oracle.
+        backend: "warp", "taichi", or "numpy": the oracle.
         out: image to write instead of a new one; all of it is overwritten.
 
     Returns:

@@ -25,20 +25,30 @@ import numpy as np
 
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.layout import BAND
-from dc_kernels.grid.splat import TILED_BYTES, Splat, chunks_of, first_and_count, points_group, transfer_kernels
+from dc_kernels.grid.splat import (
+    TILED_BYTES,
+    Splat,
+    chunks_of,
+    first_and_count,
+    points_group,
+    stencil_group,
+    transfer_kernels,
+)
 from dc_kernels.grid.stencil import BILINEAR, POLY6, Stencil, check_place
 from dc_kernels.model.arrays import kernel_array
+from dc_kernels.runtime.backends import argument_names, check_backend
 from dc_kernels.runtime.inputs import check_bins, check_count, check_places, check_start, check_truth
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.launches import Calls
 from dc_kernels.runtime.optional import require
-from dc_kernels.torch_ops.tensors import check_devices, check_tensors, given_tensor
+from dc_kernels.runtime.program import Kernel, bind_part
+from dc_kernels.torch_ops.tensors import check_devices, check_tensors, flat, flat_batch, given_tensor
 
 torch = require("torch", "pipeline")
 
 _COMMON = (
     "Tensor? start, Tensor? point_bin, int rows, int columns, float spacing, float origin_x, float origin_y, "
-    "str kernel, float? h, str normalize, bool nearest, int bins, int threads"
+    "str kernel, float? h, str normalize, bool nearest, int bins, int threads, str backend"
 )
 
 
@@ -52,6 +62,7 @@ def splat_torch(
     bins: int = 1,
     point_bin: Any = None,
     threads: int = 1,
+    backend: str = "warp",
 ) -> Any:
     """``transfer.splat`` of tensors, differentiable by points and values.
 
@@ -66,6 +77,7 @@ def splat_torch(
         bins: parts of the image that points are kept apart in.
         point_bin: bin of each point, (n,) integers; needed for bins > 1.
         threads: worlds, or tiles of a large image, are shared by so many threads.
+        backend: of the kernels, as in ``transfer``.
 
     Returns:
         (W, bins C, rows, columns); value c of a point of bin b is in channel b C + c.
@@ -80,9 +92,9 @@ def splat_torch(
             raise ValueError(
                 f"values has shape {tuple(values.shape)}; it must be ({worlds}, {count}, C), as points are"
             )
-        points, start, point_bin = _flat_batch(points, start, point_bin)
-        values = _flat("values", values)
-    settings = _settings(grid, stencil, start, bins, point_bin, threads)
+        points, start, point_bin = flat_batch(points, start, point_bin)
+        values = flat("values", values)
+    settings = _settings(grid, stencil, start, bins, point_bin, threads, backend)
     image = torch.ops.deep_contact.splat(points, values, *settings)
     return _share(image, _weights(points, settings), bins) if stencil.normalize == "shepard" else image
 
@@ -98,6 +110,7 @@ def gather_torch(
     bins: int = 1,
     point_bin: Any = None,
     threads: int = 1,
+    backend: str = "warp",
 ) -> Any:
     """``transfer.gather`` of tensors, differentiable by image and points.
 
@@ -113,6 +126,7 @@ def gather_torch(
         bins: see ``splat_torch``.
         point_bin: see ``splat_torch``.
         threads: see ``splat_torch``.
+        backend: see ``splat_torch``.
 
     Returns:
         (n, C), or (W, n, C) where points are so many for each world.
@@ -125,39 +139,17 @@ def gather_torch(
     check_tensors(image=image, points=points)
     batch = points.shape[:2] if points.dim() == 3 else None
     if batch is not None:
-        points, start, point_bin = _flat_batch(points, start, point_bin)
-    settings = _settings(grid, stencil, start, bins, point_bin, threads)
+        points, start, point_bin = flat_batch(points, start, point_bin)
+    settings = _settings(grid, stencil, start, bins, point_bin, threads, backend)
     if reverse:
         image = _share(image, _weights(points, settings), bins)
     value = torch.ops.deep_contact.gather(image, points, *settings)
     return value if batch is None else value.unflatten(0, batch)
 
 
-def _flat_batch(points: Any, start: Any, point_bin: Any) -> tuple[Any, Any, Any]:
-    """Points (W, n, 2) or (W, n, 3) and their bins (W, n) one world after the other, and where each begins.
-
-    Raises:
-        ValueError: for offsets beside them, bins of another shape, or points that would have to be copied.
-    """
-    worlds, count = points.shape[:2]
-    if start is not None:
-        raise ValueError(f"start must be None where points has shape {tuple(points.shape)}, a world a row")
-    if point_bin is not None:
-        point_bin = given_tensor("point_bin", point_bin)
-        if tuple(point_bin.shape) != (worlds, count):
-            raise ValueError(f"point_bin has shape {tuple(point_bin.shape)}; it must be ({worlds}, {count})")
-        point_bin = point_bin.reshape(-1)
-    return _flat("points", points), torch.arange(worlds + 1) * count, point_bin
-
-
-def _flat(name: str, tensor: Any) -> Any:
-    """A tensor (W, n, k) as (W n, k), the same memory."""
-    if not tensor.is_contiguous():
-        raise ValueError(f"{name} has strides {tensor.stride()} for shape {tuple(tensor.shape)}; it must be contiguous")
-    return tensor.reshape(-1, tensor.shape[2])
-
-
-def _settings(grid: Grid, stencil: Stencil, start: Any, bins: int, point_bin: Any, threads: int) -> tuple[Any, ...]:
+def _settings(
+    grid: Grid, stencil: Stencil, start: Any, bins: int, point_bin: Any, threads: int, backend: str = "warp"
+) -> tuple[Any, ...]:
     """The arguments of ``_COMMON``."""
     check_place(grid, stencil)
     stencil.support(grid.spacing)
@@ -174,6 +166,7 @@ def _settings(grid: Grid, stencil: Stencil, start: Any, bins: int, point_bin: An
         stencil.nearest,
         check_count("bins", bins),
         check_count("threads", threads),
+        check_backend(backend),
     )
 
 
@@ -200,7 +193,7 @@ def _share(image: Any, weight: Any, bins: int) -> Any:
 def _splat(points: Any, values: Any, *settings: Any) -> Any:
     call = _Call(points, settings)
     shape = (call.worlds, call.bins * call.check_values(values), *call.shape)
-    if math.prod(shape[1:]) * values.element_size() > TILED_BYTES:
+    if call.backend == "warp" and math.prod(shape[1:]) * values.element_size() > TILED_BYTES:
         image = values.new_zeros(shape)
         call.run_tiled(values, image)
         return image
@@ -242,13 +235,13 @@ def _gather_gradient(image: Any, points: Any, values: Any, *settings: Any) -> An
 def _(points: Any, values: Any, start: Any, *settings: Any) -> Any:
     check_devices(points=points, values=values)
     worlds = 1 if start is None else start.shape[0] - 1
-    return values.new_empty((worlds, settings[-2] * values.shape[1], settings[1], settings[2]))
+    return values.new_empty((worlds, settings[-3] * values.shape[1], settings[1], settings[2]))
 
 
 @_gather.register_fake
 def _(image: Any, points: Any, *settings: Any) -> Any:
     check_devices(image=image, points=points)
-    return points.new_empty((points.shape[0], image.shape[1] // settings[-2]))
+    return points.new_empty((points.shape[0], image.shape[1] // settings[-3]))
 
 
 @_gather_gradient.register_fake
@@ -309,7 +302,7 @@ class _Call:
     """One call of the kernels with the points and settings of an operator, which are checked here."""
 
     def __init__(self, points: Any, settings: tuple[Any, ...]) -> None:
-        start, point_bin, *rest, self.bins, self.threads = settings
+        start, point_bin, *rest, self.bins, self.threads, self.backend = settings
         self.grid, self.stencil, numbers = _settings_of(*rest)
         count = len(check_places("points", tensor_array("points", points)))
         if points.shape[1] == 3:
@@ -354,12 +347,26 @@ class _Call:
 
     def run(self, name: str, **tensors: Any) -> None:
         """Launch a kernel on the tensors, each thread on its share of the worlds."""
-        _calls(name, self.dtype)({**self.values, **tensors}, self.worlds, self.threads)
+        if self.backend == "warp":
+            _calls(name, self.dtype)({**self.values, **tensors}, self.worlds, self.threads)
+            return
+        kernel = transfer_kernels(self.backend, self.dtype)[name]
+        values = {
+            **self.values,
+            **{key: kernel_array(tensor.detach().numpy(), self.backend) for key, tensor in tensors.items()},
+            "stencil": stencil_group(self.stencil, self.grid, self.backend, self.dtype),
+            "points": points_group(self.grid, self.worlds, self.backend, self.dtype, **self._arrays()),
+        }
+        chunks = self.values["chunks"] if "chunks" in argument_names(kernel) else 1
+        bind_part(Kernel(kernel, values, chunks), 0, self.worlds, self.threads)()
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """The points' tensors by name as numpy, the same memory, for ``points_group``."""
+        return {name: tensor.detach().numpy() for name, tensor in self.point_arrays.items() if name != "origin"}
 
     def run_tiled(self, value: Any, image: Any) -> None:
         """Splat onto a large, zeroed image tile by tile."""
-        arrays = {name: tensor.detach().numpy() for name, tensor in self.point_arrays.items() if name != "origin"}
-        points = points_group(self.grid, self.worlds, "warp", self.dtype, **arrays)
+        points = points_group(self.grid, self.worlds, "warp", self.dtype, **self._arrays())
         given = [kernel_array(tensor.detach().numpy(), "warp") for tensor in (value, image)]
         Splat(self.stencil, self.grid, points, *given, bins=self.bins, threads=self.threads)()
 

@@ -11,6 +11,7 @@ written here: a loop over the threads, and of each group the fields that the fun
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Mapping
 from typing import Any
@@ -55,7 +56,7 @@ class Kernel:
         given = {name: Group(name) for name in self.arguments if isinstance(self._types[name], GroupType)}
         arrays = {name: Array(name, "") for name in self.arguments if isinstance(self._types[name], NDARRAY)}
         self._uses = uses_of(function, {**given, **arrays})
-        self._made: dict[bool, Any] = {}
+        self._made: dict[tuple[Any, ...], Any] = {}
         real = [kind.dtype for kind in self._types.values() if isinstance(kind, GroupType)]
         self._real = ti.f64 if "float64" in real else ti.f32
 
@@ -74,16 +75,25 @@ class Kernel:
         shards = min(int(values.get("threads", 1)), extent[0])
         arguments = [Argument(f"dim{i}", ti.i32, n, False) for i, n in enumerate(extent)]
         arguments.append(Argument("shards", ti.i32, shards, False))
-        for key in self._flat():
-            array = Array(*key)
+        constants: dict[Array, Any] = {}
+        for array in self._flat():
             value, annotation = self._value(array, values)
+            if self._is_constant(array):
+                constants[array] = value
+                continue
             arguments.append(Argument(".".join(filter(None, array)), annotation, value, array in self._uses.written))
-        return Bound(self.__name__, self._kernel, arguments, real=self._real, parallel=shards > 1)
+        make = functools.partial(self._kernel, constants)
+        return Bound(self.__name__, make, arguments, real=self._real, parallel=shards > 1)
 
     def _flat(self) -> list[Array]:
         """Arrays and numbers that the compiled kernel takes, in order."""
         scalars = [Array(n, "") for n, kind in self._types.items() if not isinstance(kind, GroupType)]
         return list(dict.fromkeys([*scalars, *self._uses.used]))
+
+    def _is_constant(self, array: Array) -> bool:
+        """Whether a number is compiled in."""
+        kind = self._types[array.group]
+        return isinstance(kind, GroupType) and array.field in kind.constants
 
     def _annotation(self, array: Array) -> Any:
         kind = self._types[array.group]
@@ -102,18 +112,19 @@ class Kernel:
             value = seen(kind.name, kind.table[array.field], value)
         return value, annotation
 
-    def _kernel(self, parallel: bool) -> Any:
-        """The kernel of Taichi, whose threads are those of its pool or the one that launches it."""
-        if parallel not in self._made:
+    def _kernel(self, constants: Mapping[Array, Any], parallel: bool) -> Any:
+        """The kernel of Taichi with these numbers in it, for threads of its pool or the one that launches it."""
+        key = (parallel, *constants.values())
+        if key not in self._made:
             types = [self._annotation(array) for array in self._flat()]
             scope = {"ti": ti, "types": types, "stage": self.func, "Fields": Fields}
-            self._made[parallel] = define(self._source(parallel), self.__name__, scope)
-        return self._made[parallel]
+            self._made[key] = define(self._source(constants, parallel), self.__name__, scope)
+        return self._made[key]
 
-    def _source(self, parallel: bool) -> str:
+    def _source(self, constants: Mapping[Array, Any], parallel: bool) -> str:
         """Source of the kernel: its loop, and the call of the function with its groups put together."""
         flat = self._flat()
-        names = {array: "__".join(filter(None, array)) for array in flat}
+        names = {array: "__".join(filter(None, array)) for array in flat} | {a: repr(v) for a, v in constants.items()}
         given = list(self._indices)
         for argument in self.arguments:
             fields = [array for array in flat if array.group == argument]
@@ -125,7 +136,7 @@ class Kernel:
             else:
                 given.append(argument)
         annotations = [*(f"dim{i}: ti.i32" for i in range(len(self._indices))), "shards: ti.i32"]
-        annotations += [f"{names[array]}: types[{i}]" for i, array in enumerate(flat)]
+        annotations += [f"{names[array]}: types[{i}]" for i, array in enumerate(flat) if array not in constants]
         lines = ["@ti.kernel", f"def {self.__name__}({', '.join(annotations)}):"]
         if parallel:
             lines += [

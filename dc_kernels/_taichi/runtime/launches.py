@@ -17,6 +17,7 @@ from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.runtime.program import compiling, has_threads, program, running
 from dc_kernels.runtime.capture import refuse_recording
 
+MOST = 2**30  # numbers of an array: an index in int32, and lanes from there on (see ``lanes``)
 _parallel: weakref.WeakSet[Any] = weakref.WeakSet()  # launches that wait for threads of the program
 
 
@@ -39,7 +40,7 @@ def check_memory(arguments: Sequence[Argument]) -> None:
     Raises:
         ValueError: naming the argument, for an array of another dtype or number of axes, with strides, read-only where
             the kernel writes, misaligned for the vectors that it is made of, or overlapping another where one of the
-            two is written.
+            two is written, or of more than ``MOST`` numbers.
     """
     spans = []
     for name, annotation, array, written in arguments:
@@ -55,6 +56,10 @@ def check_memory(arguments: Sequence[Argument]) -> None:
             raise ValueError(f"{name} has shape {array.shape}; it must be ({wanted}{',' * (axes == 1)})")
         if not array.flags.c_contiguous:
             raise ValueError(f"{name} has strides {array.strides} for shape {array.shape}; it must be contiguous")
+        if array.size > MOST:
+            raise ValueError(
+                f"{name} has {array.size} numbers; it may have {MOST}, as {ti.__name__} counts them in int32"
+            )
         if written and not array.flags.writeable:
             raise ValueError(f"{name} is read-only; it must be writable")
         if array.size == 0:

@@ -1,0 +1,62 @@
+"""Vectors of eight neighbouring numbers, loaded from and stored to any place of an array of numbers.
+
+Taichi loads a vector only from memory that is aligned to it, and as one number after the other elsewhere. LLVM joins
+those to one load where it knows that their addresses follow each other: that no index overflows, as after ``MASK``,
+which leaves it as it is. An array is taken by its flat index, as ``image[0, 0, 0, at]``.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+from dc_kernels._taichi.common import scalar_types
+from dc_kernels._taichi.runtime.compiler import ti
+from dc_kernels._taichi.runtime.launches import MOST
+from dc_kernels.solve.rows import LANES
+
+MASK = MOST - 1
+
+
+@cache
+def lane_functions(dtype: str) -> SimpleNamespace:
+    """The type ``vector``, and the functions ``iota``, ``fold``, ``total``, ``load`` and ``store``.
+
+    The last two are of arrays of four axes: ``load(array, at)``, and ``store(array, at, vector)``.
+    """
+    vector = ti.types.vector(LANES, scalar_types(dtype).real)
+
+    @ti.func
+    def iota():
+        """Number of each lane."""
+        return vector(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
+
+    @ti.func
+    def fold(v):
+        """Sum of the lanes by halves."""
+        return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]))
+
+    @ti.func
+    def total(v):
+        """Sum of the lanes by pairs of neighbours."""
+        return ((v[0] + v[1]) + (v[2] + v[3])) + ((v[4] + v[5]) + (v[6] + v[7]))
+
+    @ti.func
+    def load(array: ti.template(), first):
+        at = first & MASK
+        return vector(
+            array[0, 0, 0, at],
+            array[0, 0, 0, at + 1],
+            array[0, 0, 0, at + 2],
+            array[0, 0, 0, at + 3],
+            array[0, 0, 0, at + 4],
+            array[0, 0, 0, at + 5],
+            array[0, 0, 0, at + 6],
+            array[0, 0, 0, at + 7],
+        )
+
+    @ti.func
+    def store(array: ti.template(), first, v):
+        at = first & MASK
+        for k in ti.static(range(LANES)):
+            array[0, 0, 0, at + k] = v[k]
+
+    return SimpleNamespace(vector=vector, iota=iota, fold=fold, total=total, load=load, store=store)
