@@ -10,7 +10,6 @@ fails at the border of the particles. ``torch_ops.sph`` holds differentiable tor
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,10 +18,10 @@ import numpy as np
 from dc_kernels.model.arrays import kernel_arrays
 from dc_kernels.model.settings import check_choice
 from dc_kernels.neighbors.search import Neighbors, neighbor_lists
-from dc_kernels.runtime.backends import bind, check_backend, kernel_file, make_kernels
+from dc_kernels.runtime.backends import bind, check_backend, host_threads, kernel_file, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_array, check_count, check_points, check_start
-from dc_kernels.runtime.threads import run_shards
+from dc_kernels.runtime.threads import run_shards, shard_worlds
 from dc_kernels.sph.fields import LISTS, SUM
 from dc_kernels.sph.quantities import CHUNK, PUBLIC, Quantity
 from dc_kernels.sph.smoothing import KERNELS, scale
@@ -62,7 +61,7 @@ def sph_sum(
         quantity: "value", "gradient" or "laplacian".
         method: how neighbours are searched (``neighbors.METHODS``).
         threads: Python threads that share the queries.
-        backend: "warp", or "numpy" for the oracle.
+        backend: "warp", "taichi", or "numpy" for the oracle.
 
     Returns:
         (nq, C) [u] for "value", (nq, C, dim) [u/m] for "gradient", (nq, C) [u/m^2] for "laplacian".
@@ -212,10 +211,10 @@ def _run(
         "lists": group("lists", dtype, LISTS, {"start": lists.start, "index": lists.index}),
     }
     chunks = -(-len(queries) // CHUNK)
-    bounds = np.linspace(0, chunks, min(threads, chunks) + 1).astype(int)
+    named["threads"] = threads
     launches = [
-        bind(table[name], int(last - first), {**named, "chunk_offset": int(first)}, "cpu")
-        for first, last in itertools.pairwise(bounds)
+        bind(table[name], count, {**named, "chunk_offset": first}, "cpu")
+        for first, count in shard_worlds(chunks, host_threads(backend, threads))
     ]
     run_shards(launches, threads)
 

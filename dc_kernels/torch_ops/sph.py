@@ -40,7 +40,7 @@ torch = require("torch", "pipeline")
 
 _COMMON = (
     "Tensor queries, Tensor points, Tensor values, Tensor mass, Tensor density, Tensor? query_start, "
-    "Tensor? point_start, float h, str kernel, str quantity, str method, int threads"
+    "Tensor? point_start, float h, str kernel, str quantity, str method, int threads, str backend"
 )
 
 
@@ -58,6 +58,7 @@ def sph_sum_torch(
     quantity: str = "value",
     method: str = "hash",
     threads: int = 1,
+    backend: str = "warp",
 ) -> Any:
     """``sph.sph_sum`` of tensors, differentiable by the first five arguments.
 
@@ -74,6 +75,7 @@ def sph_sum_torch(
         quantity: "value", "gradient" or "laplacian".
         method: how neighbours are searched (``neighbors.METHODS``).
         threads: Python threads that share the queries.
+        backend: of the sums, as in ``sph``.
 
     Returns:
         (nq, C) [u] for "value", (nq, C, dim) [u/m] for "gradient", (nq, C) [u/m^2] for "laplacian".
@@ -83,11 +85,11 @@ def sph_sum_torch(
     """
     starts = given_tensor("query_start", query_start), given_tensor("point_start", point_start)
     check_tensors(queries=queries, points=points, values=values, mass=mass, density=density)
-    h, threads = check_positive("h", h), check_options(quantity, threads, "warp")[1]
+    h, threads = check_positive("h", h), check_options(quantity, threads, backend)[1]
     check_choice("kernel", kernel, KERNELS)
     check_choice("method", method, METHODS)
     return torch.ops.deep_contact.sph_sum(
-        queries, points, values, mass, density, *starts, h, kernel, quantity, method, threads
+        queries, points, values, mass, density, *starts, h, kernel, quantity, method, threads, backend
     )
 
 
@@ -100,6 +102,7 @@ def sph_density_torch(
     start: Any = None,
     method: str = "hash",
     threads: int = 1,
+    backend: str = "warp",
 ) -> Any:
     """``sph.sph_density`` of tensors, differentiable by points and mass: (n,) [kg/m^dim]; raises as ``sph_sum_torch``.
 
@@ -119,6 +122,7 @@ def sph_density_torch(
         point_start=start,
         method=method,
         threads=threads,
+        backend=backend,
     )[:, 0]
 
 
@@ -135,6 +139,7 @@ class _Options(NamedTuple):
     quantity: str
     method: str
     threads: int
+    backend: str
 
     def starts(self) -> tuple[np.ndarray | None, np.ndarray | None]:
         """First query and first particle of each world."""
@@ -152,7 +157,7 @@ def _sum(queries: Any, points: Any, values: Any, mass: Any, density: Any, *rest:
     options = _Options(*rest)
     query_start, point_start = options.starts()
     arrays: dict[str, Any] = _arrays(queries, points, values, mass, density)
-    settings = {name: getattr(options, name) for name in ("h", "kernel", "quantity", "method", "threads")}
+    settings = {name: getattr(options, name) for name in ("h", "kernel", "quantity", "method", "threads", "backend")}
     return torch.from_numpy(sph_sum(**arrays, query_start=query_start, point_start=point_start, **settings))
 
 
@@ -173,7 +178,7 @@ def _sum_backward(cotangent: Any, *inputs: Any) -> tuple[Any, ...]:
     options, wanted = _Options(*inputs[5:-1]), inputs[-1]
     h, kernel, threads = options.h, options.kernel, options.threads
     check_particles(q, p, a, m, rho)
-    code = check_options(options.quantity, threads, "warp")[0]
+    code = check_options(options.quantity, threads, options.backend)[0]
     # autograd hands over expanded tensors, such as the ones of a sum
     y = tensor_array("cotangent", cotangent.contiguous())
     check_array("cotangent", y, out_shape(code, len(q), a.shape[1], p.shape[1]), p.dtype)
@@ -195,7 +200,7 @@ def _sum_backward(cotangent: Any, *inputs: Any) -> tuple[Any, ...]:
     among_queries: Any = among_points if itself else (search(1) if any(wanted[1:]) else None)
     empty = np.empty(0, p.dtype)
     by_q = by_p = by_a = by_m = by_rho = empty
-    way: dict[str, Any] = {"threads": threads, "backend": "warp"}
+    way: dict[str, Any] = {"threads": threads, "backend": options.backend}
     if want_q:
         by_q = pull_lists(among_points, q, p, y, weighted, h, kernel, code, swapped=False, **way)
     if want_p:
@@ -227,7 +232,7 @@ def _setup(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
 def _backward(ctx: Any, cotangent: Any) -> tuple[Any, ...]:
     wanted = list(ctx.needs_input_grad[:5])
     by = torch.ops.deep_contact.sph_sum_backward(cotangent, *ctx.saved_tensors, *ctx.options, wanted)
-    return *(gradient if want else None for gradient, want in zip(by, wanted)), *(None,) * 7
+    return *(gradient if want else None for gradient, want in zip(by, wanted)), *(None,) * 8
 
 
 _sum.register_autograd(_backward, setup_context=_setup)
