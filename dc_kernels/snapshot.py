@@ -20,12 +20,14 @@ import numpy as np
 
 from dc_kernels.measure import contact_slots
 from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State
-from dc_kernels.model.config import SolverConfig
+from dc_kernels.model.config import SimulationOptions, SolverConfig
 from dc_kernels.model.dtypes import float_dtype, numpy_spec
 from dc_kernels.model.fields import CACHE, CONTACTS, Field
 from dc_kernels.model.room import used_slots
 from dc_kernels.model.rules import BrokenRule
+from dc_kernels.model.settings import WrongType, check_choice, shown
 from dc_kernels.model.validate.scene import check_joints, check_model, check_state
+from dc_kernels.runtime.backends import BACKENDS
 from dc_kernels.runtime.files import file_name, write_file
 from dc_kernels.runtime.hdf5 import image, reading
 from dc_kernels.runtime.inputs import check_count, check_file
@@ -185,6 +187,11 @@ def _unfinished(sim: Simulation, slots: np.ndarray, cached: np.ndarray) -> bool:
     return any(one.tobytes() != other.tobytes() for one, other in pairs)
 
 
+def _plain(value: Any) -> Any:
+    """An attribute as Python's own number or truth value, if it is one."""
+    return value.item() if isinstance(value, np.generic) else value
+
+
 class _Header:
     """What a snapshot says about itself."""
 
@@ -201,8 +208,11 @@ class _Header:
         try:
             self.real = float_dtype(file.attrs["dtype"])
             self.device, self.backend = file.attrs["device"], file.attrs["backend"]
-            self.options = {name: file.attrs[name] for name in ("schedule", "on_overflow")}
-            self.options["specialize"] = bool(file.attrs["specialize"])
+            self.options = {name: _plain(file.attrs[name]) for name in ("schedule", "on_overflow", "specialize")}
+            SimulationOptions(**self.options)
+            check_choice("backend", self.backend, BACKENDS)
+            if not isinstance(self.device, str):
+                raise WrongType(f"device is {shown(self.device)}; it must be a str")
             sizes = {name: int(value) for name, value in file["sizes"].attrs.items()}
             self.sizes = {name: sizes[name] for name in _AXES}
             self._cached = sizes.get(CACHED)
@@ -211,7 +221,7 @@ class _Header:
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: an attribute has a wrong value: {error}") from error
         self.sizes |= {f"{name}+1": self.sizes[name] + 1 for name in ("world", "body", "shape")}
-        values = {k: v.item() if isinstance(v, np.generic) else v for k, v in file["config"].attrs.items()}
+        values = {name: _plain(value) for name, value in file["config"].attrs.items()}
         try:
             self.config = SolverConfig(**values)
         except (TypeError, ValueError) as error:

@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.faults.learning_targets import pipeline_targets, torch_targets
+from bench.faults.stage_targets import driving_targets, solver_targets, stage_targets
 from bench.faults.targets import (
     Target,
     always,
@@ -54,6 +55,9 @@ TARGETS: dict[str, Callable[[], Iterator[Target]]] = {
     "grid": grid_targets,
     "points": point_targets,
     "delassus": delassus_targets,
+    "stages": stage_targets,
+    "solver": solver_targets,
+    "driving": driving_targets,
     "torch": torch_targets,
     "pipeline": pipeline_targets,
 }

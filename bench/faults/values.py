@@ -44,6 +44,7 @@ class Array:
         strict: bool = True,
         finite: bool = True,
         fixed: bool = True,
+        ranged: bool = True,
     ) -> None:
         """Remember the shape and what the array may be.
 
@@ -54,9 +55,10 @@ class Array:
             strict: another dtype than float32 or float64 is refused.
             finite: NaN and inf are refused.
             fixed: another shape is refused.
+            ranged: integers far below 0 or beyond any index are refused.
         """
         self.shape, self.whole, self.optional, self.strict = shape, whole, optional, strict
-        self.finite, self.fixed = finite, fixed
+        self.finite, self.fixed, self.ranged = finite, fixed, ranged
 
     def bad(self) -> list[Any]:
         """Values that are no such array."""
@@ -72,6 +74,7 @@ class Array:
                 values[-1].flat[0] = number
         elif self.whole:
             values += [good + 0.5, good - 100, good.astype(np.float64)]
+            values += [(good - 100).astype(np.int32), np.full(self.shape, 2**31 - 1, np.int32)] if self.ranged else []
         if self.strict and not self.whole:
             values += [good.astype(np.int64), good.astype(np.float16), good.tolist()]
         return values

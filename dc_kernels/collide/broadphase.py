@@ -13,9 +13,11 @@ from dc_kernels.model.arrays import ArrayGroup, Model, to_numpy
 from dc_kernels.model.enums import BodyType, Flag
 from dc_kernels.model.fields import LAUNCH, MODEL, PAIRS, STATE
 from dc_kernels.model.room import Room, starts
+from dc_kernels.model.rules import refuse
 from dc_kernels.runtime.backends import bind, check_backend, host_threads, kernel_file, make_kernels
 from dc_kernels.runtime.capture import Recordings, recording
 from dc_kernels.runtime.inputs import (
+    MAX_INDEX,
     check_count,
     check_index,
     check_layout,
@@ -24,6 +26,7 @@ from dc_kernels.runtime.inputs import (
     check_start,
 )
 from dc_kernels.runtime.interop import InPlace
+from dc_kernels.runtime.memory import check_memory
 from dc_kernels.runtime.threads import run_shards, shard_worlds
 
 PAIRS_PER_BOX = 4.0  # reserved at first
@@ -165,6 +168,8 @@ class Broadphase(InPlace):
         self.shape_body = np.arange(n, dtype=np.int32) if shape_body is None else _filter(shape_body, "shape_body", n)
         bodies = int(self.shape_body.max(initial=-1)) + 1
         if body_type is None:
+            refuse("shape_body", self.shape_body, self.shape_body == MAX_INDEX, f"< {MAX_INDEX}")
+            check_memory(f"a type for each of the {bodies} bodies that shape_body names", 4.0 * bodies)
             self.body_type = np.full(bodies, BodyType.DYNAMIC, np.int32)
         else:
             self.body_type = _filter(body_type, "body_type", None)

@@ -8,6 +8,8 @@ import numpy as np
 
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import CONTACTS, JOINTS, LAUNCH, MODEL, ROWS, STATE
+from dc_kernels.model.rules import refuse
+from dc_kernels.model.settings import numeric
 from dc_kernels.runtime.backends import bind, check_backend, kernel_file, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_layout, check_start, refuse_overlap
@@ -61,9 +63,10 @@ def color(
     check_backend(backend)
     body_a = check_layout("body_a", body_a, (None,), INT)
     body_b = check_layout("body_b", body_b, body_a.shape, INT)
-    moves = np.asarray(host_view("movable", movable))
-    if moves.ndim != 1 or moves.dtype.kind not in "buif":
-        raise ValueError(f"movable has shape {moves.shape}, dtype {moves.dtype}; it must be (N,) bool or numbers")
+    moves = numeric("movable", host_view("movable", movable), "(N,) bool or numbers", "buif")
+    if moves.ndim != 1:
+        raise ValueError(f"movable has shape {moves.shape}; it must be (N,) bool or numbers")
+    refuse("movable", moves, ~np.isfinite(moves), "finite")
     contacts, bodies = len(body_a), len(moves)
     first_body = check_start("body_start", body_start, bodies, "bodies")
     first_contact = check_start("contact_start", contact_start, contacts, "contacts")

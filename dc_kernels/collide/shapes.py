@@ -59,9 +59,9 @@ class Shapes:
                 raise ValueError(f"shapes is on {shapes.device}; it must be on the CPU")
             self.arrays = {name: to_numpy(shapes.array(name)) for name in MODEL}
             self.dtype = shapes.dtype
-            self.backend = check_backend(backend or shapes.backend)
+            self.backend = check_backend(shapes.backend if backend is None else backend)
         elif isinstance(shapes, Mapping):
-            self.backend = check_backend(backend or "warp")
+            self.backend = check_backend("warp" if backend is None else backend)
             self.arrays = _checked(shapes)
             self.dtype = self.arrays["vertices"].dtype
         else:

@@ -21,6 +21,7 @@ from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL
 from dc_kernels.model.room import rows_of
 from dc_kernels.model.rules import Number
+from dc_kernels.model.settings import numeric
 from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.model.validate.scene import check_joints, check_model
 from dc_kernels.runtime.interop import host_view
@@ -87,8 +88,8 @@ def _given(name: str, values: Any, model: Model, joints: Joints) -> np.ndarray:
     field = group.table[name]
     scalar, inner = numpy_spec(field, group.dtype)
     shape = (group.sizes[field.per], *inner)
-    array = host_view(name, values)
-    if np.ndim(array) == 0 and not inner:
+    array = numeric(name, host_view(name, values), f"numbers of shape {shape}")
+    if array.ndim == 0 and not inner:
         array = np.full(shape, check_values(name, array, (), np.dtype(np.float64) if scalar.kind == "f" else scalar))
     return np.array(check_values(name, array, shape, scalar))
 

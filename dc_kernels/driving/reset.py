@@ -13,7 +13,7 @@ from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import STATE
 from dc_kernels.model.room import rows_of
-from dc_kernels.model.settings import WrongType, shown
+from dc_kernels.model.settings import WrongType, numeric, shown
 from dc_kernels.runtime.interop import host_view
 
 EVOLVES = tuple(name for name in STATE if name != "flags")
@@ -124,7 +124,7 @@ def check_rows(model: Model, worlds: np.ndarray | None, state: Any) -> list[tupl
             raise ValueError(f"state has {name!r}; it may have {', '.join(EVOLVES)}")
         scalar, inner = numpy_spec(STATE[name], model.dtype)
         chosen = rows[STATE[name].per]
-        array = np.asarray(host_view(f"state[{name!r}]", given))
+        array = numeric(f"state[{name!r}]", host_view(f"state[{name!r}]", given), "numbers", "buif")
         count = model.world_count if worlds is None else len(worlds)
         if count and len(chosen) % count == 0 and array.shape == (count, len(chosen) // count, *inner):
             array = array.reshape((len(chosen), *inner))

@@ -283,9 +283,9 @@ def check_slots(name: str, slots: Any, worlds: int) -> np.ndarray:
     Raises:
         ValueError: naming the first that is not an integer in [0, 2^31 - 1].
     """
-    array = np.asarray(slots)
-    if array.dtype.kind not in "iu" or array.shape not in ((), (worlds,)):
-        raise ValueError(f"{name} has shape {array.shape}, dtype {array.dtype}; it must be an integer or ({worlds},)")
+    array = numeric(name, slots, f"an integer or ({worlds},)", "iu")
+    if array.shape not in ((), (worlds,)):
+        raise ValueError(f"{name} has shape {array.shape}; it must be an integer or ({worlds},)")
     array = np.array(np.broadcast_to(array, (worlds,)), np.int64)
     bad = np.flatnonzero((array < 0) | (array > MAX_INDEX))
     if len(bad):

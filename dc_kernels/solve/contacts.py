@@ -12,13 +12,15 @@ from dc_kernels.model.arrays import ArrayGroup, Contacts, Joints, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig, check_config
 from dc_kernels.runtime.backends import Launch, bind, check_backend, make_kernels
 from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recording
-from dc_kernels.runtime.inputs import check_truth
+from dc_kernels.runtime.inputs import check_layout, check_truth
 from dc_kernels.runtime.interop import InPlace
 from dc_kernels.runtime.sequences import Rounds, Watch
 from dc_kernels.runtime.stepping import Shards
 from dc_kernels.runtime.threads import OneCaller
 from dc_kernels.solve.exchange import (
     BEFORE,
+    LINES,
+    NEEDED,
     VELOCITIES,
     WRITTEN,
     for_each,
@@ -28,7 +30,6 @@ from dc_kernels.solve.exchange import (
     offsets,
     refuse_lacking,
     refuse_shared,
-    scalar_of,
     share_all,
     stays,
     view_of,
@@ -154,12 +155,13 @@ class ContactSolver(InPlace):
         options = SimulationOptions(config, threads, schedule)
         discs, config = check_truth("discs", discs), options.config or SolverConfig()
         refuse_lacking(point, arm_a, arm_b, position, angle, joints)
-        self.dtype, self.device = scalar_of("normal", normal), "cpu"
+        contacts = len(check_layout("body_a", body_a, (None,), np.dtype(np.int32)))
+        self.dtype, self.device = check_layout("normal", normal, (contacts, 2)).dtype, "cpu"
         self.backend, self.schedule, self._config, self.discs = check_backend(backend), schedule, config, int(discs)
         lines = dict(joints or {})
         lengths = {
             "body": length_of("inv_mass", inv_mass),
-            "contact": length_of("body_a", body_a),
+            "contact": contacts,
             "joint": length_of("joint_body_a", lines.get("joint_body_a", ())),
         }
         starts = offsets(lengths, {"body": body_start, "contact": contact_start, "joint": joint_start})
@@ -171,10 +173,13 @@ class ContactSolver(InPlace):
         pull = gravity_of(gravity, restitution)
         self._make_groups({**lengths, "world": worlds, "world+1": worlds + 1}, starts, length_scale, weight, pull)
         touch = {"body_a": body_a, "body_b": body_b, "normal": normal, "gap": gap, "arm_a": arm_a, "arm_b": arm_b}
-        self._shared = share_all(self.model, {"inv_mass": inv_mass, "inv_inertia": inv_inertia})
+        self._shared = share_all(
+            self.model, masses := {"inv_mass": inv_mass, "inv_inertia": inv_inertia}, needed=masses
+        )
         self._shared |= share_all(self.state, {"position": position, "angle": angle})
-        self._shared |= share_all(self.contacts, {**touch, "friction": friction, "restitution": restitution})
-        self._shared |= share_all(self.joints, lines, writes=WRITTEN)
+        surface = {"friction": friction, "restitution": restitution}
+        self._shared |= share_all(self.contacts, {**touch, **surface}, numbers=surface, needed=NEEDED)
+        self._shared |= share_all(self.joints, lines, writes=WRITTEN, needed=LINES if lines else ())
         self._has_positions = position is not None
         given = dict(zip(PER_CALL, (velocity, angular_velocity, impulse, velocity_before, angular_velocity_before)))
         given |= {"count": count, "point": point, "color": color}
@@ -338,7 +343,7 @@ class ContactSolver(InPlace):
         try:
             if self._hosted:
                 refuse_hosted(self.backend, self.schedule, self.device)
-            if kept:
+            if check_truth("kept", kept):
                 if dt is not None:
                     raise ValueError(f"dt is {dt!r}; with kept rows it is that of the call before, and None here")
                 if not self._packed:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterable, Mapping
 from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup
-from dc_kernels.model.dtypes import FLOATS, numpy_spec
+from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.fields import field_table
 from dc_kernels.model.rules import UNIT_TOLERANCE, refuse
+from dc_kernels.model.settings import WrongType, numeric, shown
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
-from dc_kernels.runtime.inputs import check_layout, check_start, refuse_overlap
+from dc_kernels.runtime.inputs import check_finite, check_layout, check_start, refuse_overlap
 from dc_kernels.runtime.interop import host_view
 
 UNIT = 2.0 * UNIT_TOLERANCE  # of a squared length
@@ -33,6 +34,10 @@ EXCHANGE = field_table(
 )
 
 
+NEEDED = ("body_a", "body_b", "normal", "gap", "friction", "restitution")
+"""Fields of the contacts that a solver is given."""
+LINES = ("joint_body_a", "joint_body_b", "joint_anchor_a", "joint_anchor_b", "joint_length")
+"""Fields of joints that it is given, where there are any."""
 VELOCITIES = ("velocity", "angular_velocity")
 BEFORE = ("velocity_before", "angular_velocity_before")
 WRITTEN = (*VELOCITIES, "impulse", "color", "joint_impulse")
@@ -84,13 +89,22 @@ def stays(array: Any, before: Any, at: int | None) -> bool:
     return array is before and (not hasattr(array, "data_ptr") or array.data_ptr() == at)
 
 
-def share_all(group: ArrayGroup, arrays: Mapping[str, Any], writes: Container[str] = ()) -> dict[str, np.ndarray]:
+def share_all(
+    group: ArrayGroup,
+    arrays: Mapping[str, Any],
+    writes: Container[str] = (),
+    *,
+    numbers: Container[str] = (),
+    needed: Iterable[str] = (),
+) -> dict[str, np.ndarray]:
     """Let fields of a group lie in the memory of given arrays, which live as long as the group.
 
     Args:
         group: on the CPU.
-        arrays: by the names of fields: arrays (see ``view_of``), numbers that fill the field's own, or None.
+        arrays: by the names of fields: arrays (see ``view_of``), or None.
         writes: fields that kernels write to.
+        numbers: fields that may be one number instead, which fills the field's own array.
+        needed: fields that must be given.
 
     Returns:
         The arrays that were given, as numpy.
@@ -98,14 +112,18 @@ def share_all(group: ArrayGroup, arrays: Mapping[str, Any], writes: Container[st
     Raises:
         ValueError: naming the field.
     """
-    views = {}
-    for name, array in arrays.items():
+    for name in arrays:
         if name not in group.table:
             raise ValueError(f"{name} is unknown; it must be one of {tuple(group.table)}")
+    for name in needed:
+        if arrays.get(name) is None:
+            raise ValueError(f"{name} is missing; it must be an array")
+    views = {}
+    for name, array in arrays.items():
         if array is None:
             continue
-        if isinstance(array, Real):
-            group.numpy(name)[...] = array  # the kernels look at it
+        if isinstance(array, Real) and name in numbers:
+            group.numpy(name)[...] = check_finite(name, array)  # at whose range the kernels look
             continue
         views[name] = view = view_of(group, name, array, writes=name in writes)
         if on_numpy(group.backend):
@@ -137,19 +155,6 @@ def refuse_shared(arrays: Mapping[str, np.ndarray]) -> None:
     refuse_overlap(written, read)
 
 
-def scalar_of(name: str, array: Any) -> np.dtype:
-    """The scalar type of an array.
-
-    Raises:
-        ValueError: for another than float32 and float64.
-    """
-    view = host_view(name, array)
-    dtype = getattr(view, "dtype", None)
-    if not isinstance(view, np.ndarray) or dtype not in FLOATS.values():
-        raise ValueError(f"{name} is a {type(array).__name__} of {dtype}; it must be an array of float32 or float64")
-    return view.dtype
-
-
 def length_of(name: str, array: Any) -> int:
     """The length of an array.
 
@@ -157,8 +162,8 @@ def length_of(name: str, array: Any) -> int:
         ValueError: for what has none.
     """
     view = host_view(name, array)
-    if view is None or not np.ndim(view):
-        raise ValueError(f"{name} is {array!r}; it must be an array")
+    if not isinstance(view, np.ndarray | list | tuple) or (isinstance(view, np.ndarray) and not view.ndim):
+        raise WrongType(f"{name} is {shown(array)}; it must be an array")
     return len(view)
 
 
@@ -168,13 +173,13 @@ def offsets(lengths: Mapping[str, int], starts: Mapping[str, Any]) -> dict[str, 
     Raises:
         ValueError: naming the axis and the first bad index, or for different numbers of worlds.
     """
-    worlds = len(starts["body"]) - 1 if starts["body"] is not None else 1
-    found = {}
-    for axis, length in lengths.items():
+    found = {"body": check_start("body_start", starts["body"], lengths["body"], "bodies")}
+    worlds = len(found["body"]) - 1
+    for axis in ("contact", "joint"):
         name, start = f"{axis}_start", starts[axis]
-        if start is None and not length:
+        if start is None and not lengths[axis]:
             start = np.zeros(worlds + 1, np.int64)
-        found[axis] = check_start(name, start, length)
+        found[axis] = check_start(name, start, lengths[axis], f"{axis}s")
         if len(found[axis]) != len(found["body"]):
             raise ValueError(f"{name} is of {len(found[axis]) - 1} worlds, body_start of {worlds}; they must agree")
     return found
@@ -186,7 +191,7 @@ def for_each(name: str, values: Any, worlds: int, positive: bool = False) -> np.
     Raises:
         ValueError: naming it, for another shape, or a value that is not finite, or negative, or 0 if it must not be.
     """
-    array = np.asarray(host_view(name, values), np.float64)
+    array = numeric(name, host_view(name, values), f"a number or have shape {(worlds,)}").astype(np.float64)
     if array.shape not in ((), (worlds,)):
         raise ValueError(f"{name} has shape {array.shape}; it must be a number or ({worlds},)")
     array = np.array(np.broadcast_to(array, (worlds,)))

@@ -578,7 +578,7 @@ def test_a_disc_has_no_normal_arm():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"normal": np.zeros((1, 2), int)}, "normal is a ndarray of int64"),
+        ({"normal": np.zeros((1, 2), int)}, "normal has dtype int64; it must be float32 or float64"),
         ({"normal": np.zeros((1, 3))}, r"normal has shape \(1, 3\); it must be \(1, 2\)"),
         ({"body_a": np.zeros(1, np.int64)}, "body_a has dtype int64; it must be int32"),
         ({"gap": np.zeros(1, np.float32)}, "gap has dtype float32; it must be float64"),
@@ -667,6 +667,26 @@ def test_what_is_written_shares_no_memory_with_what_is_read(name, other):
     with pytest.raises(ValueError, match=f"{name} shares memory with {other}; it is written to"):
         dc.ContactSolver(**given).solve(DT)
     np.testing.assert_array_equal(given[name], before)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"gap": None}, "gap is missing; it must be an array"),
+        ({"inv_inertia": 0.5}, r"inv_inertia is a float; it must be a numpy array"),
+        ({"point": True}, r"point is a bool; it must be a numpy array"),
+        ({"friction": 10**400}, r"friction is 1000.*; it"),
+        ({"length_scale": "12"}, r"length_scale is '12'; it must be a number or have shape \(1,\)"),
+        ({"body_start": 2.5}, r"body_start is 2\.5; it must"),
+        (
+            {"joints": {"joint_body_a": np.zeros(1, np.int32)}, "angle": np.zeros(2)},
+            "joint_body_b is missing; it must be an array",
+        ),
+    ],
+)
+def test_what_is_no_array_is_refused(changes, message):
+    with pytest.raises((ValueError, TypeError, OverflowError), match=message):
+        dc.ContactSolver(**drop(**changes)).solve(DT)
 
 
 def test_arrays_of_a_call_share_no_memory():
