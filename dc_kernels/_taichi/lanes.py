@@ -18,9 +18,10 @@ MASK = MOST - 1
 
 @cache
 def lane_functions(dtype: str) -> SimpleNamespace:
-    """The type ``vector``, and the functions ``iota``, ``fold``, ``total``, ``load`` and ``store``.
+    """The type ``vector``, and functions of vectors: ``iota``, ``fold``, ``total``, loads and stores.
 
-    The last two are of arrays of four axes: ``load(array, at)``, and ``store(array, at, vector)``.
+    ``load(array, at)`` and ``store(array, at, vector)`` are of arrays of four axes, ``load_row`` and ``load_line`` of
+    arrays of two and of one, whose numbers may be any.
     """
     vector = ti.types.vector(LANES, scalar_types(dtype).real)
 
@@ -54,9 +55,43 @@ def lane_functions(dtype: str) -> SimpleNamespace:
         )
 
     @ti.func
+    def load_row(array: ti.template(), first):
+        at = first & MASK
+        return ti.Vector(
+            [
+                array[0, at],
+                array[0, at + 1],
+                array[0, at + 2],
+                array[0, at + 3],
+                array[0, at + 4],
+                array[0, at + 5],
+                array[0, at + 6],
+                array[0, at + 7],
+            ]
+        )
+
+    @ti.func
+    def load_line(array: ti.template(), first):
+        at = first & MASK
+        return ti.Vector(
+            [
+                array[at],
+                array[at + 1],
+                array[at + 2],
+                array[at + 3],
+                array[at + 4],
+                array[at + 5],
+                array[at + 6],
+                array[at + 7],
+            ]
+        )
+
+    @ti.func
     def store(array: ti.template(), first, v):
         at = first & MASK
         for k in ti.static(range(LANES)):
             array[0, 0, 0, at + k] = v[k]
 
-    return SimpleNamespace(vector=vector, iota=iota, fold=fold, total=total, load=load, store=store)
+    return SimpleNamespace(
+        vector=vector, iota=iota, fold=fold, total=total, load=load, load_row=load_row, load_line=load_line, store=store
+    )

@@ -11,7 +11,7 @@ import numpy as np
 
 from dc_kernels.model.arrays import kernel_arrays
 from dc_kernels.neighbors.fields import CELLS
-from dc_kernels.runtime.backends import bind, kernel_file, make_kernels, on_numpy
+from dc_kernels.runtime.backends import BACKENDS, bind, host_threads, kernel_file, make_kernels
 from dc_kernels.runtime.inputs import MAX_INDEX
 from dc_kernels.runtime.threads import map_threads
 
@@ -70,7 +70,7 @@ class Workspace:
             place: tells apart the launches of a kernel that threads make at once.
             values: arguments by name: numbers, contiguous numpy arrays and groups; others are passed over.
         """
-        if on_numpy(self.backend):
+        if not BACKENDS[self.backend].compiled:
             bind(kernel, 1, values, "cpu")()
             return
         launch: Any
@@ -79,11 +79,8 @@ class Workspace:
         if kept is not None and all(values[name] is group for name, group in kept[1].items()):
             launch, groups = kept
             for name in launch.elements:
-                value = values[name]
-                if isinstance(value, np.ndarray):
-                    launch.point(name, value.ctypes.data, value.shape)
-                elif name not in groups:
-                    launch.set(name, value)
+                if name not in groups:
+                    launch.give(name, values[name])
             launch()
             return
         arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
@@ -228,6 +225,7 @@ def hash_pairs(
     workspace: Workspace,
 ) -> np.ndarray:
     """The method "hash" of ``neighbor_pairs``; ``limit`` is the largest squared distance."""
+    threads = host_threads(workspace.backend, threads)
     shards = shards_of(np.diff(starts), threads)
     hashed = SortedCells(radius, points, workspace)
     cells, sort = hashed.sorter(points, starts, hashed.boxes(len(starts) - 1, (points, starts)))
@@ -257,6 +255,7 @@ def hash_lists(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The method "hash" of ``neighbor_lists``: start and index of the lists; ``starts`` of queries and points."""
     first_query, first_point = starts
+    threads = host_threads(workspace.backend, threads)
     shards = shards_of(np.diff(first_query) + np.diff(first_point), threads)
     hashed = SortedCells(radius, points, workspace)
     same = queries is points and np.array_equal(first_query, first_point)

@@ -60,7 +60,7 @@ def neighbor_pairs(
             pair tested).
         start: first point of each world and the number of points, (W + 1,); None for one world.
         threads: Python threads that the worlds are shared among; the result does not depend on it.
-        backend: "warp", or "numpy" for the oracle of the method "hash".
+        backend: "warp", or for the method "hash" also "taichi", on one thread, and "numpy", the oracle.
 
     Returns:
         (m, 2) int32, i < j in each row. The rows' order differs between methods; each gives the same every time.
@@ -187,7 +187,9 @@ def _search(method: str, backend: str) -> Search | None:
     """How a method searches one world; None for "hash", which takes all of them."""
     check_choice("method", method, METHODS)
     if check_backend(backend) != "warp" and method != "hash":
-        raise ValueError(f"backend is {backend!r} and method is {method!r}; only 'hash' has an oracle")
+        raise ValueError(
+            f"backend is {backend!r} and method is {method!r}; only 'hash' has an oracle, and other kernels"
+        )
     return {"hash": None, "kdtree": _kdtree, "tree": _tree, "all": _all}[method]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from dc_kernels.model.arrays import kernel_array, kernel_arrays
 from dc_kernels.neighbors.cells import PADDING, ROOM, SortedCells, Workspace, allowed, shards_of
 from dc_kernels.neighbors.search import square
-from dc_kernels.runtime.backends import Launch, bind, check_backend
+from dc_kernels.runtime.backends import Launch, bind, check_backend, host_threads
 from dc_kernels.runtime.capture import Recordings, recording
 from dc_kernels.runtime.inputs import check_count, check_points, check_slots, check_start
 from dc_kernels.runtime.interop import InPlace
@@ -56,7 +56,7 @@ class NeighborSearch(InPlace):
             max_pairs: pairs of each world that there is room for, a number or one for each, (W,): more are an error;
                 None: room grows.
             threads: Python threads that the worlds are shared among; the result does not depend on it.
-            backend: "warp", or "numpy" for the oracle.
+            backend: "warp", "taichi", on one thread, or "numpy" for the oracle.
 
         Raises:
             ValueError: naming the argument, the index and the limit.
@@ -67,7 +67,7 @@ class NeighborSearch(InPlace):
         self._kept = points  # whose memory the kernels read
         self._starts = check_start("start", start, len(self.points))
         self._limit = square("radius", radius, self.points.dtype)
-        self.threads = check_count("threads", threads)
+        self.threads = host_threads(backend, check_count("threads", threads))
         counts = np.diff(self._starts)
         self.fixed = max_pairs is not None
         self._room = check_slots("max_pairs", max_pairs, len(counts)) if self.fixed else ROOM * counts + ROOM

@@ -159,6 +159,13 @@ class Bound:
             self._views[name] = getattr(self._struct(group), field)
         self._shapes[name] = shape
 
+    def give(self, name: str, value: Any) -> None:
+        """Set an argument to a number or a contiguous numpy array, which only the caller keeps alive."""
+        if isinstance(value, np.ndarray):
+            self.point(name, value.ctypes.data, value.shape)
+        else:
+            self.set(name, value)
+
     def _struct(self, name: str) -> Any:
         """The memory of an argument that is a struct."""
         return self.launch.params[1 + self._index[name]] if self._packed is None else getattr(self._packed, name)

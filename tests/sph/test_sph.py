@@ -315,7 +315,7 @@ def test_operators_keep_torchs_contract_and_compile(operators):
 
     case = tensors(smooth_case(2))
     for quantity in ("value", "gradient"):
-        arguments = (*case, None, None, 0.6, "poly6", quantity, "hash", 1)
+        arguments = (*case, None, None, 0.6, "poly6", quantity, "hash", 1, "warp")
         torch.library.opcheck(torch.ops.deep_contact.sph_sum.default, arguments)
 
     def loss(*tensors):

@@ -83,7 +83,8 @@ class Kernel:
                 continue
             arguments.append(Argument(".".join(filter(None, array)), annotation, value, array in self._uses.written))
         make = functools.partial(self._kernel, constants)
-        return Bound(self.__name__, make, arguments, real=self._real, parallel=shards > 1)
+        parallel = shards > 1
+        return Bound(self.__name__, make, arguments, elements=self.arguments, real=self._real, parallel=parallel)
 
     def _flat(self) -> list[Array]:
         """Arrays and numbers that the compiled kernel takes, in order."""

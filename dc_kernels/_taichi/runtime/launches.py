@@ -88,7 +88,14 @@ class Bound:
     """A launch whose arguments are packed; it keeps their memory alive."""
 
     def __init__(
-        self, name: str, make: Callable[[bool], Any], arguments: Sequence[Argument], *, real: Any, parallel: bool
+        self,
+        name: str,
+        make: Callable[[bool], Any],
+        arguments: Sequence[Argument],
+        *,
+        elements: Sequence[str] = (),
+        real: Any,
+        parallel: bool,
     ) -> None:
         """Check the arrays and compile what they need.
 
@@ -96,6 +103,7 @@ class Bound:
             name: of the kernel.
             make: gives the kernel of ``ti.kernel``, which shares its work among the program's threads if told so.
             arguments: all of its arguments in order.
+            elements: names of the arguments as host code has them, groups whole.
             real: Taichi's type of the numbers in the kernel's source.
             parallel: whether threads share the work, in a program that has them.
 
@@ -104,6 +112,8 @@ class Bound:
         """
         check_memory(arguments)
         self.name, self.make, self.arguments, self.real, self.parallel = name, make, list(arguments), real, parallel
+        self.elements = list(elements)
+        self._index = {argument.name: i for i, argument in enumerate(self.arguments)}
         if parallel:
             _parallel.add(self)
         self._pack()
@@ -118,6 +128,23 @@ class Bound:
         if running() is not self._prog:
             self._pack()
         self._launch(self._data, self._context)
+
+    def give(self, name: str, value: Any) -> None:
+        """Set an argument to a number or an array, which must share no memory with others if one of them is written.
+
+        Raises:
+            ValueError: see ``check_memory``.
+        """
+        i = self._index.get(name)
+        if i is None:
+            return  # the kernel makes no use of it
+        argument = self.arguments[i]._replace(value=value)
+        check_memory([argument])
+        self.arguments[i] = argument
+        if self._context is None:
+            self._data[i] = value
+        else:
+            self._set(i)
 
     def forget(self) -> None:
         """Pack anew before the next call."""
@@ -137,17 +164,22 @@ class Bound:
             return
         self._data, self._context = compiled
         self._launch = prog.launch_kernel
-        for i, (_, annotation, value, _) in enumerate(self.arguments):
-            slot = i if ti.__name__ == "quadrants" else (i,)
-            if isinstance(value, np.ndarray):
-                shape = value.shape[: annotation.ndim]
-                self._context.set_arg_external_array_with_shape(slot, value.ctypes.data, value.nbytes, shape, 0)
-            elif annotation in (ti.f32, ti.f64):
-                self._context.set_arg_float(slot, float(value))
-            elif annotation in (ti.u32, ti.u64):
-                self._context.set_arg_uint(slot, int(value))
-            else:
-                self._context.set_arg_int(slot, int(value))
+        for i in range(len(self.arguments)):
+            self._set(i)
+
+    def _set(self, i: int) -> None:
+        """Pack an argument."""
+        _, annotation, value, _ = self.arguments[i]
+        slot = i if ti.__name__ == "quadrants" else (i,)
+        if isinstance(value, np.ndarray):
+            shape = value.shape[: annotation.ndim]
+            self._context.set_arg_external_array_with_shape(slot, value.ctypes.data, value.nbytes, shape, 0)
+        elif annotation in (ti.f32, ti.f64):
+            self._context.set_arg_float(slot, float(value))
+        elif annotation in (ti.u32, ti.u64):
+            self._context.set_arg_uint(slot, int(value))
+        else:
+            self._context.set_arg_int(slot, int(value))
 
     def _call(self, values: Sequence[Any], _: None) -> None:
         """Launch as Taichi does it for everybody."""

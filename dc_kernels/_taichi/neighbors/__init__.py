@@ -1,0 +1,1 @@
+"""Taichi kernels of ``dc_kernels.neighbors``."""
