@@ -1,5 +1,7 @@
 """What is written takes effect or raises: fields of model, joints and state while a simulation uses them."""
 
+import io
+
 import numpy as np
 import pytest
 
@@ -250,6 +252,41 @@ def test_a_world_of_which_nothing_changes_keeps_its_bits():
         one.run(5, DT)
     assert of_worlds(sim, [0]) == of_worlds(plain, [0])
     assert of_worlds(sim, [1]) != of_worlds(plain, [1])
+
+
+@pytest.mark.parametrize("name", ["body_type", "joint_body_a", "shape_friction", "mass"])
+@pytest.mark.parametrize("way", ["clone", "file"])
+def test_what_was_changed_is_copied_and_saved(name, way):
+    sim = simulation()
+    sim.run(RUN, DT)
+    sim.change_model(**new_values(sim, name))
+    file = io.BytesIO()
+    sim.save(file)
+    file.seek(0)
+    other = sim.clone() if way == "clone" else dc.Simulation.load(file)
+    for one in (sim, other):
+        one.run(3, DT)
+    assert of_worlds(sim, [0, 1]) == of_worlds(other, [0, 1])
+    sim.reset()
+    other = dc.Simulation(sim.model.copy(), sim.state.copy(), sim.joints.copy(), config=sim.config)
+    for one in (sim, other):
+        one.run(3, DT)
+    assert of_worlds(sim, [0, 1]) == of_worlds(other, [0, 1])
+
+
+def test_a_run_may_be_changed_and_reset_by_its_callback():
+    def callback(sim):
+        if sim.state.numpy("time")[0] > 0.15:
+            sim.change_model(shape_friction=float(rng.uniform(0.1, 0.9)))
+            sim.reset([0])
+
+    found = []
+    for threads in (1, 2):
+        rng = np.random.default_rng(1)
+        sim = simulation(threads=threads)
+        sim.run(40, DT, callback=callback)
+        found.append(of_worlds(sim, [0, 1]))
+    assert found[0] == found[1]
 
 
 def test_simulations_that_share_a_model_all_go_by_it():
