@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from dc_kernels.model.arrays import kernel_array
-from dc_kernels.runtime.backends import Launch, bind, host_threads
+from dc_kernels.runtime.backends import BACKENDS, Launch, bind, host_threads
 from dc_kernels.runtime.capture import HOST, recording, refuse_recording
 from dc_kernels.runtime.interop import host_view
 from dc_kernels.runtime.sequences import as_one
@@ -106,7 +106,7 @@ class Fed:
         """
         self.kernel, self.name, self.backend, self.threads = kernel, name, backend, threads
         self.shards = shard_worlds(worlds, host_threads(backend, threads))
-        if backend == "warp":
+        if BACKENDS[backend].compiled:
             self._launches = self._bind(kernel.values)
 
     def __call__(self, array: Any, pointer: int) -> None:
@@ -117,6 +117,11 @@ class Fed:
             run_shards(self._launches, self.threads)
             return
         given = kernel_array(host_view(self.name, array), self.backend)
+        if BACKENDS[self.backend].compiled and not recording():
+            for launch in self._launches:
+                launch.give(self.name, given)
+                launch()
+            return
         for launch in self._bind({**self.kernel.values, self.name: given}):
             launch()
 

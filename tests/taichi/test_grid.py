@@ -11,12 +11,14 @@ import dc_kernels as dc
 from dc_kernels.grid import splat, transfer
 from dc_kernels.grid.area import area_points, wall_nodes
 from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS
+from dc_kernels.grid.gather import gather_kernel
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.image_spec import ImageSpec
 from dc_kernels.grid.scene import Scene, SceneSplat
 from dc_kernels.grid.stencil import BILINEAR, POLY6, Stencil
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.runtime.backends import argument_names, make_kernels
+from dc_kernels.runtime.program import Fed
 from dc_kernels.torch_ops.transfer import gather_torch, splat_torch
 
 pytest.importorskip("taichi")
@@ -129,6 +131,23 @@ def test_memory_that_would_be_misused_is_refused_by_name() -> None:
         bound.splat(given["values"], frozen)
     with pytest.raises(ValueError, match="values has strides"):
         bound.splat(np.zeros((90, 2), np.float32)[:, :1], image)
+
+
+def test_an_image_is_read_where_each_call_gives_it() -> None:
+    given = cloud(GRID, "float32", channels=2)
+    start = np.array(given["start"])
+    found = []
+    for backend in BACKENDS:
+        first, count = splat.first_and_count(start)
+        points = splat.points_group(GRID, 2, backend, "float32", start=first, count=count, place=given["points"])
+        values = np.zeros((90, 2), np.float32)
+        arrays = [splat.kernel_array(array, backend) for array in (splat.allocate_image(1, 2, GRID), values)]
+        fed = Fed(gather_kernel(BILINEAR, GRID, points, *arrays, most=50, backend=backend), "image", 2, backend=backend)
+        for seed in (1, 2):
+            image = torch.rand((2, 2, 13, 19), generator=torch.Generator().manual_seed(seed))
+            fed(image, image.data_ptr())
+            found.append(values.tobytes())
+    assert found[:2] == found[2:] and found[0] != found[1]
 
 
 def pile(dtype: str) -> dc.Simulation:

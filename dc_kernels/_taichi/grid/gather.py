@@ -124,28 +124,37 @@ def kernels(dtype: str) -> dict[str, Any]:
                     own = base
                     if bins > 1:
                         own += points.bin[i] * channels * plane
-                    hit = place.hit
-                    for c in range(channels):
-                        if hit != 0:
-                            added = vector(0.0)
+                    few, factor, w0, w1, w2, w3 = s.weigh(stencil.kernel, stencil, place, columns)
+                    if factor == 0.0:
+                        near = s.is_finite(place) and stencil.nearest != 0 and stencil.normalize != 0
+                        at = own + s.nearest_node(place.y, rows) * columns + s.nearest_node(place.x, columns)
+                        for c in range(channels):
+                            node = real(0.0)
+                            if near:
+                                node = image[0, 0, 0, at + c * plane]
+                            value[i, c] = node
+                    elif few:
+                        at = own + place.r0 * columns + place.first
+                        for c in range(channels):
+                            found = vector(0.0) + w0 * lanes.load(image, at)
+                            if place.r1 > place.r0:
+                                found = found + w1 * lanes.load(image, at + columns)
+                                if place.r1 > place.r0 + 1:
+                                    found = found + w2 * lanes.load(image, at + 2 * columns)
+                                    if place.r1 > place.r0 + 2:
+                                        found = found + w3 * lanes.load(image, at + 3 * columns)
+                            value[i, c] = lanes.fold(found) * factor
+                            at += plane
+                    else:
+                        for c in range(channels):
                             found = vector(0.0)
                             for r in range(place.r0, place.r1 + 1):
                                 for v in range(place.vectors):
                                     w = s.weight(stencil.kernel, False, place, columns, r, v)
                                     left = place.first + v * LANES
-                                    added = added + w
                                     found = found + w * load_columns(image, own + r * columns + left, left, columns)
-                            factor = s.factor(stencil.kernel, stencil, lanes.fold(added))
-                            if factor == 0.0:
-                                hit = 0
                             value[i, c] = lanes.fold(found) * factor
-                        if hit == 0:
-                            nearest = real(0.0)
-                            if s.is_finite(place) and stencil.nearest != 0 and stencil.normalize != 0:
-                                at = own + s.nearest_node(place.y, rows) * columns + s.nearest_node(place.x, columns)
-                                nearest = image[0, 0, 0, at]
-                            value[i, c] = nearest
-                        own += plane
+                            own += plane
                 first += LANES
 
     @kernel

@@ -16,14 +16,13 @@ from dc_kernels.grid.layout import BAND
 from dc_kernels.solve.rows import LANES
 
 BAND_BITS = BAND.bit_length() - 1
-FEW = 4  # rows of a window whose weights are kept: those of a support of two spacings
 
 
 @cache
 def kernels(dtype: str) -> dict[str, Any]:
     """``splat_worlds``, ``mark_bands`` and ``divide_image``."""
     t, lanes, s = grid_types(dtype), lane_functions(dtype), stencil_functions(dtype)
-    real, vector = t.real, lanes.vector
+    real = t.real
     integers, bands = ti.types.ndarray(dtype=ti.i32, ndim=1), ti.types.ndarray(dtype=ti.i32, ndim=2)
 
     @ti.func
@@ -99,28 +98,7 @@ def kernels(dtype: str) -> dict[str, Any]:
                 to = base
                 if bins > 1:
                     to += points.bin[i] * channels * plane
-                factor = real(0.0)
-                few = place.vectors == 1 and place.first + LANES <= columns and place.r1 - place.r0 < FEW
-                w0 = vector(0.0)
-                w1 = vector(0.0)
-                w2 = vector(0.0)
-                w3 = vector(0.0)
-                if place.hit != 0:
-                    added = vector(0.0)
-                    if few:
-                        w0 = s.weight(stencil.kernel, True, place, columns, place.r0, 0)
-                        if place.r1 > place.r0:
-                            w1 = s.weight(stencil.kernel, True, place, columns, place.r0 + 1, 0)
-                            if place.r1 > place.r0 + 1:
-                                w2 = s.weight(stencil.kernel, True, place, columns, place.r0 + 2, 0)
-                                if place.r1 > place.r0 + 2:
-                                    w3 = s.weight(stencil.kernel, True, place, columns, place.r0 + 3, 0)
-                        added = w0 + w1 + w2 + w3
-                    elif ti.static(stencil.kernel <= WENDLAND):
-                        for r in range(place.r0, place.r1 + 1):
-                            for v in range(place.vectors):
-                                added = added + s.weight(stencil.kernel, False, place, columns, r, v)
-                    factor = s.factor(stencil.kernel, stencil, lanes.fold(added))
+                few, factor, w0, w1, w2, w3 = s.weigh(stencil.kernel, stencil, place, columns)
                 if factor != 0.0:
                     if few:
                         at = to + place.r0 * columns + place.first

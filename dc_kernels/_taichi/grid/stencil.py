@@ -20,6 +20,7 @@ from dc_kernels.grid.fields import POINTS, STENCIL
 from dc_kernels.solve.rows import LANES
 from dc_kernels.sph.smoothing import KERNELS, STENCILS, constant
 
+FEW = 4  # rows of a window whose weights are kept: those of a support of two spacings
 CONSTANTS = {STENCILS[name]: constant(name, 2) for name in KERNELS}
 
 
@@ -41,7 +42,8 @@ def stencil_functions(dtype: str) -> SimpleNamespace:
     """Functions of points on a grid.
 
     ``block_at`` takes LANES points, ``place_of`` finds the window of one of them, ``weight`` and ``gradient`` give
-    LANES weights of a row and their derivatives by the place, ``factor`` what weights of a sum are multiplied with.
+    LANES weights of a row and their derivatives by the place, ``factor`` what weights of a sum are multiplied with,
+    ``weigh`` that of a window and the weights of a small one.
     """
     t, lanes, radial = grid_types(dtype), lane_functions(dtype), radial_functions(dtype)
     real, vector, vec4 = t.real, lanes.vector, t.vec4
@@ -287,5 +289,35 @@ def stencil_functions(dtype: str) -> SimpleNamespace:
                     value = ti.static(CONSTANTS.get(kernel, 1.0)) / (stencil.h * stencil.h)
         return value
 
-    functions = (block_at, place_of, is_finite, weight, gradient, factor, outside, nearest_node, least, most)
+    @ti.func
+    def weigh(kernel: ti.template(), stencil: t.Stencil, place: ti.template(), columns):
+        """Whether a window is one vector of few rows, what weights are multiplied with, and the weights of these rows.
+
+        The second is 0 where the point has no weight.
+        """
+        few = place.vectors == 1 and place.first + LANES <= columns and place.r1 - place.r0 < FEW
+        share = real(0.0)
+        w0 = vector(0.0)
+        w1 = vector(0.0)
+        w2 = vector(0.0)
+        w3 = vector(0.0)
+        if place.hit != 0:
+            added = vector(0.0)
+            if few:
+                w0 = weight(kernel, True, place, columns, place.r0, 0)
+                if place.r1 > place.r0:
+                    w1 = weight(kernel, True, place, columns, place.r0 + 1, 0)
+                    if place.r1 > place.r0 + 1:
+                        w2 = weight(kernel, True, place, columns, place.r0 + 2, 0)
+                        if place.r1 > place.r0 + 2:
+                            w3 = weight(kernel, True, place, columns, place.r0 + 3, 0)
+                added = w0 + w1 + w2 + w3
+            elif ti.static(kernel <= WENDLAND):
+                for r in range(place.r0, place.r1 + 1):
+                    for v in range(place.vectors):
+                        added = added + weight(kernel, False, place, columns, r, v)
+            share = factor(kernel, stencil, lanes.fold(added))
+        return few, share, w0, w1, w2, w3
+
+    functions = (block_at, place_of, is_finite, weight, weigh, gradient, factor, outside, nearest_node, least, most)
     return SimpleNamespace(far_outside=far_outside, **{function.__name__: function for function in functions})
