@@ -8,9 +8,10 @@ from dc_kernels._taichi.runtime.compiler import ti
 
 @cache
 def scalar_types(dtype: str) -> SimpleNamespace:
-    """Taichi's scalar, vec2 and vec4 types of "float32" or "float64"."""
+    """Taichi's scalar, vec2, vec3, vec4 and vec8 types of "float32" or "float64"."""
     real = {"float32": ti.f32, "float64": ti.f64}[dtype]
-    return SimpleNamespace(real=real, vec2=ti.types.vector(2, real), vec4=ti.types.vector(4, real))
+    vectors = {f"vec{n}": ti.types.vector(n, real) for n in (2, 3, 4, 8)}
+    return SimpleNamespace(real=real, **vectors)
 
 
 @cache
@@ -22,6 +23,21 @@ def integer_types() -> dict:
 @ti.func
 def cross(a, b):
     return a[0] * b[1] - a[1] * b[0]
+
+
+@ti.func
+def dot(a, b):
+    return a[0] * b[0] + a[1] * b[1]
+
+
+@ti.func
+def length(v):
+    return ti.sqrt(v[0] * v[0] + v[1] * v[1])
+
+
+@ti.func
+def clamp(x, low, high):
+    return ti.min(ti.max(low, x), high)
 
 
 @ti.func
@@ -38,5 +54,5 @@ def rotate_back(c, s, v):
 
 @ti.func
 def tangent(n):
-    """The normal turned by -90 degrees."""
-    return ti.Vector([n[1], -n[0]])
+    """The normal turned by -90 degrees; without a zero that is negative, as Warp's ``-x`` is ``0 - x``."""
+    return ti.Vector([n[1], 0.0 - n[0]])

@@ -22,7 +22,7 @@ from dc_kernels.model.fields import CONTACTS, GROUPS, ITERATION, LAUNCH, ROW, SP
 # what the narrowphase finds of a contact; the rest is matched with the step before
 _FOUND = ("key", "body_a", "body_b", "normal", "arm_a", "arm_b", "gap", "friction", "restitution")
 FOUND = {name: CONTACTS[name] for name in _FOUND}
-LANED = {"rows": ("column", "body", "impulse", "change", "before", "direction")}
+LANED = {"rows": ("column", "body", "impulse", "change", "before", "direction", "past")}
 """Fields that kernels see as vectors of ``LANES`` numbers, rows being solved in SIMD lanes; by the group's name."""
 LANES = 8
 WIDE = {"points": ("place",)}

@@ -116,7 +116,8 @@ class SolverStorage:
     def past_width(self) -> int:
         """Numbers that a world's accelerated solve may have to look back on."""
         rows = int(self.room.slots.max(initial=0)) * 2 * LANES
-        return PAST * rows + 4 * self._most_bodies
+        velocities = -(-4 * self._most_bodies // LANES) * LANES  # a world's part begins with a whole vector
+        return PAST * rows + velocities
 
     @property
     def used(self) -> np.ndarray:

@@ -65,6 +65,8 @@ class Twin:
         for key, copy in copies.items():
             for field, want in getattr(sim, key).views().items():
                 got = getattr(copy, field)
+                if (key, field) == ("rows", "body"):  # each thread has a padding body, one behind the other
+                    got = np.minimum(got, values["launch"].padding_body)
                 assert got.tobytes() == want.tobytes(), f"{name}: {key}.{field}: {difference(got, want)}"
 
     def copied(self, name: str) -> SimpleNamespace:

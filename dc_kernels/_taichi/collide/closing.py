@@ -10,8 +10,8 @@ line of motion passes. An overlap up to ``overlap`` counts as open: what touches
 from functools import cache
 from types import SimpleNamespace
 
-from dc_kernels._taichi.collide.manifold import dot, length, manifold_functions
-from dc_kernels._taichi.common import rotate
+from dc_kernels._taichi.collide.manifold import manifold_functions
+from dc_kernels._taichi.common import dot, length, rotate
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
 

@@ -8,23 +8,13 @@ calls twice in a row, as for either hull or once more for a chain, is here a loo
 from functools import cache
 from types import SimpleNamespace
 
-from dc_kernels._taichi.common import cross, rotate, rotate_back
+from dc_kernels._taichi.common import cross, dot, length, rotate, rotate_back
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels.model.enums import ShapeType
 
 SEGMENT = int(ShapeType.SEGMENT)
 PARALLEL = -0.999  # cosine of two outward normals below which they are of one axis
-
-
-@ti.func
-def dot(a, b):
-    return a[0] * b[0] + a[1] * b[1]
-
-
-@ti.func
-def length(a):
-    return ti.sqrt(a[0] * a[0] + a[1] * a[1])
 
 
 @ti.func

@@ -4,8 +4,8 @@ from functools import cache
 from typing import Any
 
 from dc_kernels._taichi.collide.closing import closing_functions
-from dc_kernels._taichi.collide.manifold import dot, length, manifold_functions
-from dc_kernels._taichi.common import cross, rotate, rotate_back
+from dc_kernels._taichi.collide.manifold import manifold_functions
+from dc_kernels._taichi.common import cross, dot, length, rotate, rotate_back
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.runtime.kernels import kernel

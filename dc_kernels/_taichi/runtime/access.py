@@ -110,6 +110,23 @@ class _Reader(ast.NodeVisitor):
         if not self._use(node, False):
             self.visit_inside(node.value)
 
+    def visit_If(self, node: ast.If) -> None:
+        """Of ``if ti.static(...)`` the branch alone that is compiled."""
+        decided = self._decided(node.test)
+        if decided is None:
+            self.generic_visit(node)
+        for statement in [] if decided is None else node.body if decided else node.orelse:
+            self.visit(statement)
+
+    def _decided(self, test: ast.expr) -> bool | None:
+        """What a condition is when a kernel is compiled; None where only the run decides it."""
+        if not isinstance(test, ast.Call) or getattr(self._stands_for(test.func), "__name__", "") != "static":
+            return None
+        names = {node.id for node in ast.walk(test) if isinstance(node, ast.Name)}
+        if names & set(self.given) or not names <= set(self.outer):
+            return None
+        return bool(eval(compile(ast.Expression(test.args[0]), "<static>", "eval"), dict(self.outer)))
+
     def visit_inside(self, node: ast.AST) -> None:
         """What an attribute is taken of: of a group only a field, which was looked for."""
         self.visit(node)

@@ -1,0 +1,181 @@
+"""Contacts and joints of a world as rows in blocks of LANES, colour by colour; and their solved impulses back."""
+
+from functools import cache
+from typing import Any
+
+from dc_kernels._taichi.groups import group_types
+from dc_kernels._taichi.runtime.compiler import ti
+from dc_kernels._taichi.runtime.kernels import kernel
+from dc_kernels._taichi.solve.constraints.contact import contact_row
+from dc_kernels._taichi.solve.constraints.distance import distance_row
+from dc_kernels.model.config import METHODS
+from dc_kernels.model.enums import Flag
+from dc_kernels.solve.rows import COLORS, COLUMNS, LANES
+
+ROW_OVERFLOW = int(Flag.ROW_OVERFLOW)
+JACOBI = METHODS["jacobi"]
+
+
+@cache
+def kernels(dtype: str, variant: str) -> dict[str, Any]:
+    """``pack_rows`` and ``unpack_impulses``; one thread a world."""
+    t = group_types(dtype)
+    vec2, vec8 = t.vec2, t.vec8
+    columns = COLUMNS[variant]
+    discs = variant == "discs"
+    jointed = variant == "joints"
+    width = len(columns)
+    at = {name: i for i, name in enumerate(columns)}
+    NX, NY, EN, ET, BIAS, MU, GAP = (at[c] for c in ("nx", "ny", "en", "et", "bias", "mu", "gap"))
+    # the variant that lacks a column never writes it
+    RAN, RBN, RAT, RBT, IA, IB = (at.get(c, 0) for c in ("rAn", "rBn", "rAt", "rBt", "iA", "iB"))
+    DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
+    make_contact_row = contact_row(dtype, variant)
+    make_distance_row = distance_row(dtype, variant)
+
+    @ti.func
+    def store_row(rows: t.Rows, k, lane, row):
+        """The columns of one row, in a lane of the block whose first column is k."""
+        rows.column[k + NX][lane] = row.normal[0]
+        rows.column[k + NY][lane] = row.normal[1]
+        if ti.static(discs):
+            rows.column[k + DA][lane] = -row.tangent_arm_a
+            rows.column[k + DB][lane] = row.tangent_arm_b
+            rows.column[k + KA][lane] = -(row.inv_inertia_a * row.tangent_arm_a)
+            rows.column[k + KB][lane] = row.inv_inertia_b * row.tangent_arm_b
+        else:
+            rows.column[k + RAN][lane] = row.normal_arm_a
+            rows.column[k + RBN][lane] = row.normal_arm_b
+            rows.column[k + RAT][lane] = row.tangent_arm_a
+            rows.column[k + RBT][lane] = row.tangent_arm_b
+            rows.column[k + IA][lane] = row.inv_inertia_a
+            rows.column[k + IB][lane] = row.inv_inertia_b
+        rows.column[k + EN][lane] = row.normal_mass
+        rows.column[k + ET][lane] = row.tangent_mass
+        rows.column[k + BIAS][lane] = row.bias
+        rows.column[k + MU][lane] = row.friction
+        rows.column[k + GAP][lane] = row.gap
+        if ti.static(jointed):
+            rows.column[k + LO][lane] = row.least
+
+    @ti.func
+    def lay_out(w, padding_body, model: t.Model, joints: t.Joints, contacts: t.Contacts, rows: t.Rows):
+        """Blocks of each colour of a world, and empty lanes in its last one; the colours used, -1 without room."""
+        start = contacts.contact_start[w]
+        count = w * COLORS
+        for k in range(count, count + COLORS):
+            rows.color_fill[k] = 0
+        used = 0
+        for c in range(start, start + contacts.contact_count[w]):
+            color = contacts.color[c]
+            rows.color_fill[count + color] = rows.color_fill[count + color] + 1
+            used = ti.max(used, color + 1)
+        for j in range(model.joint_start[w], model.joint_start[w + 1]):
+            color = joints.joint_color[j]
+            rows.color_fill[count + color] = rows.color_fill[count + color] + 1
+            used = ti.max(used, color + 1)
+        first = rows.block_start[w]
+        ends = w * (COLORS + 1)
+        block = first
+        for k in range(COLORS):
+            rows.color_block[ends + k] = block
+            block += (rows.color_fill[count + k] + LANES - 1) // LANES
+        rows.color_block[ends + COLORS] = block
+        rows.block_needed[w] = block - first
+        if block > rows.block_start[w + 1]:
+            used = -1
+        # empty lanes of a colour's last block
+        for k in range(used):
+            filled = rows.color_fill[count + k]
+            rows.color_fill[count + k] = 0
+            if filled % LANES != 0:
+                last = rows.color_block[ends + k + 1] - 1
+                for i in range(last * width, (last + 1) * width):
+                    rows.column[i] = vec8(0.0)
+                for i in range(2 * last, 2 * last + 2):
+                    for lane in range(LANES):
+                        rows.body[i][lane] = padding_body
+        return used
+
+    @ti.func
+    def place(w, color, jacobi, row, rows: t.Rows):
+        """Put a row into the next lane of its colour; where its normal impulse lies."""
+        fill = w * COLORS + color
+        index = rows.color_fill[fill]
+        rows.color_fill[fill] = index + 1
+        block = rows.color_block[w * (COLORS + 1) + color] + index // LANES
+        lane = index % LANES
+        rows.body[2 * block][lane] = row.body_a
+        rows.body[2 * block + 1][lane] = row.body_b
+        if jacobi:
+            rows.body_rows[row.body_a] = rows.body_rows[row.body_a] + 1
+            rows.body_rows[row.body_b] = rows.body_rows[row.body_b] + 1
+        store_row(rows, block * width, lane, row)
+        return 2 * block * LANES + lane
+
+    @kernel
+    def pack_rows(
+        tid,
+        launch: t.Launch,
+        config: t.Config,
+        model: t.Model,
+        state: t.State,
+        joints: t.Joints,
+        motion: t.Motion,
+        contacts: t.Contacts,
+        rows: t.Rows,
+        stats: t.Stats,
+    ):
+        """Rows of a world's contacts and joints, in blocks of LANES colour by colour."""
+        w = tid + launch.world_offset
+        if state.flags[w] == 0:
+            used = lay_out(w, launch.padding_body, model, joints, contacts, rows)
+            if used < 0:
+                state.flags[w] = state.flags[w] | ROW_OVERFLOW
+            else:
+                jacobi = config.method == JACOBI
+                if jacobi:
+                    for b in range(model.body_start[w], model.body_start[w + 1]):
+                        rows.body_rows[b] = 0
+                scale = 0.0
+                least = 0.0
+                start = contacts.contact_start[w]
+                for c in range(start, start + contacts.contact_count[w]):
+                    row = make_contact_row(c, w, config, model, state, motion, contacts)
+                    rows.slot[c] = place(w, contacts.color[c], jacobi, row, rows)
+                    least = ti.min(least, contacts.gap[c])
+                    scale += row.square
+                if ti.static(jointed):
+                    for j in range(model.joint_start[w], model.joint_start[w + 1]):
+                        joint_row = make_distance_row(j, w, config, model, state, motion, joints)
+                        rows.joint_slot[j] = place(w, joints.joint_color[j], jacobi, joint_row, rows)
+                        scale += joint_row.square
+                rows.scale[w] = ti.sqrt(scale)
+                rows.deepest[w] = least
+                stats.colors[w] = used
+
+    @kernel
+    def unpack_impulses(
+        tid,
+        launch: t.Launch,
+        model: t.Model,
+        state: t.State,
+        joints: t.Joints,
+        contacts: t.Contacts,
+        rows: t.Rows,
+    ):
+        """Solved impulses back to contacts and joints."""
+        w = tid + launch.world_offset
+        if state.flags[w] == 0:
+            start = contacts.contact_start[w]
+            for c in range(start, start + contacts.contact_count[w]):
+                i = rows.slot[c]
+                block = i // (2 * LANES)
+                lane = i % LANES
+                contacts.impulse[c] = vec2(rows.impulse[2 * block][lane], rows.impulse[2 * block + 1][lane])
+            if ti.static(jointed):
+                for j in range(model.joint_start[w], model.joint_start[w + 1]):
+                    i = rows.joint_slot[j]
+                    joints.joint_impulse[j] = rows.impulse[i // LANES][i % LANES]
+
+    return {"pack_rows": pack_rows, "unpack_impulses": unpack_impulses}

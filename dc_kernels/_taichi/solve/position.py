@@ -1,0 +1,59 @@
+"""Position phase after the velocities (nonlinear projection, Box2D 2.3): displacements that undo overlap."""
+
+from functools import cache
+from typing import Any
+
+from dc_kernels._taichi.groups import group_types
+from dc_kernels._taichi.runtime.compiler import ti
+from dc_kernels._taichi.runtime.kernels import kernel
+from dc_kernels._taichi.solve.lanes import lane_functions
+from dc_kernels._taichi.solve.row import row_functions
+from dc_kernels._taichi.solve.world import ENDS, world_functions
+from dc_kernels.solve.rows import COLORS, LANES, SERIAL_COLOR
+
+
+@cache
+def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
+    """``correct_positions``; one thread a world."""
+    t = group_types(dtype)
+    push_row = row_functions(dtype, variant).push_row
+    push_lanes = lane_functions(dtype, variant).push
+    unknown_one = world_functions(dtype, variant).unknown_one
+    jointed = variant == "joints"
+
+    @kernel
+    def correct_positions(
+        tid,
+        launch: t.Launch,
+        config: t.Config,
+        model: t.Model,
+        state: t.State,
+        motion: t.Motion,
+        rows: t.Rows,
+    ):
+        """Add to the displacements of a step what removes a share of each overlap.
+
+        Gaps are those of the narrowphase plus what the displacement changes them by to first order; it ends as soon as
+        a sweep pushes nothing. Without joints it is skipped where the step began with no overlap beyond the slop: what
+        an unconverged solve adds is met in the next step.
+        """
+        w = tid + launch.world_offset
+        pushed = 0.0
+        if state.flags[w] == 0:
+            if ti.static(jointed):
+                pushed = 1.0
+            elif not (rows.deepest[w] >= -config.slop * model.length_scale[w]):
+                pushed = 1.0
+        limit = config.max_correction * model.length_scale[w]
+        factor = config.position_factor
+        first = rows.color_block[w * ENDS]
+        serial = rows.color_block[w * ENDS + SERIAL_COLOR]
+        last = rows.color_block[w * ENDS + COLORS]
+        iteration = 0
+        while iteration < config.position_iterations and pushed > 0.0:
+            pushed = push_lanes(rows, motion.displacement, first, serial, factor, limit, unknown_one(config))
+            for k in range(serial * LANES, last * LANES):
+                pushed = ti.max(pushed, push_row(k // LANES, k % LANES, rows, motion.displacement, factor, limit))
+            iteration += 1
+
+    return {"correct_positions": correct_positions}

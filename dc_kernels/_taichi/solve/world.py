@@ -1,0 +1,158 @@
+"""What is done to all rows of a world: a sweep, a change of velocities, the residual; one thread a world.
+
+Taichi inlines a function wherever it is called, so what takes long to compile is called once in a solve: changes of
+velocities wait for the place where ``follow`` is called, before the next sweep.
+"""
+
+from enum import IntEnum
+from functools import cache
+from types import SimpleNamespace
+
+from dc_kernels._taichi.groups import group_types
+from dc_kernels._taichi.runtime.compiler import ti
+from dc_kernels._taichi.solve.lanes import lane_functions
+from dc_kernels._taichi.solve.row import row_functions
+from dc_kernels.model.config import METHODS, STOPS
+from dc_kernels.solve.iteration import NEVER
+from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR
+
+ENDS = COLORS + 1
+JACOBI = METHODS["jacobi"]
+BY_RESIDUAL = STOPS["residual"]
+TINY = 1e-30
+
+
+class Follow(IntEnum):
+    """What is left to do to the velocities when the impulses have changed."""
+
+    NOTHING = 0
+    CHANGE = 1
+    """They follow ``rows.change``."""
+    ANEW = 2
+    """They are made anew from the impulses: steps of momentum add up their round-off."""
+
+
+CHANGE = int(Follow.CHANGE)
+ANEW = int(Follow.ANEW)
+
+
+@cache
+def world_functions(dtype: str, variant: str) -> SimpleNamespace:
+    """``span_of``, ``sweep``, ``follow``, ``load_impulses`` and ``natural_map`` of a world's rows."""
+    t = group_types(dtype)
+    vec8 = t.vec8
+    Span = t.Span
+    row = row_functions(dtype, variant)
+    sweep_row, jacobi_row, apply_row = row.sweep_row, row.jacobi_row, row.apply_row
+    natural_map_row = row.natural_map_row
+    lanes = lane_functions(dtype, variant)
+    sweep_lanes, apply_lanes = lanes.sweep, lanes.apply
+    jointed = variant == "joints"
+    columns = COLUMNS[variant]
+    width = len(columns)
+    EN, ET = columns.index("en"), columns.index("et")
+
+    @ti.func
+    def span_of(w, past_at, config: t.Config, model: t.Model, motion: t.Motion, rows: t.Rows):
+        """Where a world's rows lie, and the bound at which its solve stops.
+
+        The bound is ``tolerance``, or the impulse ``relative_tolerance`` times weight times time step where that is
+        smaller; the latter is left out where the typical weight is zero, and where the residual decides the stop.
+        ``past_at`` counts the scalars of ``rows.past`` before the world's own.
+        """
+        span = Span()
+        span.world = w
+        span.first = rows.color_block[w * ENDS]
+        span.serial = rows.color_block[w * ENDS + SERIAL_COLOR]
+        span.last = rows.color_block[w * ENDS + COLORS]
+        span.low = span.first * 2 * LANES
+        span.high = span.last * 2 * LANES
+        span.first_body = model.body_start[w]
+        span.last_body = model.body_start[w + 1]
+        span.past_at = past_at
+        span.pause_at = NEVER
+        span.bound = config.tolerance
+        relative = config.relative_tolerance * motion.weight[w] * motion.step_dt[w]
+        if config.stop != BY_RESIDUAL and relative > 0.0:
+            span.bound = ti.min(config.tolerance, relative)
+        return span
+
+    @ti.func
+    def unknown_one(config: t.Config):
+        """1, which the compiler does not know (see ``lanes``)."""
+        return config.omega * 0.0 + 1.0
+
+    @ti.func
+    def sweep(span, config: t.Config, omega, motion: t.Motion, rows: t.Rows):
+        """One sweep over all rows of a world in colour order; the largest impulse change [N s]."""
+        first = span.first
+        change = 0.0
+        if config.method == JACOBI:
+            for k in range(first * LANES, span.last * LANES):
+                moved = jacobi_row(k // LANES, k % LANES, rows, motion.solved, motion.summed, omega)
+                change = ti.max(change, moved)
+        else:
+            change = sweep_lanes(rows, motion.solved, first, span.serial, omega, unknown_one(config))
+            for k in range(span.serial * LANES, span.last * LANES):
+                change = ti.max(change, sweep_row(k // LANES, k % LANES, rows, motion.solved, omega))
+        return change
+
+    @ti.func
+    def follow(span, what, config: t.Config, motion: t.Motion, rows: t.Rows):
+        """Velocities follow the impulses, V += M^-1 J^T delta (Wu 2018, equation 2.26), as ``what`` says."""
+        if what == ANEW:
+            for b in range(span.first_body, span.last_body):
+                motion.solved[b] = motion.predicted[b]
+        if what == ANEW or what == CHANGE:
+            anew = ti.cast(what == ANEW, ti.i32)
+            apply_lanes(rows, motion.solved, anew, span.first, span.serial, unknown_one(config))
+            for k in range(span.serial * LANES, span.last * LANES):
+                apply_row(k // LANES, k % LANES, rows, motion.solved, anew)
+
+    @ti.func
+    def load_impulses(span, model: t.Model, joints: t.Joints, contacts: t.Contacts, rows: t.Rows):
+        """Impulses of contacts and joints to the rows; velocities are to be made anew then.
+
+        A row along which nothing can move has none: no sweep would change it.
+        """
+        w = span.world
+        for i in range(2 * span.first, 2 * span.last):
+            rows.impulse[i] = vec8(0.0)
+        start = contacts.contact_start[w]
+        for c in range(start, start + contacts.contact_count[w]):
+            i = rows.slot[c]
+            k = i // (2 * LANES) * width
+            lane = i % LANES
+            if rows.column[k + EN][lane] > 0.0:
+                rows.impulse[i // LANES][lane] = contacts.impulse[c][0]
+            if rows.column[k + ET][lane] > 0.0:
+                rows.impulse[i // LANES + 1][lane] = contacts.impulse[c][1]
+        if ti.static(jointed):
+            for j in range(model.joint_start[w], model.joint_start[w + 1]):
+                i = rows.joint_slot[j]
+                rows.impulse[i // LANES][i % LANES] = joints.joint_impulse[j]
+
+    @ti.func
+    def natural_map(span, bodies: ti.template(), rows: t.Rows):
+        """Relative natural map of a world's rows [1]: how far its impulses are from a solution.
+
+        It is the 2-norm of the natural maps of all rows over ``rows.scale``, the 2-norm of the impulses that would
+        stop each row, with its friction, if it were alone; where that is zero, the former itself [N s].
+        """
+        total = 0.0
+        for k in range(span.first * LANES, span.last * LANES):
+            total += natural_map_row(k // LANES, k % LANES, rows, bodies)
+        total = ti.sqrt(total)
+        scale = rows.scale[span.world]
+        if scale > TINY:
+            total = total / scale
+        return total
+
+    return SimpleNamespace(
+        span_of=span_of,
+        unknown_one=unknown_one,
+        sweep=sweep,
+        follow=follow,
+        load_impulses=load_impulses,
+        natural_map=natural_map,
+    )
