@@ -288,6 +288,7 @@ def spawns(rng: np.random.Generator) -> None:
 @scenario
 def interrupts(rng: np.random.Generator) -> None:
     """Ctrl-C into a run on two threads: no thread works on, and all worlds stand at the same step."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's background jobs ignore
     sim, alone = scene(threads=2, contacts_per_body=0.3), scene()
     sim.step(0.01)
     wait = float(rng.uniform(0.02, 0.2))

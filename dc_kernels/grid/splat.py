@@ -18,8 +18,9 @@ from dc_kernels.runtime.backends import Launch, bind, host_threads, kernel_file,
 from dc_kernels.runtime.capture import HOST, recording, refuse_recording
 from dc_kernels.runtime.memory import check_memory
 from dc_kernels.runtime.program import Kernel, Stage
-from dc_kernels.runtime.threads import run_shards, shard_worlds
+from dc_kernels.runtime.threads import run_shards, shard_worlds, slices_of
 
+MOST_REACHED = 1e8  # entries of tiles, up to which a splat that takes long goes by tiles
 TILED_BYTES = 2**23  # of a world's channels, beyond which tiles are faster: 6 MB took 49 and 71 ns, 64 MB 250 and 70
 
 
@@ -118,8 +119,12 @@ class Splat:
         count, channels = value.shape
         channels *= bins
         window = stencil.window(grid.spacing)
+        self._slices = slices_of(count * channels * float(window) ** 2)
         if tiled is None:
+            # what takes long goes by tiles, between which an interrupt may arrive, unless points reach too many
+            reached = count * (window / TILE_COLUMNS + 1.0) * (window / TILE_ROWS + 1.0)
             tiled = backend == "warp" and rows * columns * channels * dtype.itemsize > TILED_BYTES
+            tiled |= backend == "warp" and self._slices > 1 and reached < MOST_REACHED
             tiled = tiled and not recording()  # tiles are counted on the host
         self.tiled = bool(tiled) and columns >= window
         self.missed = np.zeros(worlds, np.int32)
@@ -137,7 +142,7 @@ class Splat:
         if not self.tiled:
             self.touched = kernel_array(np.zeros((worlds, -(-rows // BAND)), np.int32), backend)
             self.values["touched"] = self.touched
-            shards = shard_worlds(worlds, host_threads(backend, threads))
+            shards = shard_worlds(worlds, max(host_threads(backend, threads), 1 if recording() else self._slices))
             self._launches = [self._bind("splat_worlds", n, world_offset=w, threads=threads) for w, n in shards]
             return
         self._tile_rows, self._tile_columns = -(-rows // TILE_ROWS), -(-columns // TILE_COLUMNS)
@@ -183,9 +188,18 @@ class Splat:
             for name in ("count_tiles", "list_tiles")
         )
         # more shards than threads would need more buffers; tiles are many, and those of a shard lie side by side
-        self._launches = [
-            self._bind("splat_tiles", count, tile_offset=first, slot=slot)
+        shards = [
+            (slot, first, shard_worlds(count, self._slices))
             for slot, (first, count) in enumerate(shard_worlds(len(self.tiles["lost"]), threads))
+        ]
+        # slice by slice, each by all threads
+        self._tiled = [
+            [
+                self._bind("splat_tiles", parts[k][1], tile_offset=first + parts[k][0], slot=slot)
+                for slot, first, parts in shards
+                if k < len(parts)
+            ]
+            for k in range(max(len(parts) for _, _, parts in shards))
         ]
 
     def __call__(self) -> None:
@@ -218,5 +232,6 @@ class Splat:
         if total > self.room:
             self._reserve(total + total // 8)
         run_shards(self._list, self.threads)
-        run_shards(self._launches, self.threads)
+        for launches in self._tiled:
+            run_shards(launches, self.threads)
         self.missed[...] = self.tiles["lost"].reshape(len(self.missed), -1).sum(axis=1)

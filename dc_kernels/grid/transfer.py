@@ -13,7 +13,7 @@ from dc_kernels.grid.stencil import BILINEAR, POLY6, Stencil, check_place
 from dc_kernels.model.arrays import kernel_array
 from dc_kernels.model.settings import WrongType, shown
 from dc_kernels.runtime.backends import Launch, check_backend
-from dc_kernels.runtime.capture import clear
+from dc_kernels.runtime.capture import clear, recording
 from dc_kernels.runtime.inputs import (
     check_array,
     check_bins,
@@ -26,6 +26,7 @@ from dc_kernels.runtime.inputs import (
 )
 from dc_kernels.runtime.interop import host_view
 from dc_kernels.runtime.program import Program, Stage
+from dc_kernels.runtime.threads import slices_of
 
 
 class Transfer:
@@ -122,16 +123,15 @@ class PointTransfer:
         self.points = check_places("points", points)
         first, count = first_and_count(check_start("start", start, len(self.points)))
         self.worlds, self.most = len(first), int(count.max(initial=0))
-        self._group = points_group(
-            transfer.grid,
-            self.worlds,
-            transfer.backend,
-            self.points.dtype.name,
-            start=first,
-            count=count,
-            place=self.points,
-            bin=check_bins(transfer.bins, point_bin, len(self.points)),
-        )
+        self._first, self._count = first, count
+        self._bins = check_bins(transfer.bins, point_bin, len(self.points))
+        self._group = self._points(first, count)
+
+    def _points(self, first: np.ndarray, count: np.ndarray) -> Any:
+        """Return so many points of each world from a first one on as the kernels take them."""
+        t = self.transfer
+        where = {"start": first, "count": count, "place": self.points, "bin": self._bins}
+        return points_group(t.grid, self.worlds, t.backend, self.points.dtype.name, **where)
 
     def image_shape(self, channels: int) -> tuple[int, ...]:
         """Return the shape of an image of so many channels a bin."""
@@ -192,10 +192,17 @@ class PointTransfer:
             source = kernel_array(shared, t.backend)
             stages = [lambda: np.copyto(shared, image), *self._weights(source)]
         value = kernel_array(values, t.backend)
-        gather = gather_kernel(
-            t.stencil, t.grid, self._group, source, value, bins=t.bins, most=self.most, backend=t.backend
-        )
-        return self._program([*stages, gather])
+        # points that take long are gathered part by part: an interrupt arrives between two
+        parts = 1 if recording() else slices_of(values.size * t.stencil.window(t.grid.spacing) ** 2)
+        most = -(-self.most // parts)
+        for part in range(parts):
+            group = self._group
+            if parts > 1:
+                count = np.clip(self._count - part * most, 0, most)
+                group = self._points(self._first + np.minimum(part * most, self._count), count)
+            bound = {"bins": t.bins, "most": most, "backend": t.backend}
+            stages.append(gather_kernel(t.stencil, t.grid, group, source, value, **bound))
+        return self._program(stages, apart=parts > 1)
 
     def _weights(self, image: Any) -> list[Stage]:
         t = self.transfer
@@ -210,8 +217,9 @@ class PointTransfer:
             threads=t.threads,
         )
 
-    def _program(self, stages: list[Stage]) -> Program:
-        return Program(stages, self.worlds, backend=self.transfer.backend, threads=self.transfer.threads)
+    def _program(self, stages: list[Stage], *, apart: bool = False) -> Program:
+        t = self.transfer
+        return Program(stages, self.worlds, backend=t.backend, threads=t.threads, apart=apart)
 
 
 def splat(

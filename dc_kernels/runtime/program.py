@@ -57,6 +57,7 @@ class Program:
         *,
         backend: str,
         threads: int = 1,
+        apart: bool = False,
     ) -> None:
         """Bind the stages.
 
@@ -65,12 +66,16 @@ class Program:
             worlds: how many there are.
             backend: of the kernels.
             threads: shards of worlds, and what runs them.
+            apart: whether an interrupt may arrive between any two stages, which then wait for all shards.
         """
         self.stages = list(stages)
         host = host_threads(backend, threads)
         self._steps: list[Launch] = []
         self._host = False  # whether a stage does more than launch
-        for kind, group in itertools.groupby(map(_as_kernel, stages), type):
+        number = itertools.count()
+        for (kind, _), group in itertools.groupby(
+            map(_as_kernel, stages), lambda stage: (type(stage), next(number) if apart else 0)
+        ):
             if kind is not Kernel:
                 self._host = True
                 self._steps += [stage for stage in group if not isinstance(stage, Kernel)]

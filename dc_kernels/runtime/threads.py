@@ -24,6 +24,7 @@ _pool: ThreadPoolExecutor | None = None
 _room = 0  # threads that the pool may have
 _making = threading.Lock()
 
+SLICE = 5e7  # units of work that take 0.05 to 0.3 s together
 GPU_CALLS = threading.RLock()
 """What calls that work on a GPU hold: Warp copies from there on another stream, which it makes current for all threads,
 so that of two at once one may leave it so."""
@@ -188,12 +189,26 @@ def map_threads(function: Callable[[Given], Result], items: Iterable[Given], thr
     results: list[Any] = [None] * len(given)
     left = iter(range(len(given)))  # next() of a range is one step of the interpreter
 
-    def work() -> None:
-        for i in left:
-            results[i] = function(given[i])
+    def leave() -> None:
+        """Let no thread begin with another item."""
+        for _ in left:
+            pass
 
-    run_together(work, min(threads, len(given)))
+    def work() -> None:
+        try:
+            for i in left:
+                results[i] = function(given[i])
+        except BaseException:
+            leave()
+            raise
+
+    run_together(work, min(threads, len(given)), leave)
     return results
+
+
+def slices_of(work: float) -> int:
+    """Parts of so much work, in units that take some nanoseconds, between which an interrupt may arrive."""
+    return int(work / SLICE) + 1
 
 
 def run_shards(launches: Sequence[Callable[[], Any]], threads: int) -> None:

@@ -21,7 +21,7 @@ from dc_kernels.neighbors.search import Neighbors, neighbor_lists
 from dc_kernels.runtime.backends import bind, check_backend, host_threads, kernel_file, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_array, check_count, check_points, check_start
-from dc_kernels.runtime.threads import run_shards, shard_worlds
+from dc_kernels.runtime.threads import run_shards, shard_worlds, slices_of
 from dc_kernels.sph.fields import LISTS, SUM
 from dc_kernels.sph.quantities import CHUNK, PUBLIC, Quantity
 from dc_kernels.sph.smoothing import KERNELS, scale
@@ -214,7 +214,7 @@ def _run(
     named["threads"] = threads
     launches = [
         bind(table[name], count, {**named, "chunk_offset": first}, "cpu")
-        for first, count in shard_worlds(chunks, host_threads(backend, threads))
+        for first, count in shard_worlds(chunks, max(host_threads(backend, threads), slices_of(len(lists.index))))
     ]
     run_shards(launches, threads)
 

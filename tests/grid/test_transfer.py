@@ -613,3 +613,17 @@ def test_what_is_written_shares_no_memory_with_what_is_read():
     values.flags.writeable = False
     with pytest.raises(ValueError, match="values is read-only; it must be writable"):
         Transfer(grid).at(points).gather(np.ones((1, 1, 3, 4)), values)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_slices_between_which_an_interrupt_may_arrive_keep_the_bits(monkeypatch, threads):
+    draw = np.random.default_rng(5)
+    grid, stencil = Grid(rows=150, columns=170, spacing=0.1), Stencil(h=0.5)
+    points = draw.uniform(-1.0, 18.0, (9000, 2)).astype(np.float32)
+    values, start = draw.normal(size=(9000, 2)).astype(np.float32), [0, 10, 9000]
+    options = {"stencil": stencil, "start": start, "threads": threads}
+    whole = splat(points, values, grid, **options)
+    back = gather(whole, points, grid, **options)
+    monkeypatch.setattr("dc_kernels.runtime.threads.SLICE", 2e6)
+    np.testing.assert_array_equal(splat(points, values, grid, **options), whole)
+    np.testing.assert_array_equal(gather(whole, points, grid, **options), back)

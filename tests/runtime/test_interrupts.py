@@ -125,3 +125,25 @@ def test_a_solver_of_others_contacts_is_interrupted():
         solver.solve(0.01, velocity, spin, config=ENDLESS)
     stats = solver.solve(0.01, velocity.copy(), spin.copy())
     assert stats.numpy("sweeps")[0] < 1000
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("call", ["splat", "gather", "sph_density"])
+def test_transfers_and_sums_do_not_keep_an_interrupt_waiting(call, threads):
+    count = 60_000
+    points = np.random.default_rng(0).uniform(0.0, 1.0, (count, 2)).astype(np.float32)
+    grid, stencil = dc.Grid(rows=1001, columns=1001, spacing=1e-3), dc.Stencil(h=0.1)
+    image = np.ones((1, 1, *grid.shape), np.float32)
+
+    def work(n):
+        if call == "splat":
+            dc.splat(points[:n], np.ones((n, 1), np.float32), grid, stencil, threads=threads)
+        elif call == "gather":
+            dc.gather(image, points[:n], grid, stencil, threads=threads)
+        else:
+            dc.sph_density(points[:n], np.ones(n, np.float32), 0.2, threads=threads)
+
+    work(1)  # compiled
+    with interrupted():
+        work(count)
+        work(count)
