@@ -16,6 +16,8 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from dc_kernels._taichi.groups import GroupType, seen
 from dc_kernels._taichi.runtime.access import Array, Group, uses_of
 from dc_kernels._taichi.runtime.compiler import ti
@@ -106,7 +108,7 @@ class Kernel:
         if array.field:
             value = getattr(value, array.field)
         if not isinstance(annotation, NDARRAY):
-            return value, annotation
+            return value.item() if isinstance(value, np.generic) else value, annotation
         value = host_view(".".join(filter(None, array)), value)
         if array.field:
             kind = self._types[array.group]
