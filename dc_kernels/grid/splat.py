@@ -14,7 +14,7 @@ from dc_kernels.grid.layout import BAND, CHUNK, TILE_COLUMNS, TILE_ROWS
 from dc_kernels.grid.stencil import Stencil
 from dc_kernels.model.arrays import kernel_array, to_numpy
 from dc_kernels.model.dtypes import aligned_zeros, float_dtype
-from dc_kernels.runtime.backends import Launch, bind, host_threads, kernel_file, make_kernels
+from dc_kernels.runtime.backends import Launch, bind, has_kernels, host_threads, kernel_file, make_kernels
 from dc_kernels.runtime.capture import HOST, recording, refuse_recording
 from dc_kernels.runtime.memory import check_memory
 from dc_kernels.runtime.program import Kernel, Stage
@@ -25,8 +25,8 @@ TILED_BYTES = 2**23  # of a world's channels, beyond which tiles are faster: 6 M
 
 
 def transfer_kernels(backend: str, dtype: str) -> dict[str, Any]:
-    """Look up splat_worlds, gather_points, gather_gradient, divide_image; for Warp also those of the tiles."""
-    files = ["grid.splat", "grid.gather", *(["grid.tiles"] if backend == "warp" else [])]
+    """Look up splat_worlds, gather_points, gather_gradient, divide_image, and those of tiles where there are."""
+    files = ["grid.splat", "grid.gather", *(["grid.tiles"] if has_kernels(backend, "grid.tiles") else [])]
     return {name: kernel for file in files for name, kernel in make_kernels(backend, file, dtype).items()}
 
 
@@ -111,7 +111,7 @@ class Splat:
             channel_offset: first channel that is written.
             backend: of the arrays.
             threads: that worlds or tiles are shared by.
-            tiled: None: as the size of the image tells, but not in a recording; only Warp's kernels have tiles.
+            tiled: None: as the size of the image tells, but not in a recording; the oracle has no tiles.
         """
         dtype = to_numpy(value).dtype
         self.table, self.backend, self.threads = transfer_kernels(backend, dtype.name), backend, threads
@@ -123,7 +123,7 @@ class Splat:
         if tiled is None:
             # what takes long goes by tiles, between which an interrupt may arrive, unless points reach too many
             reached = count * (window / TILE_COLUMNS + 1.0) * (window / TILE_ROWS + 1.0)
-            tiled = backend == "warp" and rows * columns * channels * dtype.itemsize > TILED_BYTES
+            tiled = "splat_tiles" in self.table and rows * columns * channels * dtype.itemsize > TILED_BYTES
             tiled |= backend == "warp" and self._slices > 1 and reached < MOST_REACHED
             tiled = tiled and not recording()  # tiles are counted on the host
         self.tiled = bool(tiled) and columns >= window
@@ -145,6 +145,7 @@ class Splat:
             shards = shard_worlds(worlds, max(host_threads(backend, threads), 1 if recording() else self._slices))
             self._launches = [self._bind("splat_worlds", n, world_offset=w, threads=threads) for w, n in shards]
             return
+        threads = self.threads = host_threads(backend, threads)
         self._tile_rows, self._tile_columns = -(-rows // TILE_ROWS), -(-columns // TILE_COLUMNS)
         tiles = self._tile_rows * self._tile_columns
         self.tiles = {

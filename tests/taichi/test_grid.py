@@ -29,6 +29,7 @@ FILES = {
     "grid.splat": ("float32",),
     "grid.gather": ("float32",),
     "grid.images": ("float32",),
+    "grid.tiles": ("float32",),
 }
 
 
@@ -87,6 +88,27 @@ def test_splat_gather_and_derivatives_have_the_bits_of_warp(case: str) -> None:
 def test_the_bits_do_not_depend_on_threads() -> None:
     one, two = (round_trip(GRID, POLY6, "float32", "taichi", threads=threads) for threads in (1, 2))
     assert one == two
+
+
+@pytest.mark.parametrize(("kernel", "support"), [("poly6", 0.8), ("bilinear", None)])
+def test_tiles_do_not_change_a_bit(kernel: str, support: float | None) -> None:
+    grid = Grid(rows=150, columns=140, spacing=0.25, origin=(0.3, -1.0))
+    given = cloud(grid, "float32", count=700, bins=2)
+    given["points"][9] = np.nan
+    first, count = splat.first_and_count(np.array([0, 300, 700]))
+    found = []
+    for backend, tiled in (("warp", True), ("taichi", False), ("taichi", True)):
+        arrays = {"start": first, "count": count, "place": given["points"], "bin": given["point_bin"].astype(np.int32)}
+        points = splat.points_group(grid, 2, backend, "float32", **arrays)
+        memory = splat.allocate_image(2, 6, grid)
+        value, image = (splat.kernel_array(array, backend) for array in (given["values"], memory))
+        stencil = Stencil(kernel, h=support)  # type: ignore[arg-type]
+        bound = splat.Splat(stencil, grid, points, value, image, bins=2, backend=backend, threads=2, tiled=tiled)
+        assert bound.tiled == tiled
+        bound()
+        bound()  # clears what the first call left
+        found.append((memory.tobytes(), bound.missed.tobytes()))
+    assert found[0] == found[1] == found[2]
 
 
 def test_a_reverse_gather_and_points_in_space() -> None:

@@ -60,7 +60,8 @@ def kernels(dtype: str) -> dict[str, Any]:
         top = vector(ti.cast(rows - 1, real))
         zero = vector(0.0)
         while first < end:
-            block = s.block_at(BILINEAR, stencil, points, world, first, end, rows, columns)
+            x, y = s.coordinates(points, first, end)
+            block = s.block_at(BILINEAR, stencil, x, y, points.origin[world], rows, columns)
             known = (block.x - block.x == zero) & (block.y - block.y == zero)
             u = s.least(s.most(ti.select(known, block.x, zero), zero), right)
             v = s.least(s.most(ti.select(known, block.y, zero), zero), top)
@@ -117,7 +118,8 @@ def kernels(dtype: str) -> dict[str, Any]:
             plane = rows * columns
             base = (world * image.shape[1] + channel_offset) * plane
             while first < end:
-                block = s.block_at(stencil.kernel, stencil, points, world, first, end, rows, columns)
+                x, y = s.coordinates(points, first, end)
+                block = s.block_at(stencil.kernel, stencil, x, y, points.origin[world], rows, columns)
                 for j in range(ti.min(end - first, LANES)):
                     i = first + j
                     place = s.place_of(stencil.kernel, block, j, rows, columns)
@@ -184,7 +186,8 @@ def kernels(dtype: str) -> dict[str, Any]:
         plane = rows * columns
         base = (world * image.shape[1] + channel_offset) * plane
         while first < end:
-            block = s.block_at(stencil.kernel, stencil, points, world, first, end, rows, columns)
+            x, y = s.coordinates(points, first, end)
+            block = s.block_at(stencil.kernel, stencil, x, y, points.origin[world], rows, columns)
             for j in range(ti.min(end - first, LANES)):
                 i = first + j
                 place = s.place_of(stencil.kernel, block, j, rows, columns)

@@ -91,7 +91,8 @@ def kernels(dtype: str) -> dict[str, Any]:
         first = points.start[world]
         end = first + points.count[world]
         while first < end:
-            block = s.block_at(stencil.kernel, stencil, points, world, first, end, rows, columns)
+            x, y = s.coordinates(points, first, end)
+            block = s.block_at(stencil.kernel, stencil, x, y, points.origin[world], rows, columns)
             for j in range(ti.min(end - first, LANES)):
                 i = first + j
                 place = s.place_of(stencil.kernel, block, j, rows, columns)

@@ -41,9 +41,9 @@ def grid_types(dtype: str) -> SimpleNamespace:
 def stencil_functions(dtype: str) -> SimpleNamespace:
     """Functions of points on a grid.
 
-    ``block_at`` takes LANES points, ``place_of`` finds the window of one of them, ``weight`` and ``gradient`` give
-    LANES weights of a row and their derivatives by the place, ``factor`` what weights of a sum are multiplied with,
-    ``weigh`` that of a window and the weights of a small one.
+    ``block_at`` takes LANES points by their ``coordinates``, ``place_of`` finds the window of one of them, ``weight``
+    and ``gradient`` give LANES weights of a row and their derivatives by the place, ``factor`` what weights of a sum
+    are multiplied with, ``weigh`` that of a window and the weights of a small one.
     """
     t, lanes, radial = grid_types(dtype), lane_functions(dtype), radial_functions(dtype)
     real, vector, vec4 = t.real, lanes.vector, t.vec4
@@ -146,21 +146,25 @@ def stencil_functions(dtype: str) -> SimpleNamespace:
         return begin, w, s
 
     @ti.func
-    def block_at(kernel: ti.template(), stencil: t.Stencil, points: t.Points, world, first, end, rows, columns):
-        """LANES points from the first on, in lanes: one by one their dependent steps would take half of a splat."""
-        block = Block()
-        block.inv = 1.0 / stencil.spacing
-        hs = stencil.h * block.inv
-        block.inv_h2 = 1.0 / (hs * hs)
+    def coordinates(points: t.Points, first, end):
+        """Coordinates of LANES points from the first on."""
         x = vector(0.0)
         y = vector(0.0)
         for k in ti.static(range(LANES)):
             i = ti.min(first + k, end - 1)
             x[k] = points.place[i, 0]
             y[k] = points.place[i, 1]
-        origin = points.origin[world]
-        x = in_spacings(x, origin[0], block.inv, vector(far_outside))
-        y = in_spacings(y, origin[1], block.inv, vector(far_outside))
+        return x, y
+
+    @ti.func
+    def block_at(kernel: ti.template(), stencil: t.Stencil, place_x, place_y, origin, rows, columns):
+        """LANES points in lanes: one by one their dependent steps would take half of a splat."""
+        block = Block()
+        block.inv = 1.0 / stencil.spacing
+        hs = stencil.h * block.inv
+        block.inv_h2 = 1.0 / (hs * hs)
+        x = in_spacings(place_x, origin[0], block.inv, vector(far_outside))
+        y = in_spacings(place_y, origin[1], block.inv, vector(far_outside))
         block.x = x
         block.y = y
         if ti.static(kernel <= WENDLAND):
@@ -319,5 +323,19 @@ def stencil_functions(dtype: str) -> SimpleNamespace:
             share = factor(kernel, stencil, lanes.fold(added))
         return few, share, w0, w1, w2, w3
 
-    functions = (block_at, place_of, is_finite, weight, weigh, gradient, factor, outside, nearest_node, least, most)
+    functions = (
+        coordinates,
+        block_at,
+        place_of,
+        is_finite,
+        weight,
+        weigh,
+        gradient,
+        factor,
+        outside,
+        nearest_node,
+        least,
+        most,
+        in_spacings,
+    )
     return SimpleNamespace(far_outside=far_outside, **{function.__name__: function for function in functions})
