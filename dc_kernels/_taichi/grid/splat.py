@@ -1,7 +1,7 @@
 """Splat: points -> grid, one thread a world, and the division by weights.
 
 A world belongs to one thread, which adds its points in the order of their index: nothing is added concurrently, and the
-bits are the same for any number of threads. They are those of Warp's kernels for values that are finite.
+bits are the same for any number of threads, and those of Warp's kernels.
 """
 
 from functools import cache

@@ -1,8 +1,9 @@
 """The splat onto an image larger than a core's cache, tile by tile, on one thread.
 
 Points are listed by the tiles they reach (a counting sort), and a tile's points are added in the order of their index:
-a node gets the sum that it has without tiles. Weights of nodes beyond the tile are 0, so that what is added there
-changes nothing; Warp's kernels, whose tiles are added at once on several threads, have a buffer for each.
+a node gets the sum that it has without tiles. Nodes beyond the tile are loaded and stored as they are. Warp's kernels
+add a tile in a buffer of its own, without which rows of an image displace each other from the cache: 300 000 points on
+64 MB take two to three times as long here, and four times without tiles.
 """
 
 from functools import cache
@@ -130,8 +131,14 @@ def kernels(dtype: str) -> dict[str, Any]:
         if first < end or tiles.touched[tile] != 0:
             for c in range(bins * channels):
                 for r in range(row_low, row_high):
-                    for n in range(column_low, column_high):
-                        image[0, 0, 0, base + c * plane + r * columns + n] = 0.0
+                    row = base + c * plane + r * columns
+                    n = column_low
+                    while n + LANES <= column_high:
+                        lanes.store(image, row + n, vector(0.0))
+                        n += LANES
+                    while n < column_high:
+                        image[0, 0, 0, row + n] = 0.0
+                        n += 1
         tiles.touched[tile] = ti.cast(first < end, ti.i32)
         while first < end:
             x = vector(0.0)
@@ -161,11 +168,11 @@ def kernels(dtype: str) -> dict[str, Any]:
                             left = place.first + v * LANES
                             lane = lanes.iota() + ti.cast(left, real)
                             w = s.weight(stencil.kernel, False, place, columns, r, v)
-                            w = ti.select(lane >= ti.cast(column_low, real), w, vector(0.0))
-                            w = ti.select(lane < ti.cast(column_high, real), w, vector(0.0))
+                            mine = (lane >= ti.cast(column_low, real)) & (lane < ti.cast(column_high, real))
                             at = to + r * columns + left
                             for c in range(channels):
-                                lanes.store(image, at, lanes.load(image, at) + w * (value[i, c] * factor))
+                                before = lanes.load(image, at)
+                                lanes.store(image, at, ti.select(mine, before + w * (value[i, c] * factor), before))
                                 at += plane
                     if ti.static(stencil.kernel > WENDLAND):
                         if home and s.outside(place, rows, columns):
