@@ -111,7 +111,10 @@ def color(
                 "color": colors,
             },
         ),
-        "rows": (ROWS, {"color_mask": np.zeros(bodies, np.uint64)}),
+        "rows": (
+            ROWS,
+            {"color_mask": np.zeros(bodies, np.uint64), "row_start": np.zeros(worlds + 1, np.int32)},
+        ),
     }
     make = kernel_file(backend, "groups").group
     values = {name: make(name, "float32", table, arrays) for name, (table, arrays) in groups.items()}

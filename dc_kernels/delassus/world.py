@@ -103,6 +103,8 @@ def from_solver(solver: ContactSolver, dt: float, world: int = 0) -> DelassusPro
 
 def _from_rows(solver: Simulation | ContactSolver, world: int) -> DelassusProblem:
     """Make the problem of a world's packed rows."""
+    if solver.variant == "rows":
+        raise ValueError("rows of own Jacobians have bounds, which a Delassus problem has not: leave them out")
     contacts, joints = solver.contacts, solver.joints
 
     def row_values(name: str, slot: np.ndarray) -> np.ndarray:

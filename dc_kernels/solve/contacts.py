@@ -28,6 +28,7 @@ from dc_kernels.solve.exchange import (
     length_of,
     make_exchange,
     offsets,
+    own_rows,
     refuse_lacking,
     refuse_shared,
     share_all,
@@ -91,9 +92,11 @@ class ContactSolver(InPlace):
         angular_velocity_before: Any = None,
         impulse: Any = None,
         joints: Mapping[str, Any] | None = None,
+        rows: Mapping[str, Any] | None = None,
         body_start: Any = None,
         contact_start: Any = None,
         joint_start: Any = None,
+        row_start: Any = None,
         length_scale: Any = 1.0,
         weight: Any = 0.0,
         gravity: Any = None,
@@ -136,9 +139,17 @@ class ContactSolver(InPlace):
                 ``exchange.impulse``, zero at first.
             joints: distance joints: ``joint_body_a``, ``joint_body_b``, ``joint_anchor_a``, ``joint_anchor_b``,
                 ``joint_length`` and perhaps ``joint_impulse`` (start, then solution) by name (``model.fields.JOINTS``).
+            rows: any other constraints of two bodies, by their Jacobians: arrays (R, ...), read at each call, by name
+                (``solve.exchange.OWN_ROWS``). ``row_body_a`` and ``row_body_b``, (R,) int32; ``row_jacobian_a`` and
+                ``row_jacobian_b``, (R, 3), what (x, y, spin) of their velocities are multiplied by. The impulse makes
+                J_A V_A + J_B V_B + bias + softness impulse = 0 unless it is at a bound, and changes V_A by M_A^-1
+                J_A^T impulse. Arrays or numbers: ``row_bias`` (0) [m/s], ``row_lower`` (-inf) and ``row_upper`` (inf)
+                [N s], ``row_softness`` (0) [1/kg]; ``row_impulse``: start, then solution [N s], None: own memory,
+                ``rows.row_impulse``, zero at first.
             body_start: first body of each world and N, (W + 1,); None: one world.
             contact_start: first contact of each world and C, (W + 1,); None: one world.
             joint_start: first joint of each world and their number, (W + 1,); None: one world.
+            row_start: first of each world's ``rows`` and their number, (W + 1,); None: one world.
             length_scale: typical diameter, which the lengths of the settings are multiples of, (W,) or one [m].
             weight: of a typical body, (W,) or one [N], to which ``relative_tolerance`` is relative; 0: to nothing.
             gravity: (W,) or one [m/s^2], to which the threshold of bounces is relative (``SolverConfig``); needed
@@ -163,13 +174,16 @@ class ContactSolver(InPlace):
             "body": length_of("inv_mass", inv_mass),
             "contact": contacts,
             "joint": length_of("joint_body_a", lines.get("joint_body_a", ())),
+            "row": length_of("row_body_a", (own := own_rows(rows)).get("row_body_a", ())),
         }
-        starts = offsets(lengths, {"body": body_start, "contact": contact_start, "joint": joint_start})
+        given_starts = {"body": body_start, "contact": contact_start, "joint": joint_start, "row": row_start}
+        starts = offsets(lengths, given_starts)
         worlds = len(starts["body"]) - 1
         self._hosted = backend != "warp" or schedule != "world"
         self._shards = Shards(worlds, lengths["body"], options.threads)
         self.threads = self._shards.threads
-        self.variant = "joints" if lengths["joint"] else "discs" if discs else "general"
+        fewest = "joints" if lengths["joint"] else "discs" if discs else "general"
+        self.variant = "rows" if lengths["row"] else fewest
         pull = gravity_of(gravity, restitution)
         self._make_groups({**lengths, "world": worlds, "world+1": worlds + 1}, starts, length_scale, weight, pull)
         touch = {"body_a": body_a, "body_b": body_b, "normal": normal, "gap": gap, "arm_a": arm_a, "arm_b": arm_b}
@@ -180,6 +194,7 @@ class ContactSolver(InPlace):
         surface = {"friction": friction, "restitution": restitution}
         self._shared |= share_all(self.contacts, {**touch, **surface}, numbers=surface, needed=NEEDED)
         self._shared |= share_all(self.joints, lines, writes=WRITTEN, needed=LINES if lines else ())
+        self._shared |= share_all(self.rows, own, writes=WRITTEN, numbers=own)
         self._has_positions = position is not None
         given = dict(zip(PER_CALL, (velocity, angular_velocity, impulse, velocity_before, angular_velocity_before)))
         given |= {"count": count, "point": point, "color": color}
@@ -213,6 +228,7 @@ class ContactSolver(InPlace):
             bodies=self.motion.sizes["body+1"],
             at_once=shards if self._in_turn else sizes["world"],
             any_colors=True,
+            own_rows=np.diff(starts["row"]),
         )
         self.rows, self.stats = self._storage.rows, self._storage.stats
         self.kernels: dict[str, Any] = {}

@@ -40,13 +40,49 @@ LINES = ("joint_body_a", "joint_body_b", "joint_anchor_a", "joint_anchor_b", "jo
 """Fields of joints that it is given, where there are any."""
 VELOCITIES = ("velocity", "angular_velocity")
 BEFORE = ("velocity_before", "angular_velocity_before")
-WRITTEN = (*VELOCITIES, "impulse", "color", "joint_impulse")
+WRITTEN = (*VELOCITIES, "impulse", "color", "joint_impulse", "row_impulse")
 
 
 class Exchange(ArrayGroup):
     """What a solve is given and gives back (``EXCHANGE``)."""
 
     table = EXCHANGE
+
+
+OWN_ROWS = {
+    "row_body_a": None,
+    "row_body_b": None,
+    "row_jacobian_a": None,
+    "row_jacobian_b": None,
+    "row_bias": 0.0,
+    "row_lower": -np.inf,
+    "row_upper": np.inf,
+    "row_softness": 0.0,
+    "row_impulse": 0.0,
+}
+"""What a caller's own rows are given by (``model.fields.ROWS``), and what it is otherwise; None: it must be given."""
+
+
+BOUNDS = ("row_lower", "row_upper")
+"""What may be infinite."""
+
+
+def own_rows(rows: Mapping[str, Any] | None) -> dict[str, Any]:
+    """A caller's own rows, complete; empty without any.
+
+    Raises:
+        ValueError: naming what is unknown or missing.
+    """
+    if not rows:
+        return {}
+    for name in rows:
+        if name not in OWN_ROWS:
+            raise ValueError(f"{name} is unknown; rows have {tuple(OWN_ROWS)}")
+    given = {name: default if rows.get(name) is None else rows[name] for name, default in OWN_ROWS.items()}
+    for name, values in given.items():
+        if values is None:
+            raise ValueError(f"{name} is missing; rows need their bodies and Jacobians")
+    return given
 
 
 def make_exchange(contacts: ArrayGroup, bodies: int, given: Mapping[str, Any]) -> Exchange:
@@ -123,7 +159,8 @@ def share_all(
         if array is None:
             continue
         if isinstance(array, Real) and name in numbers:
-            group.numpy(name)[...] = check_finite(name, array)  # at whose range the kernels look
+            # at whose range the kernels look
+            group.numpy(name)[...] = array if name in BOUNDS else check_finite(name, array)
             continue
         views[name] = view = view_of(group, name, array, writes=name in writes)
         if on_numpy(group.backend):
@@ -175,7 +212,7 @@ def offsets(lengths: Mapping[str, int], starts: Mapping[str, Any]) -> dict[str, 
     """
     found = {"body": check_start("body_start", starts["body"], lengths["body"], "bodies")}
     worlds = len(found["body"]) - 1
-    for axis in ("contact", "joint"):
+    for axis in ("contact", "joint", "row"):
         name, start = f"{axis}_start", starts[axis]
         if start is None and not lengths[axis]:
             start = np.zeros(worlds + 1, np.int64)

@@ -10,10 +10,11 @@ import numpy as np
 from dc_kernels.model.arrays import ArrayGroup
 from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import JOINTS
+from dc_kernels.model.rules import refuse
 from dc_kernels.model.validate.arrays import Layout, check_field
 from dc_kernels.solve.exchange import BEFORE, VELOCITIES, refuse_same, view_of
 
-LOOKED_AT = ("model", "state", "joints", "contacts", "exchange")
+LOOKED_AT = ("model", "state", "joints", "contacts", "rows", "exchange")
 STOPS = int(Flag.CONTACT_OVERFLOW | Flag.ROW_OVERFLOW | Flag.NONFINITE | Flag.INVALID)
 
 
@@ -24,17 +25,18 @@ def raise_fault(
     """Raise ValueError that names the first value out of range of the first world that has one.
 
     Args:
-        groups: of the solver: model, state, joints, contacts and exchange.
+        groups: of the solver: model, state, joints, contacts, rows and exchange.
         given: the caller's arrays that are exchanged, by name.
         kept: whether contacts, joints and masses were not looked at.
         positions: whether bodies have positions.
         discs: whether all bodies that contacts turn are said to be discs.
     """
-    model, state, joints, contacts, exchange = (groups[name] for name in LOOKED_AT)
+    model, state, joints, contacts, rows, exchange = (groups[name] for name in LOOKED_AT)
     flags = state.numpy("flags")
     w = int(np.flatnonzero(flags & STOPS)[0])
     layout = Layout(model.views())
     layout.start["contact"] = start = contacts.numpy("contact_start")
+    layout.start["own row"] = rows.numpy("row_start")
     given = {name: view_of(exchange, name, array) for name, array in given.items()}  # as numpy
     count, room = int(exchange.numpy("count")[w]), int(start[w + 1] - start[w])
     if flags[w] & Flag.CONTACT_OVERFLOW:
@@ -46,7 +48,8 @@ def raise_fault(
         for name in names:
             field = group.table[name]
             values = group.numpy(name) if lent is None else lent[name]
-            check_field(name, field, values, layout, parts[field.per.split()[0]])
+            axis = field.per if field.per in parts else field.per.split()[0]
+            check_field(name, field, values, layout, parts[axis])
 
     if not kept:
         arms = () if "point" in given else ("arm_a", "arm_b")
@@ -61,6 +64,14 @@ def raise_fault(
             check(joints, *(name for name in JOINTS if name not in ("joint_color", "joint_impulse")))
             ends = joints.numpy("joint_body_a"), joints.numpy("joint_body_b")
             refuse_same("joint_body_b", ends[0], ends[1], parts["joint"])
+    extra = parts["own row"]
+    if not kept and extra.stop > extra.start:
+        check(rows, "row_body_a", "row_body_b", "row_jacobian_a", "row_jacobian_b", "row_bias", "row_softness")
+        refuse_same("row_body_b", rows.numpy("row_body_a"), rows.numpy("row_body_b"), extra)
+        lower, upper = rows.numpy("row_lower")[extra], rows.numpy("row_upper")[extra]
+        some = (lower <= upper) & (lower < np.inf) & (upper > -np.inf)
+        refuse("row_lower", lower, ~some, "at most row_upper, and below infinity", extra.start)
+    check(rows, "row_impulse")
     check(exchange, *(name for name in (*VELOCITIES, *BEFORE) if name in given), lent=given)
     check(exchange, "impulse", lent={"impulse": exchange.numpy("impulse"), **given})
     check(joints, "joint_impulse")

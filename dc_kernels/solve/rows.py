@@ -23,9 +23,13 @@ COLUMNS = {
     "discs": ("nx", "ny", "dA", "dB", "kA", "kB", "en", "et", "bias", "mu", "gap"),
     "general": GENERAL,
     "joints": (*GENERAL, "lo"),
+    "rows": (*GENERAL, "lo", "hi", "ax", "ay", "soft"),
 }
 """Columns by variant. "discs": no normal arm; dA, dB lever arms of the surfaces [m], k = arm / inertia. "joints": lo is
-the least normal impulse, 0 for contacts and -inf for joints."""
+the least normal impulse, 0 for contacts and -inf for joints. "rows": a caller's own Jacobians too, whose impulses lie
+between lo and hi [N s]; (ax, ay) is at body A what (nx, ny) is at body B, soft the velocity for each impulse."""
+JOINTED = ("joints", "rows")
+"""Variants in which there may be joints."""
 
 
 def read_column(columns: np.ndarray, variant: str, name: str, slot: np.ndarray) -> np.ndarray:

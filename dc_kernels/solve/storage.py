@@ -50,6 +50,7 @@ class SolverStorage:
         bodies: int,
         at_once: int,
         any_colors: bool = False,
+        own_rows: np.ndarray | None = None,
     ) -> None:
         """Reserve rows for the joints and for so many contacts of each world.
 
@@ -60,11 +61,13 @@ class SolverStorage:
             contacts: reserved for each world, (W,).
             bodies: of all worlds, padding bodies included.
             at_once: worlds whose solves may be in flight together.
+            own_rows: of a caller's Jacobians in each world, (W,); None: there are none.
             any_colors: reserve for whatever colours so many contacts may have; else for those of usual piles.
         """
         self.at_once, self._any_colors = at_once, any_colors
         self._width = len(COLUMNS[variant]) * LANES
-        self._joints = np.diff(model.numpy("joint_start")).astype(np.int64)
+        own_rows = np.zeros(model.world_count, np.int64) if own_rows is None else own_rows
+        self._joints = np.diff(model.numpy("joint_start")).astype(np.int64) + own_rows
         self._most_bodies = int(np.diff(model.numpy("body_start")).max(initial=0))
         self.room = Room("blocks of rows", Flag.ROW_OVERFLOW, self._blocks_for(contacts))
         worlds = model.world_count
@@ -78,11 +81,13 @@ class SolverStorage:
             "sweep": config.max_sweeps if config.history else 0,
             "row direction": 0,
             "row past": 0,
+            "own row": int(own_rows.sum()),
         }
         sizes.update(self._row_sizes(sizes, config))
         self.rows = Rows(sizes, model.dtype, model.device, model.backend)
         self.stats = SolveStats(sizes, model.dtype, model.device, model.backend)
         self.rows.assign("block_start", self.room.starts())
+        self.rows.assign("row_start", np.concatenate([[0], np.cumsum(own_rows)]))
 
     def _blocks_for(self, contacts: np.ndarray) -> np.ndarray:
         """Blocks reserved for so many contacts and the joints of each world."""

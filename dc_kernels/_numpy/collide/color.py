@@ -49,8 +49,8 @@ def color_constraints(
 ) -> None:
     """Greedy colours: no two constraints of a colour share a dynamic body.
 
-    Joints first, then contacts that keep their colour, then new ones and those of the serial colour, which take the
-    lowest that is free at both bodies. The serial colour blocks nobody.
+    Joints and a caller's own rows first, then contacts that keep their colour, then new ones and those of the serial
+    colour, which take the lowest that is free at both bodies. The serial colour blocks nobody.
     """
     w = tid + launch.world_offset
     if state.flags[w]:
@@ -59,6 +59,9 @@ def color_constraints(
     for j in range(model.joint_start[w], model.joint_start[w + 1]):
         joints.joint_color[j] = taken.lowest_free(joints.joint_body_a[j], joints.joint_body_b[j])
         taken.take(joints.joint_body_a[j], joints.joint_body_b[j], joints.joint_color[j])
+    for k in range(rows.row_start[w], rows.row_start[w + 1]):
+        rows.row_color[k] = taken.lowest_free(rows.row_body_a[k], rows.row_body_b[k])
+        taken.take(rows.row_body_a[k], rows.row_body_b[k], rows.row_color[k])
     here = range(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
     fresh = [c for c in here if contacts.color[c] < 0 or contacts.color[c] == SERIAL_COLOR]
     for c in here:
@@ -87,6 +90,9 @@ def keep_colors(
     taken = Taken(w, model)
     for j in range(model.joint_start[w], model.joint_start[w + 1]):
         a, b = joints.joint_body_a[j], joints.joint_body_b[j]
+        taken.take(a, b, taken.lowest_free(a, b))
+    for k in range(rows.row_start[w], rows.row_start[w + 1]):
+        a, b = rows.row_body_a[k], rows.row_body_b[k]
         taken.take(a, b, taken.lowest_free(a, b))
     for c in range(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w]):
         a, b, kept = contacts.body_a[c], contacts.body_b[c], contacts.color[c]

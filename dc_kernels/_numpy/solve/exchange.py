@@ -18,9 +18,9 @@ def kernels(dtype: str) -> Kernels:
 
 
 def receive_contacts(
-    tid: int, launch: Any, discs: int, model: Any, state: Any, joints: Any, contacts: Any, exchange: Any
+    tid: int, launch: Any, discs: int, model: Any, state: Any, joints: Any, contacts: Any, rows: Any, exchange: Any
 ) -> None:
-    """Masses, joints and contacts of a world as they now stand; a flag, and no contact, where any is out of range."""
+    """Masses, joints, rows, contacts of a world as they now stand; a flag, no contact, where one is out of range."""
     w = tid + launch.world_offset
     first, last = model.body_start[w], model.body_start[w + 1]
     start, count = contacts.contact_start[w], exchange.count[w]
@@ -31,12 +31,14 @@ def receive_contacts(
     state.flags[w] = Flag.INVALID
     bodies, own = slice(first, last), slice(start, start + count)
     lines = slice(model.joint_start[w], model.joint_start[w + 1])
+    extra = slice(rows.row_start[w], rows.row_start[w + 1])
     m, i = model.inv_mass[bodies], model.inv_inertia[bodies]
     model.body_type[bodies] = np.where((m > 0) | (i > 0), BodyType.DYNAMIC, BodyType.STATIC)
     good = [m >= 0, i >= 0, m <= INVERSE.high, i <= INVERSE.high]
     for a, b in (
         (contacts.body_a[own], contacts.body_b[own]),
         (joints.joint_body_a[lines], joints.joint_body_b[lines]),
+        (rows.row_body_a[extra], rows.row_body_b[extra]),
     ):
         if not ((a != b) & (a >= first) & (a < last) & (b >= first) & (b < last)).all():
             return
@@ -44,6 +46,10 @@ def receive_contacts(
         finite = (joints.joint_anchor_a[lines], joints.joint_anchor_b[lines], joints.joint_length[lines])
         good += [np.isfinite(x) for x in (*finite, state.position[bodies], state.angle[bodies])]
         good.append(joints.joint_length[lines] > 0)
+    lower, upper = rows.row_lower[extra], rows.row_upper[extra]
+    finite = (rows.row_jacobian_a, rows.row_jacobian_b, rows.row_bias, rows.row_softness)
+    good += [np.isfinite(x[extra]) for x in finite]
+    good += [rows.row_softness[extra] >= 0, lower <= upper, lower < np.inf, upper > -np.inf]
     a, b, n = contacts.body_a[own], contacts.body_b[own], contacts.normal[own]
     if len(exchange.point):
         contacts.arm_a[own] = exchange.point[own] - state.position[a]
@@ -71,6 +77,7 @@ def receive_velocities(
     joints: Any,
     motion: Any,
     contacts: Any,
+    rows: Any,
     exchange: Any,
 ) -> None:
     """Velocities and start impulses of a world; a flag where any is not finite."""
@@ -91,7 +98,9 @@ def receive_velocities(
     )
     state.velocity[bodies], state.angular_velocity[bodies] = (x[bodies] for x in before)
     contacts.impulse[own] = exchange.impulse[own]
-    given = (motion.predicted[bodies], *(x[bodies] for x in before), contacts.impulse[own], joints.joint_impulse[lines])
+    extra = slice(rows.row_start[w], rows.row_start[w + 1])
+    starts = (contacts.impulse[own], joints.joint_impulse[lines], rows.row_impulse[extra])
+    given = (motion.predicted[bodies], *(x[bodies] for x in before), *starts)
     state.flags[w] = 0
     if not all(np.isfinite(values).all() for values in given):
         state.flags[w] = Flag.NONFINITE if kept else Flag.NONFINITE | Flag.INVALID

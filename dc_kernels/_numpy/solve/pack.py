@@ -9,6 +9,7 @@ import numpy as np
 from dc_kernels._numpy.common import Kernels
 from dc_kernels._numpy.solve.constraints.contact import make_contact_row
 from dc_kernels._numpy.solve.constraints.distance import make_distance_row
+from dc_kernels._numpy.solve.constraints.jacobian import make_jacobian_row
 from dc_kernels._numpy.solve.row import PackedRow, by_lane
 from dc_kernels.model.config import METHODS
 from dc_kernels.model.enums import Flag
@@ -37,7 +38,9 @@ def kernels(dtype: str, variant: str) -> Kernels:
             return
         own_contacts = np.arange(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
         own_joints = np.arange(model.joint_start[w], model.joint_start[w + 1])
-        colors = np.concatenate([contacts.color[own_contacts], joints.joint_color[own_joints]])
+        own_rows = np.arange(rows.row_start[w], rows.row_start[w + 1])
+        colors = [contacts.color[own_contacts], joints.joint_color[own_joints], rows.row_color[own_rows]]
+        colors = np.concatenate(colors)
         fill = rows.color_fill[w * COLORS : (w + 1) * COLORS]
         fill[:] = np.bincount(colors, minlength=COLORS)
         ends = rows.color_block[w * (COLORS + 1) : (w + 1) * (COLORS + 1)]
@@ -74,6 +77,10 @@ def kernels(dtype: str, variant: str) -> Kernels:
             row = make_distance_row(j, w, config, model, state, motion, joints)
             rows.joint_slot[j] = place(joints.joint_color[j], row)
             squares += row.square
+        for k in own_rows:
+            row = make_jacobian_row(k, model, motion, rows)
+            rows.row_slot[k] = place(rows.row_color[k], row)
+            squares += row.square
         rows.scale[w] = np.sqrt(squares)
         rows.deepest[w] = contacts.gap[own_contacts].min(initial=0.0)
         stats.colors[w] = colors.max(initial=-1) + 1
@@ -88,5 +95,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         contacts.impulse[own, 1] = rows.impulse[rows.slot[own] + LANES]
         own = slice(model.joint_start[w], model.joint_start[w + 1])
         joints.joint_impulse[own] = rows.impulse[rows.joint_slot[own]]
+        own = slice(rows.row_start[w], rows.row_start[w + 1])
+        rows.row_impulse[own] = rows.impulse[rows.row_slot[own]]
 
     return {"pack_rows": pack_rows, "unpack_impulses": unpack_impulses}

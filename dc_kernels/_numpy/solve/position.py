@@ -7,6 +7,7 @@ from typing import Any
 from dc_kernels._numpy.common import Kernels
 from dc_kernels._numpy.solve.row import push_row
 from dc_kernels._numpy.solve.world import World
+from dc_kernels.solve.rows import JOINTED
 
 
 def position_kernels(variant: str) -> Kernels:
@@ -20,7 +21,7 @@ def position_kernels(variant: str) -> Kernels:
         w = tid + launch.world_offset
         if state.flags[w]:
             return
-        if variant != "joints" and rows.deepest[w] >= -config.slop * model.length_scale[w]:
+        if variant not in JOINTED and rows.deepest[w] >= -config.slop * model.length_scale[w]:
             return
         limit = config.max_correction * model.length_scale[w]
         world = World(w, variant, 0, config, model, motion, rows, None)

@@ -29,7 +29,17 @@ class Row:
     friction: Any
     gap: Any  # [m]
     low: Any  # least normal impulse [N s]
-    is_joint: bool
+    high: Any  # largest normal impulse [N s]
+    softness: Any  # [1/kg]
+
+    @property
+    def is_box(self) -> bool:
+        """Whether it is no contact: its impulse lies between bounds, without friction."""
+        return bool(self.low != 0 or np.isfinite(self.high))
+
+    def within(self, impulse: Any) -> Any:
+        """A normal impulse within its bounds."""
+        return min(max(impulse, self.low), self.high)
 
     def velocity(self, bodies: Array) -> Array:
         """V of both bodies, (6,)."""
@@ -64,18 +74,19 @@ def read_row(variant: str, block: int, lane: int, rows: Any, bodies: Array) -> R
     value = dict(zip(columns, by_lane(rows.column, len(columns))[block, :, lane]))
     n = np.array([value["nx"], value["ny"]])
     t = tangent(n)
+    at_a = np.array([value.get("ax", n[0]), value.get("ay", n[1])])
     if variant == "discs":
         j_normal = [*-n, 0.0, *n, 0.0]
         j_tangent = [*-t, value["dA"], *t, value["dB"]]
         turn_normal = (0.0, 0.0)
         turn_tangent = (value["kA"], value["kB"])
     else:
-        j_normal = [*-n, -value["rAn"], *n, value["rBn"]]
+        j_normal = [*-at_a, -value["rAn"], *n, value["rBn"]]
         j_tangent = [*-t, -value["rAt"], *t, value["rBt"]]
         turn_normal = (-value["iA"] * value["rAn"], value["iB"] * value["rBn"])
         turn_tangent = (-value["iA"] * value["rAt"], value["iB"] * value["rBt"])
     ma, mb = bodies[a, 3], bodies[b, 3]
-    low = value.get("lo", rows.column.dtype.type(0))
+    low, softness = (value.get(name, rows.column.dtype.type(0)) for name in ("lo", "soft"))
     return Row(
         at=(block, slice(None), lane),
         a=a,
@@ -83,7 +94,7 @@ def read_row(variant: str, block: int, lane: int, rows: Any, bodies: Array) -> R
         jacobian=np.array([j_normal, j_tangent], rows.column.dtype),
         response=np.array(
             [
-                [*-ma * n, turn_normal[0], *mb * n, turn_normal[1]],
+                [*-ma * at_a, turn_normal[0], *mb * n, turn_normal[1]],
                 [*-ma * t, turn_tangent[0], *mb * t, turn_tangent[1]],
             ],
             rows.column.dtype,
@@ -93,7 +104,8 @@ def read_row(variant: str, block: int, lane: int, rows: Any, bodies: Array) -> R
         friction=value["mu"],
         gap=value["gap"],
         low=low,
-        is_joint=bool(low < 0),
+        high=value.get("hi", rows.column.dtype.type(np.inf)),
+        softness=softness,
     )
 
 
@@ -112,6 +124,8 @@ class PackedRow(NamedTuple):
     gap: Any  # [m]
     least: Any  # least normal impulse [N s]
     square: Any  # squared impulse that would stop the row alone [(N s)^2]
+    most: Any = np.inf  # largest normal impulse [N s]
+    softness: Any = 0.0  # velocity for each normal impulse [1/kg]
 
     def columns(self, variant: str, model: Any) -> list[Any]:
         """Values of the variant's columns."""
@@ -122,6 +136,7 @@ class PackedRow(NamedTuple):
         values |= {"dA": jt[2], "dB": jt[5], "kA": ia * jt[2], "kB": ib * jt[5]}
         values |= {"en": self.normal_mass, "et": self.tangent_mass, "bias": self.bias}
         values |= {"mu": self.friction, "gap": self.gap, "lo": self.least}
+        values |= {"hi": self.most, "ax": -jn[0], "ay": -jn[1], "soft": self.softness}
         return [values[name] for name in COLUMNS[variant]]
 
 
@@ -144,7 +159,8 @@ def sweep_row(row: Row, rows: Any, bodies: Array, omega: float) -> Any:
     before = impulse.copy()
     change = np.zeros_like(before)
     speed = row.jacobian[0] @ row.velocity(bodies)
-    impulse[0] = max(before[0] - omega * row.effective_mass[0] * (speed + row.bias), row.low)
+    speed = speed + row.bias + row.softness * before[0]
+    impulse[0] = row.within(before[0] - omega * row.effective_mass[0] * speed)
     change[0] = impulse[0] - before[0]
     speed = row.jacobian[1] @ (row.velocity(bodies) + row.response[0] * change[0])
     limit = row.friction * impulse[0]
@@ -167,8 +183,9 @@ def jacobi_row(row: Row, rows: Any, motion: Any, omega: float) -> Any:
     shares = np.repeat(rows.body_rows[[row.a, row.b]], 3).astype(bodies.dtype)
     k = row.jacobian @ (shares * row.response).T  # J M_split^-1 J^T, (2, 2)
     speed = row.jacobian @ row.velocity(bodies)
+    k[0, 0] += row.softness
     if k[0, 0] > 0:
-        impulse[0] = max(before[0] - omega * (speed[0] + row.bias) / k[0, 0], row.low)
+        impulse[0] = row.within(before[0] - omega * (speed[0] + row.bias + row.softness * before[0]) / k[0, 0])
     limit = row.friction * impulse[0]
     if k[1, 1] > 0:
         mixed = k[1, 0] * (impulse[0] - before[0])
@@ -182,7 +199,7 @@ def jacobi_row(row: Row, rows: Any, motion: Any, omega: float) -> Any:
 def push_row(row: Row, bodies: Array, factor: float, limit: Any) -> Any:
     """Position correction of one row: displacements that remove a share of what overlaps after the step."""
     step = max(factor * (row.jacobian[0] @ row.velocity(bodies) + row.gap), -limit)
-    if row.is_joint:
+    if row.low < 0:
         step = min(step, limit)
     push = max(-row.effective_mass[0] * step, row.low)
     row.change(bodies, np.array([push, 0.0], bodies.dtype))
@@ -193,9 +210,9 @@ def natural_map_row(row: Row, rows: Any, bodies: Array) -> Any:
     """Squared natural map of one row [(N s)^2]: impulse minus its projected step on the friction cone."""
     impulse = by_lane(rows.impulse)[row.at]
     un, ut = row.jacobian @ row.velocity(bodies)
-    un += row.bias
+    un += row.bias + row.softness * impulse[0]
     e = row.effective_mass[0]
-    if row.is_joint:
-        return (e * un) ** 2
+    if row.is_box:
+        return (impulse[0] - row.within(impulse[0] - e * un)) ** 2
     step = (impulse[0] - e * (un + row.friction * abs(ut)), impulse[1] - e * ut)
     return natural_map_squared(impulse, step, row.friction)

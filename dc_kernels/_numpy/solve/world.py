@@ -133,6 +133,10 @@ class World:
         rows.impulse[rows.slot[own] + LANES] = contacts.impulse[own, 1] * moves[:, columns.index("et")]
         own = slice(self.model.joint_start[w], self.model.joint_start[w + 1])
         rows.impulse[rows.joint_slot[own]] = joints.joint_impulse[own]
+        own = slice(rows.row_start[w], rows.row_start[w + 1])
+        block, lane = np.divmod(rows.row_slot[own], 2 * LANES)
+        moves = by_lane(rows.column, len(columns))[block, columns.index("en"), lane] > 0
+        rows.impulse[rows.row_slot[own]] = rows.row_impulse[own] * moves
         self.refresh()
 
     def extrapolate(self, alpha: Any) -> None:
@@ -140,7 +144,7 @@ class World:
         for row in self.own_rows:
             impulse, step = by_lane(self.rows.impulse)[row.at], by_lane(self.rows.change)[row.at]
             new = impulse + alpha * step
-            new[0] = max(new[0], row.low)
+            new[0] = row.within(new[0])
             limit = row.friction * new[0]
             new[1] = min(max(new[1], -limit), limit)
             step[:] = new - impulse

@@ -69,8 +69,8 @@ def kernels(dtype: str) -> dict[str, Any]:
     ):
         """Greedy colours: no two constraints of a colour share a dynamic body.
 
-        Joints come first and so get the same colours in each step; contacts that persist keep theirs; new ones,
-        and those of the serial colour, take the lowest that is free at both bodies.
+        Joints and a caller's own rows come first and so get the same colours in each step; contacts that persist keep
+        theirs; new ones, and those of the serial colour, take the lowest that is free at both bodies.
         """
         w = wp.tid() + launch.world_offset
         contiguous(model)
@@ -82,7 +82,8 @@ def kernels(dtype: str) -> dict[str, Any]:
             return
         start = contacts.contact_start[w]
         end = start + contacts.contact_count[w]
-        if model.joint_start[w] == model.joint_start[w + 1]:
+        own = rows.row_start[w + 1] - rows.row_start[w]
+        if model.joint_start[w] == model.joint_start[w + 1] and own == 0:
             # nothing new, nothing to colour
             fresh = int(0)
             for c in range(start, end):
@@ -97,6 +98,12 @@ def kernels(dtype: str) -> dict[str, Any]:
             b = joints.joint_body_b[j]
             free = lowest_free(taken(a, b, model.body_type, rows.color_mask))
             joints.joint_color[j] = free
+            take(a, b, free, rows.color_mask)
+        for k in range(rows.row_start[w], rows.row_start[w + 1]):
+            a = rows.row_body_a[k]
+            b = rows.row_body_b[k]
+            free = lowest_free(taken(a, b, model.body_type, rows.color_mask))
+            rows.row_color[k] = free
             take(a, b, free, rows.color_mask)
         for c in range(start, end):
             kept = contacts.color[c]
@@ -136,6 +143,10 @@ def kernels(dtype: str) -> dict[str, Any]:
         for j in range(model.joint_start[w], model.joint_start[w + 1]):
             a = joints.joint_body_a[j]
             b = joints.joint_body_b[j]
+            take(a, b, lowest_free(taken(a, b, model.body_type, rows.color_mask)), rows.color_mask)
+        for k in range(rows.row_start[w], rows.row_start[w + 1]):
+            a = rows.row_body_a[k]
+            b = rows.row_body_b[k]
             take(a, b, lowest_free(taken(a, b, model.body_type, rows.color_mask)), rows.color_mask)
         start = contacts.contact_start[w]
         for c in range(start, start + contacts.contact_count[w]):

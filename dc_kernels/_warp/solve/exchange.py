@@ -32,6 +32,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     real, vec2 = t.real, t.vec2
     Exchange = struct_type("exchange", dtype, EXCHANGE)
     module = kernel_module("exchange", dtype)
+    infinity = real(float("inf"))
     contiguous = contiguous_groups(dtype)
     limits = {"UNIT": UNIT, "ARM": ARM}
     kinds = {"FIXED": int(BodyType.STATIC), "MOVABLE": int(BodyType.DYNAMIC), "LARGEST": INVERSE.high}
@@ -112,6 +113,30 @@ def kernels(dtype: str) -> dict[str, Any]:
             bad = 1
         return bad
 
+    @wp.func(module=module)
+    def receive_rows(w: int, first: int, last: int, rows: t.Rows):
+        """1 where a caller's own rows are out of range; their bounds may be infinite."""
+        bad = int(0)
+        check = real(0.0)
+        for k in range(rows.row_start[w], rows.row_start[w + 1]):
+            a = rows.row_body_a[k]
+            b = rows.row_body_b[k]
+            if a == b or is_body(a, first, last) == 0 or is_body(b, first, last) == 0:
+                bad = 1
+            ja = rows.row_jacobian_a[k]
+            jb = rows.row_jacobian_b[k]
+            check += (ja[0] - ja[0]) + (ja[1] - ja[1]) + (ja[2] - ja[2])
+            check += (jb[0] - jb[0]) + (jb[1] - jb[1]) + (jb[2] - jb[2])
+            soft = rows.row_softness[k]
+            check += (rows.row_bias[k] - rows.row_bias[k]) + (soft - soft)
+            ordered = rows.row_lower[k] <= rows.row_upper[k]
+            some = rows.row_lower[k] < infinity and rows.row_upper[k] > -infinity
+            if soft < real(0.0) or not ordered or not some:
+                bad = 1
+        if check != real(0.0):
+            bad = 1
+        return bad
+
     @wp.kernel(module=module, enable_backward=False)
     def receive_contacts(
         launch: t.Launch,
@@ -120,9 +145,10 @@ def kernels(dtype: str) -> dict[str, Any]:
         state: t.State,
         joints: t.Joints,
         contacts: t.Contacts,
+        rows: t.Rows,
         exchange: Exchange,
     ):
-        """Masses, joints and contacts of a world as they now stand; a flag, and no contact, where any is out of range.
+        """Masses, joints, rows, contacts of a world as they now stand; a flag, no contact, where one is out of range.
 
         Arms are made of points where there are some. Without kept colours all contacts are to be coloured.
         """
@@ -143,6 +169,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             return
         bad = look_at_bodies(model.inv_mass, model.inv_inertia, model.body_type, first, last)
         bad += receive_joints(w, first, last, model, state, joints)
+        bad += receive_rows(w, first, last, rows)
         end = start + n_contacts
         bad += look_at_contacts(
             contacts, exchange.point, exchange.color, state.position, model.inv_inertia, discs, start, end, first, last
@@ -161,6 +188,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         joints: t.Joints,
         motion: t.Motion,
         contacts: t.Contacts,
+        rows: t.Rows,
         exchange: Exchange,
     ):
         """Velocities and start impulses of a world; a flag where any is not finite.
@@ -185,6 +213,9 @@ def kernels(dtype: str) -> dict[str, Any]:
         check = real(0.0)
         for j in range(model.joint_start[w], model.joint_start[w + 1]):
             along = joints.joint_impulse[j]
+            check += along - along
+        for k in range(rows.row_start[w], rows.row_start[w + 1]):
+            along = rows.row_impulse[k]
             check += along - along
         if bad > 0 or check != real(0.0):
             state.flags[w] = NONFINITE

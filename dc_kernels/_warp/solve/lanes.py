@@ -19,15 +19,16 @@ import warp as wp
 
 from dc_kernels._warp.common import scalar_types
 from dc_kernels._warp.native import native_code
-from dc_kernels.solve.rows import COLUMNS, LANES
+from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES
 
 
 def row_macros(variant: str) -> dict[str, Any]:
     """What ``native/solve/row.h`` asks for: the variant, its number of columns, and the place of each in a block."""
     columns = COLUMNS[variant]
     places = {f"AT_{name}": i * LANES for i, name in enumerate(columns)}
-    places.setdefault("AT_lo", 0)  # named, and never read, where rows have no such column
-    kinds = {"DISCS": variant == "discs", "JOINTS": variant == "joints"}
+    for name in ("lo", "hi"):
+        places.setdefault(f"AT_{name}", 0)  # named, and never read, where rows have no such column
+    kinds = {"DISCS": variant == "discs", "JOINTS": variant in JOINTED, "OWN": variant == "rows"}
     return {"LANES": LANES, "COLUMNS": len(columns), **kinds, **places}
 
 

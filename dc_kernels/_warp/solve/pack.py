@@ -10,10 +10,11 @@ from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.native import native_code
 from dc_kernels._warp.solve.constraints.contact import contact_row
 from dc_kernels._warp.solve.constraints.distance import distance_row
+from dc_kernels._warp.solve.constraints.jacobian import jacobian_row
 from dc_kernels._warp.solve.lanes import row_macros
 from dc_kernels.model.config import METHODS
 from dc_kernels.model.enums import Flag
-from dc_kernels.solve.rows import COLORS, COLUMNS, LANES
+from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES
 
 ROW_OVERFLOW = wp.constant(int(Flag.ROW_OVERFLOW))
 JACOBI = wp.constant(METHODS["jacobi"])
@@ -29,10 +30,12 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     Row = t.Row
     module = kernel_module("rows", dtype, variant)
     contiguous = contiguous_groups(dtype)
-    jointed = variant == "joints"
+    jointed, own = variant in JOINTED, variant == "rows"
+    infinity = real(float("inf"))
     width = wp.constant(len(COLUMNS[variant]) * LANES)
     make_contact_row = contact_row(dtype, variant)
     make_distance_row = distance_row(dtype, variant)
+    make_jacobian_row = jacobian_row(dtype, variant)
 
     @wp.func_native(native_code("prelude.h", "solve/store_row.h", dtype=dtype, **row_macros(variant)))
     def store_row(columns: wp.array(dtype=real), r: wp.int32, row: Row): ...
@@ -52,6 +55,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         for j in range(model.joint_start[w], model.joint_start[w + 1]):
             rows.color_fill[count + joints.joint_color[j]] += 1
             used = wp.max(used, joints.joint_color[j] + 1)
+        if wp.static(own):
+            for k in range(rows.row_start[w], rows.row_start[w + 1]):
+                rows.color_fill[count + rows.row_color[k]] += 1
+                used = wp.max(used, rows.row_color[k] + 1)
         first = rows.block_start[w]
         ends = w * (N_COLORS + 1)
         block = first
@@ -73,6 +80,14 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 for i in range(last * 2 * N_LANES, (last + 1) * 2 * N_LANES):
                     rows.body[i] = padding_body
         return used
+
+    @wp.func(module=module)
+    def between(row: Row):
+        """A row along one normal, as contacts and joints have it, as one of the variant rows."""
+        if wp.static(own):
+            row.direction_a = row.normal
+            row.most = infinity
+        return row
 
     @wp.func(module=module)
     def place(w: int, color: int, jacobi: bool, row: Row, rows: t.Rows):
@@ -127,13 +142,18 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         start = contacts.contact_start[w]
         for c in range(start, start + contacts.contact_count[w]):
             row = make_contact_row(c, w, config, model, state, motion, contacts)
-            rows.slot[c] = place(w, contacts.color[c], jacobi, row, rows)
+            rows.slot[c] = place(w, contacts.color[c], jacobi, between(row), rows)
             least = wp.min(least, contacts.gap[c])
             scale += row.square
         if wp.static(jointed):
             for j in range(model.joint_start[w], model.joint_start[w + 1]):
                 row = make_distance_row(j, w, config, model, state, motion, joints)
-                rows.joint_slot[j] = place(w, joints.joint_color[j], jacobi, row, rows)
+                rows.joint_slot[j] = place(w, joints.joint_color[j], jacobi, between(row), rows)
+                scale += row.square
+        if wp.static(own):
+            for k in range(rows.row_start[w], rows.row_start[w + 1]):
+                row = make_jacobian_row(k, model, motion, rows)
+                rows.row_slot[k] = place(w, rows.row_color[k], jacobi, row, rows)
                 scale += row.square
         rows.scale[w] = wp.sqrt(scale)
         rows.deepest[w] = least
@@ -164,5 +184,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if wp.static(jointed):
             for j in range(model.joint_start[w], model.joint_start[w + 1]):
                 joints.joint_impulse[j] = rows.impulse[rows.joint_slot[j]]
+        if wp.static(own):
+            for k in range(rows.row_start[w], rows.row_start[w + 1]):
+                rows.row_impulse[k] = rows.impulse[rows.row_slot[k]]
 
     return {"pack_rows": pack_rows, "unpack_impulses": unpack_impulses}

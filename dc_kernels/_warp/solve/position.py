@@ -10,6 +10,7 @@ from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.lanes import has_lanes, lane_functions
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels._warp.solve.world import ENDS, N_COLORS, N_LANES, SERIAL
+from dc_kernels.solve.rows import JOINTED
 
 
 @cache
@@ -20,7 +21,7 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
     module = kernel_module("solver", dtype, variant)
     push_row = row_functions(dtype, variant).push_row
     push_lanes = lane_functions(dtype, variant).push
-    jointed = variant == "joints"
+    jointed = variant in JOINTED
 
     @wp.kernel(module=module, enable_backward=False)
     def correct_positions(

@@ -11,7 +11,7 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.laws import linear_speed, natural_map_squared, relative_speed
-from dc_kernels.solve.rows import COLUMNS, LANES
+from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES
 
 N_LANES = wp.constant(LANES)
 
@@ -28,18 +28,23 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
     module = kernel_module("solver", dtype, variant)
     columns = COLUMNS[variant]
     discs = variant == "discs"
-    jointed = variant == "joints"
+    jointed, own = variant in JOINTED, variant == "rows"
     width = wp.constant(len(columns) * LANES)
     at = {name: wp.constant(i * LANES) for i, name in enumerate(columns)}
     NX, NY, EN, ET, BIAS, MU, GAP = (at[c] for c in ("nx", "ny", "en", "et", "bias", "mu", "gap"))
     # the variant that lacks a column never reads it
     RAN, RBN, RAT, RBT, IA, IB = (at.get(c, 0) for c in ("rAn", "rBn", "rAt", "rBt", "iA", "iB"))
     DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
+    HI, AX, AY, SOFT = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft"))
+    infinity = real(float("inf"))
 
     @wp.func(module=module)
     def normal_speed(column: wp.array(dtype=real), r: int, va: vec4, vb: vec4):
         n = vec2(column[r + NX], column[r + NY])
-        if wp.static(discs):
+        if wp.static(own):
+            along = (n[0] * vb[0] - column[r + AX] * va[0]) + (n[1] * vb[1] - column[r + AY] * va[1])
+            return along + (column[r + RBN] * vb[2] - column[r + RAN] * va[2])
+        elif wp.static(discs):
             return linear_speed(n, va, vb)
         else:
             return relative_speed(n, va, vb, column[r + RAN], column[r + RBN])
@@ -61,6 +66,9 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         y = v[1]
         spin = v[2]
         if side == 0:
+            if wp.static(own):
+                px = column[r + AX] * dn
+                py = column[r + AY] * dn
             x = x - v[3] * px
             y = y - v[3] * py
             if wp.static(not discs):
@@ -105,6 +113,22 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         return low
 
     @wp.func(module=module)
+    def within(column: wp.array(dtype=real), r: int, impulse: real):
+        """A normal impulse within its bounds."""
+        bounded = wp.max(impulse, least_normal(column, r))
+        if wp.static(own):
+            bounded = wp.min(bounded, column[r + HI])
+        return bounded
+
+    @wp.func(module=module)
+    def bias_of(column: wp.array(dtype=real), r: int, impulse: real):
+        """What the normal speed is to be zero with: the bias, and what a soft row gives way by for its impulse."""
+        bias = column[r + BIAS]
+        if wp.static(own):
+            bias = bias + column[r + SOFT] * impulse
+        return bias
+
+    @wp.func(module=module)
     def sweep_row(block: int, lane: int, rows: t.Rows, bodies: wp.array(dtype=vec4), omega: real):
         """Projected Gauss-Seidel on one row, normal before friction; the larger impulse change [N s]."""
         r = block * width + lane
@@ -116,7 +140,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         ln0 = rows.impulse[i]
         lt0 = rows.impulse[i + N_LANES]
         speed = normal_speed(rows.column, r, va, vb)
-        ln = wp.max(ln0 - (omega * rows.column[r + EN]) * (speed + rows.column[r + BIAS]), least_normal(rows.column, r))
+        ln = within(rows.column, r, ln0 - (omega * rows.column[r + EN]) * (speed + bias_of(rows.column, r, ln0)))
         dn = ln - ln0
         # a disc's normal impulse has no tangential effect: its tangent need not wait for it
         vt = tangent_speed(rows.column, r, va, vb)
@@ -148,6 +172,10 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
             if direction == 0:
                 wa = column[r + IA] * column[r + RAN] * column[r + RAN]
                 wb = column[r + IB] * column[r + RBN] * column[r + RBN]
+                if wp.static(own):
+                    la = column[r + AX] * column[r + AX] + column[r + AY] * column[r + AY]
+                    lb = column[r + NX] * column[r + NX] + column[r + NY] * column[r + NY]
+                    return na * (ma * la + wa) + nb * (mb * lb + wb) + column[r + SOFT]
                 return na * (ma + wa) + nb * (mb + wb)
             if direction == 1:
                 wa = column[r + IA] * column[r + RAT] * column[r + RAT]
@@ -177,8 +205,8 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         ln = ln0
         mass_n = split_mass(rows.column, r, na, nb, va[3], vb[3], 0)
         if mass_n > real(0.0):
-            speed = normal_speed(rows.column, r, va, vb) + rows.column[r + BIAS]
-            ln = wp.max(ln0 - omega * speed / mass_n, least_normal(rows.column, r))
+            speed = normal_speed(rows.column, r, va, vb) + bias_of(rows.column, r, ln0)
+            ln = within(rows.column, r, ln0 - omega * speed / mass_n)
         dn = ln - ln0
         lt = lt0
         mass_t = split_mass(rows.column, r, na, nb, va[3], vb[3], 1)
@@ -239,9 +267,14 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         i = block * 2 * N_LANES + lane
         va = bodies[rows.body[i]]
         vb = bodies[rows.body[i + N_LANES]]
-        un = normal_speed(rows.column, r, va, vb) + rows.column[r + BIAS]
+        un = normal_speed(rows.column, r, va, vb) + bias_of(rows.column, r, rows.impulse[i])
         e = rows.column[r + EN]
-        if wp.static(jointed):
+        if wp.static(own):
+            if rows.column[r + LO] != real(0.0) or rows.column[r + HI] < infinity:
+                held = rows.impulse[i]
+                off = held - within(rows.column, r, held - e * un)
+                return off * off
+        elif wp.static(jointed):
             if rows.column[r + LO] < real(0.0):
                 return (e * un) * (e * un)
         ut = tangent_speed(rows.column, r, va, vb)

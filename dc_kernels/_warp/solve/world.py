@@ -11,7 +11,7 @@ from dc_kernels._warp.solve.lanes import has_lanes, lane_functions
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels.model.config import METHODS, STOPS
 from dc_kernels.solve.iteration import NEVER
-from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR
+from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, SERIAL_COLOR
 
 ENDS = wp.constant(COLORS + 1)
 N_COLORS = wp.constant(COLORS)
@@ -34,7 +34,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     natural_map_row = row.natural_map_row
     lanes = lane_functions(dtype, variant)
     sweep_lanes, apply_lanes = lanes.sweep, lanes.apply
-    jointed = variant == "joints"
+    jointed, own = variant in JOINTED, variant == "rows"
     tiny = real(1e-30)
     columns = COLUMNS[variant]
     width = wp.constant(len(columns) * LANES)
@@ -123,6 +123,11 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         if wp.static(jointed):
             for j in range(model.joint_start[w], model.joint_start[w + 1]):
                 rows.impulse[rows.joint_slot[j]] = joints.joint_impulse[j]
+        if wp.static(own):
+            for k in range(rows.row_start[w], rows.row_start[w + 1]):
+                i = rows.row_slot[k]
+                if rows.column[i / (2 * N_LANES) * width + i % N_LANES + EN] > real(0.0):
+                    rows.impulse[i] = rows.row_impulse[k]
         refresh(span, motion, rows)
 
     @wp.func(module=module)

@@ -1,5 +1,5 @@
 // Impulses of the blocks b0 .. b1 moved on along their change, x <- clamp(x + alpha change); change is then what they
-// moved by. Parameters: columns, impulse, change, b0, b1, alpha. Macros: JOINTS, COLUMNS, AT_mu, AT_lo.
+// moved by. Parameters: columns, impulse, change, b0, b1, alpha. Macros: JOINTS, OWN, COLUMNS, AT_mu, AT_lo, AT_hi.
 for (int b = b0; b < b1; ++b) {
 #if defined(__CUDA_ARCH__)
     for (int lane = 0; lane < LANES; ++lane) {
@@ -9,6 +9,7 @@ for (int b = b0; b < b1; ++b) {
         const Real xn = impulse.data[n], xt = impulse.data[t];
         Real yn = xn + alpha * change.data[n];
         yn = yn > low ? yn : low;
+        if (OWN) yn = yn < block[AT_hi] ? yn : block[AT_hi];
         const Real limit = block[AT_mu] * yn;
         Real yt = xt + alpha * change.data[t];
         yt = yt > -limit ? yt : -limit;
@@ -24,7 +25,10 @@ for (int b = b0; b < b1; ++b) {
     Real* const d = change.data + (size_t)b * 2 * LANES;
     const Vector low = JOINTS ? load(block + AT_lo) : zero;
     const Vector xn = load(x), xt = load(x + LANES);
-    const Vector yn = larger(xn + alpha * load(d), low);
+    Vector yn = larger(xn + alpha * load(d), low);
+#if OWN
+    yn = smaller(yn, load(block + AT_hi));
+#endif
     const Vector yt = clamp(xt + alpha * load(d + LANES), load(block + AT_mu) * yn);
     store(x, yn);
     store(x + LANES, yt);

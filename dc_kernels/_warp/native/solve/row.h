@@ -1,5 +1,5 @@
-// What a row's columns do to the velocities of its bodies. Macros: DISCS, JOINTS, COLUMNS, and AT_name for each
-// column's place in a block.
+// What a row's columns do to the velocities of its bodies. Macros: DISCS, JOINTS, OWN, COLUMNS, and AT_name for
+// each column's place in a block.
 #if !defined(__CUDA_ARCH__)
 struct Row {
     Vector nx, ny;
@@ -7,6 +7,9 @@ struct Row {
     Vector dA, dB, kA, kB;
 #else
     Vector rAn, rBn, rAt, rBt, iA, iB;
+#endif
+#if OWN
+    Vector ax, ay;
 #endif
 };
 auto load_row = [&](const Real* block) {
@@ -26,10 +29,18 @@ auto load_row = [&](const Real* block) {
     row.iA = load(block + AT_iA);
     row.iB = load(block + AT_iB);
 #endif
+#if OWN
+    row.ax = load(block + AT_ax);
+    row.ay = load(block + AT_ay);
+#endif
     return row;
 };
 auto normal_speed = [&](const Row& row, const Bodies& a, const Bodies& b) {
+#if OWN
+    Vector speed = (row.nx * b.x - row.ax * a.x) + (row.ny * b.y - row.ay * a.y);
+#else
     Vector speed = row.nx * (b.x - a.x) + row.ny * (b.y - a.y);
+#endif
 #if !DISCS
     speed = speed + (row.rBn * b.w - row.rAn * a.w);
 #endif
@@ -45,8 +56,13 @@ auto tangent_speed = [&](const Row& row, const Bodies& a, const Bodies& b) {
 };
 auto apply_normal = [&](const Row& row, Bodies& a, Bodies& b, Vector impulse) {
     const Vector px = row.nx * impulse, py = row.ny * impulse;
+#if OWN
+    a.x -= a.m * (row.ax * impulse);
+    a.y -= a.m * (row.ay * impulse);
+#else
     a.x -= a.m * px;
     a.y -= a.m * py;
+#endif
     b.x += b.m * px;
     b.y += b.m * py;
 #if !DISCS
@@ -74,6 +90,23 @@ auto least = [&](const Real* block) {
     return load(block + AT_lo);
 #else
     return Vector((Real)0);
+#endif
+};
+// Impulses along the normal within their bounds.
+auto within = [&](const Real* block, Vector impulse) {
+    const Vector bounded = larger(impulse, least(block));
+#if OWN
+    return smaller(bounded, load(block + AT_hi));
+#else
+    return bounded;
+#endif
+};
+// What the normal speed is to be zero with: the bias, and what a soft row gives way by for its impulse.
+auto bias = [&](const Real* block, Vector impulse) {
+#if OWN
+    return load(block + AT_bias) + load(block + AT_soft) * impulse;
+#else
+    return load(block + AT_bias);
 #endif
 };
 #endif

@@ -24,3 +24,9 @@ to[AT_gap] = row.gap;
 #if JOINTS
 to[AT_lo] = row.least;
 #endif
+#if OWN
+to[AT_hi] = row.most;
+to[AT_ax] = row.direction_a[0];
+to[AT_ay] = row.direction_a[1];
+to[AT_soft] = row.softness;
+#endif

@@ -14,7 +14,7 @@ for (int b = b0; b < b1; ++b) {
     Real* const x = impulse.data + (size_t)b * 2 * LANES;
     const Vector ln0 = load(x), lt0 = load(x + LANES);
     const Vector vn = normal_speed(row, A, B);
-    const Vector ln = larger(ln0 - (omega * load(block + AT_en)) * (vn + load(block + AT_bias)), least(block));
+    const Vector ln = within(block, ln0 - (omega * load(block + AT_en)) * (vn + bias(block, ln0)));
     const Vector dn = ln - ln0;
 #if DISCS
     // a disc's normal impulse has no tangential effect: its tangent need not wait for it (8 % of a small world's sweep)
