@@ -20,7 +20,8 @@ from dc_kernels.runtime.memory import check_memory
 from dc_kernels.runtime.program import Kernel, Stage
 from dc_kernels.runtime.threads import run_shards, shard_worlds, slices_of
 
-MOST_REACHED = 1e8  # entries of tiles, up to which a splat that takes long goes by tiles
+LONG = 8  # slices, beyond which a splat goes by tiles whatever the size of its image
+MOST_REACHED = 1e8  # entries of tiles, up to which it does so
 TILED_BYTES = 2**23  # of a world's channels, beyond which tiles are faster: 6 MB took 49 and 71 ns, 64 MB 250 and 70
 
 
@@ -119,12 +120,12 @@ class Splat:
         count, channels = value.shape
         channels *= bins
         window = stencil.window(grid.spacing)
-        self._slices = slices_of(count * channels * float(window) ** 2)
+        self._slices = slices_of(count * channels * stencil.nodes(grid.spacing))
         if tiled is None:
-            # what takes long goes by tiles, between which an interrupt may arrive, unless points reach too many
+            # what takes a second goes by tiles, between which an interrupt may arrive, unless points reach too many
             reached = count * (window / TILE_COLUMNS + 1.0) * (window / TILE_ROWS + 1.0)
             tiled = "splat_tiles" in self.table and rows * columns * channels * dtype.itemsize > TILED_BYTES
-            tiled |= backend == "warp" and self._slices > 1 and reached < MOST_REACHED
+            tiled |= backend == "warp" and self._slices > LONG and reached < MOST_REACHED
             tiled = tiled and not recording()  # tiles are counted on the host
         self.tiled = bool(tiled) and columns >= window
         self.missed = np.zeros(worlds, np.int32)

@@ -27,6 +27,7 @@ from dc_kernels.sph.smoothing import KERNELS, STENCILS
 
 SUPPORT = 2.0  # default h [spacing]
 MAX_SUPPORT = 2**20  # [spacing]
+FEW = 16  # nodes of a kernel's window that take as long as the four, or nine, of a point without one
 
 KernelName = Literal["poly6", "spiky", "gaussian", "cubic", "wendland", "bilinear", "bspline"]
 
@@ -79,6 +80,10 @@ class Stencil(Settings):
         if self.kernel not in KERNELS:
             return LANES
         return (int(2 * (self.support(spacing) / spacing)) // LANES + 1) * LANES
+
+    def nodes(self, spacing: float) -> int:
+        """Return the nodes of a point's window; without one, how many take as long as it does."""
+        return self.window(spacing) ** 2 if self.kernel in KERNELS else FEW
 
     def arguments(self, grid: Grid) -> dict[str, Any]:
         """Return the numbers of ``grid.fields.STENCIL`` on a grid, by name.

@@ -193,7 +193,7 @@ class PointTransfer:
             stages = [lambda: np.copyto(shared, image), *self._weights(source)]
         value = kernel_array(values, t.backend)
         # points that take long are gathered part by part: an interrupt arrives between two
-        parts = 1 if recording() else slices_of(values.size * t.stencil.window(t.grid.spacing) ** 2)
+        parts = 1 if recording() else slices_of(values.size * t.stencil.nodes(t.grid.spacing))
         most = -(-self.most // parts)
         for part in range(parts):
             group = self._group

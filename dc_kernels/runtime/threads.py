@@ -24,7 +24,7 @@ _pool: ThreadPoolExecutor | None = None
 _room = 0  # threads that the pool may have
 _making = threading.Lock()
 
-SLICE = 5e7  # units of work that take 0.05 to 0.3 s together
+SLICE = 1e8  # units of work that take 0.1 to 0.3 s together
 GPU_CALLS = threading.RLock()
 """What calls that work on a GPU hold: Warp copies from there on another stream, which it makes current for all threads,
 so that of two at once one may leave it so."""

@@ -624,6 +624,6 @@ def test_slices_between_which_an_interrupt_may_arrive_keep_the_bits(monkeypatch,
     options = {"stencil": stencil, "start": start, "threads": threads}
     whole = splat(points, values, grid, **options)
     back = gather(whole, points, grid, **options)
-    monkeypatch.setattr("dc_kernels.runtime.threads.SLICE", 2e6)
+    monkeypatch.setattr("dc_kernels.runtime.threads.SLICE", 1e6)
     np.testing.assert_array_equal(splat(points, values, grid, **options), whole)
     np.testing.assert_array_equal(gather(whole, points, grid, **options), back)
