@@ -60,7 +60,7 @@ class Binding:
         self._past = (past_width, in_turn)
         self._settings = {**config.kernel_values(), **self._coefficients()}
         self.values = {name: self._groups.array_group(group, name) for name, group in groups.items()}
-        self.values["threads"] = self._threads
+        self.values |= {"threads": self._threads, "deferred": True}  # a step may be compiled as one kernel instead
         self.values["config"] = self._scalars("config", self._settings)
 
     def _coefficients(self) -> dict[str, float]:

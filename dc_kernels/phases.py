@@ -12,7 +12,7 @@ from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.enums import CAPACITY_FLAGS
 from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import recording
-from dc_kernels.runtime.sequences import Rounds, Watch, in_turn
+from dc_kernels.runtime.sequences import Rounds, Watch
 from dc_kernels.runtime.stepping import Shards
 from dc_kernels.runtime.threads import uninterrupted
 from dc_kernels.stages import PHASES, Phase, Turn
@@ -129,20 +129,12 @@ class Phases:
     def _mend(self) -> None:
         """Make room for worlds that ran out of it, and take the step that they stayed behind with."""
         with uninterrupted():
-            behind = np.flatnonzero(self._flags & int(CAPACITY_FLAGS))
-            if not len(behind):
-                return
-            self._grow()
-            for run in np.split(behind, np.flatnonzero(np.diff(behind) > 1) + 1):
-                self._repeat(int(run[0]), len(run))
-
-    def _repeat(self, first: int, count: int) -> None:
-        """Take the step of worlds that ran out of room, which may run out of it again."""
-        in_turn(self._phase_launches("collide", first, count))()
-        while (self._flags & int(CAPACITY_FLAGS)).any():
-            self._grow()
-            in_turn(self._phase_launches("collide", first, count))()
-        in_turn([*self._phase_launches("solve", first, count), *self._phase_launches("advance", first, count)])()
+            while len(behind := np.flatnonzero(self._flags & int(CAPACITY_FLAGS))):
+                self._grow()
+                for run in np.split(behind, np.flatnonzero(np.diff(behind) > 1) + 1):
+                    first, count = int(run[0]), len(run)
+                    launches = [one for phase in PHASES for one in self._phase_launches(phase, first, count)]
+                    self._shards.once(launches, first, count, self._watch)
 
     def _grow(self) -> None:
         """More room for the worlds that ran out of it; their step is then repeated from ``collide``."""

@@ -19,11 +19,11 @@ from dc_kernels.model.fields import GROUPS
 from dc_kernels.model.validate.scene import check_scene
 from dc_kernels.model.worlds import segments_of_worlds
 from dc_kernels.reports import capacity, memory
-from dc_kernels.runtime.backends import Launch, host_threads
+from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import refuse_hosted, refuse_recording
 from dc_kernels.runtime.inputs import check_maybe_callable, check_whole
 from dc_kernels.runtime.sequences import Rounds, Watch
-from dc_kernels.runtime.stepping import Shards
+from dc_kernels.runtime.stepping import shards_of
 from dc_kernels.runtime.threads import GPU_CALLS, OneCaller, uninterrupted
 from dc_kernels.solve.integrate import Motion
 from dc_kernels.solve.rows import only_centred_discs, variant_of
@@ -120,13 +120,13 @@ class Simulation(Driven):
         self.schedule = options.schedule
         self.on_overflow = options.on_overflow
         threads = max(1, min(options.threads, model.world_count)) if self.device == "cpu" else 1
-        self._shards = Shards(model.world_count, model.body_count, host_threads(self.backend, threads))
+        self._shards = shards_of(self.backend, model.world_count, model.body_count, threads)
         self.threads = threads
         self.specialize = options.specialize
         self._choose_kernels()
         self._config = options.config or SolverConfig()
         # on a CPU a shard of the host solves world after world; threads of the backend's own share one shard
-        shards = max(len(self._shards.ranges), threads)
+        shards = self._shards.parts
         self._in_turn = schedule == "world" and self.device == "cpu" and shards == len(self._shards.ranges)
         at_once = shards if self._in_turn else model.world_count
         self.storage = Storage(

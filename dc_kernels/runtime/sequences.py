@@ -12,7 +12,7 @@ import numpy as np
 
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.model.dtypes import aligned_zeros
-from dc_kernels.runtime.backends import Launch, bind, make_kernels
+from dc_kernels.runtime.backends import Launch, bind, kernel_file, make_kernels
 from dc_kernels.runtime.capture import recording
 
 CACHE_LINE = 16  # int32: what threads write, each for itself, lies so far apart
@@ -162,6 +162,61 @@ class Rounds:
         for _ in range(rounds):
             for launch in self.launches:
                 launch()
+
+
+class PoolRounds(Rounds):
+    """Rounds over all shards at once, each as far as it comes; the backend's kernel for it is compiled here.
+
+    Attributes:
+        parts: shards.
+        taken: rounds that each shard has taken since this was made, (S,) int32.
+    """
+
+    def __init__(
+        self,
+        launches: Sequence[Launch],
+        starts: np.ndarray,
+        watch: Watch,
+        peak: np.ndarray,
+        *,
+        backend: str,
+        parallel: bool,
+        sweeps: int = 0,
+    ) -> None:
+        """Bind and compile.
+
+        Args:
+            launches: one round.
+            starts: first world of each shard, and their number, (S + 1,) int32.
+            watch: what is looked at after each round of a shard.
+            peak: an int32 for each kind of room in the row of each shard, raised to the most that a world used.
+            backend: of the launches.
+            parallel: whether threads share the shards.
+            sweeps: over all bodies, that a round may make.
+
+        Raises:
+            ValueError: where the launches are not kernels that one kernel can call.
+        """
+        self.launches, self.watch, self.peak, self.sweeps = list(launches), watch, peak, sweeps
+        self.parts = len(starts) - 1
+        self.halt, self.taken, self._todo = (aligned_zeros((self.parts,), np.dtype(np.int32)) for _ in range(3))
+        self._run = kernel_file(backend, "runtime.sequences").repeated(
+            launches,
+            starts.astype(np.int32),
+            parallel=parallel,
+            todo=self._todo,
+            taken=self.taken,
+            halt=self.halt,
+            flags=to_numpy(watch.flags),
+            stop_at=watch.stop_at,
+            used=[to_numpy(one) for one in watch.used],
+            peak=peak,
+        )
+
+    def take_each(self, rounds: Sequence[int]) -> None:
+        """Take so many rounds of each shard, or fewer of one that halts; ``taken`` tells how many."""
+        self._todo[:] = rounds
+        self._run()
 
 
 def _bind(name: str, values: dict[str, Any]) -> Any:

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from dc_kernels.model.dtypes import aligned_zeros
-from dc_kernels.runtime.backends import Launch
+from dc_kernels.runtime.backends import BACKENDS, Launch
 from dc_kernels.runtime.capture import recording
-from dc_kernels.runtime.sequences import CACHE_LINE, Rounds, Watch
+from dc_kernels.runtime.sequences import CACHE_LINE, PoolRounds, Rounds, Watch, in_turn
 from dc_kernels.runtime.threads import in_main_thread, run_apart, run_together, uninterrupted
 
 SHARDS_PER_THREAD = 2  # who is done first takes on what is left
@@ -30,6 +30,7 @@ class Shards:
     Attributes:
         threads: at most so many take shards at once.
         ranges: first world and number of worlds of each shard.
+        parts: parts of the worlds that may be at work at once, each with a padding body of its own.
         peak: the most that a world used of each kind of room, an int32 for each kind in the row of a shard, or of all.
         left: rounds that each shard has still to take.
         halted: whether one of the rounds taken last halted.
@@ -43,6 +44,7 @@ class Shards:
         count = 1 if self.threads == 1 else min(SHARDS_PER_THREAD * self.threads, worlds)
         edges = np.linspace(0, worlds, count + 1).astype(int)
         self.ranges = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
+        self.parts = count
         self.bodies = max(bodies, 1)
         self.peak = aligned_zeros((count + 1, CACHE_LINE), INT)
         self.left = [0] * count
@@ -111,11 +113,7 @@ class Shards:
             return False
         for one in rounds:
             one.halt[0] = 0
-        if self.disturbed:
-            if self._timer is not None:
-                self._timer.cancel()
-                self._timer.join()
-            self.disturbed, self._stop, self._timer, self.cut_flag[0] = False, False, None, 0
+        self._calm()
         try:
             if self.bodies * whole.sweeps > SWEPT and whole.compiled and in_main_thread():
                 run_apart(lambda: self._run(rounds, longest), self._interrupt)
@@ -125,6 +123,18 @@ class Shards:
             self._interrupted(rounds)
             raise
         return self.halted
+
+    def once(self, launches: Sequence[Launch], first: int, count: int, watch: Watch) -> None:
+        """Take one round over so many worlds from a first one, as their launches and ``watch`` say."""
+        in_turn(launches)()
+
+    def _calm(self) -> None:
+        """Forget an interrupt of rounds before."""
+        if self.disturbed:
+            if self._timer is not None:
+                self._timer.cancel()
+                self._timer.join()
+            self.disturbed, self._stop, self._timer, self.cut_flag[0] = False, False, None, 0
 
     def _run_once(self, only: Rounds) -> bool:
         """What ``run`` does where there is one short round of one shard: in small worlds all else takes longer."""
@@ -241,3 +251,91 @@ class Shards:
                     return i
                 self._turn.wait()  # for whom a thread is at work on
         return None
+
+
+class PoolShards(Shards):
+    """Shards that the backend's own threads take through whole steps, and all worlds as one for single phases."""
+
+    def __init__(self, worlds: int, bodies: int, threads: int, backend: str) -> None:
+        """Divide so many worlds with so many bodies in all."""
+        super().__init__(worlds, bodies, 1)
+        self._parallel, self._backend = threads > 1, backend
+        count = min(SHARDS_PER_THREAD * threads, worlds) if self._parallel else 1
+        self._starts = np.linspace(0, worlds, count + 1).astype(INT)
+        self.peak = aligned_zeros((count + 1, CACHE_LINE), INT)
+        self.parts = max(count, threads)
+        self._goal: list[int] = []
+
+    def rounds(
+        self, bind: Callable[[int, int], Sequence[Launch]], watch: Watch, together: bool, *, sweeps: int = 0
+    ) -> list[Rounds]:
+        """Rounds of all worlds: those of a whole step as one kernel."""
+        launches = bind(*self.ranges[0])
+        if together and all(hasattr(launch, "prepare") for launch in launches):
+            return [self._whole(launches, self._starts, watch, self.peak[:-1], sweeps)]
+        for launch in launches:
+            getattr(launch, "prepare", bool)()
+        return super().rounds(lambda *_: launches, watch, together, sweeps=sweeps)
+
+    def run(self, rounds: Sequence[Rounds], count: int | Sequence[int]) -> bool:
+        """Take rounds until none is left or one halts (see ``Shards.run``)."""
+        only = rounds[0]
+        if not isinstance(only, PoolRounds) or recording():
+            return super().run(rounds, count)
+        self.halted = False
+        self._begin(only, [count] * only.parts if isinstance(count, int) else list(count))
+        self._calm()
+        try:
+            self._take_to(only, 0)
+        except BaseException:
+            with uninterrupted():
+                self._settle(only)
+                if not self.halted:
+                    self.level(rounds)
+            raise
+        return self.halted
+
+    def once(self, launches: Sequence[Launch], first: int, count: int, watch: Watch) -> None:
+        """Take one round over some of the worlds."""
+        self._whole(launches, np.array([0, count]), watch, self.peak[-1:], 0).take_each([1])
+
+    def _whole(
+        self, launches: Sequence[Launch], starts: np.ndarray, watch: Watch, peak: np.ndarray, sweeps: int
+    ) -> PoolRounds:
+        """Rounds of shards that begin at these worlds, as one kernel."""
+        backend, parallel = self._backend, self._parallel
+        return PoolRounds(launches, starts, watch, peak, backend=backend, parallel=parallel, sweeps=sweeps)
+
+    def level(self, rounds: Sequence[Rounds]) -> bool:
+        """Take rounds until each shard has as few ``left`` as any, or one halts; whether one did."""
+        only = rounds[0]
+        if not isinstance(only, PoolRounds):
+            return super().level(rounds)
+        self._stop = self.halted = False
+        self._begin(only, self.left)
+        self._take_to(only, min(self.left))
+        return self.halted
+
+    def _begin(self, only: PoolRounds, left: list[int]) -> None:
+        only.halt[:] = 0
+        self.left = left
+        self._goal = [n + t for n, t in zip(left, only.taken.tolist())]
+
+    def _take_to(self, only: PoolRounds, least: int) -> None:
+        """Take rounds until so few are left of each shard, as long as none halts and no interrupt arrives."""
+        at_once = self._at_once(only)
+        while max(self.left) > least and not (self.halted or self._stop):
+            only.take_each([min(n - least, at_once) for n in self.left])
+            self._settle(only)
+
+    def _settle(self, only: PoolRounds) -> None:
+        """Count what was taken, however often this is called."""
+        self.left = [goal - t for goal, t in zip(self._goal, only.taken.tolist())]
+        self.halted = bool(only.halt.any())
+
+
+def shards_of(backend: str, worlds: int, bodies: int, threads: int) -> Shards:
+    """Shards of so many worlds with so many bodies in all, as the threads of a backend take them."""
+    if BACKENDS[backend].own_threads:
+        return PoolShards(worlds, bodies, threads, backend)
+    return Shards(worlds, bodies, threads)

@@ -121,6 +121,20 @@ def test_each_stage_leaves_the_bits_of_warp(scene: str, dtype: str) -> None:
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_a_trajectory_has_the_bits_of_warp(dtype: str) -> None:
+    """Phase by phase: with the kernels that the stages have; ``test_taichi_steps`` runs a step as one kernel."""
+    sims = [simulation(many, dtype, backend, contacts_per_body=0.3) for backend in ("warp", "taichi")]
+    for _ in range(200):
+        for sim in sims:
+            sim.collide(DT)
+            sim.solve()
+            sim.advance()
+    for name in sims[0].state.views():
+        want, got = (sim.state.numpy(name) for sim in sims)
+        assert got.tobytes() == want.tobytes(), f"{name}: {difference(got, want)}"
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_pairs_of_boxes_have_the_bits_of_warp(dtype: str) -> None:
     found = {}
     for backend in ("warp", "taichi"):

@@ -45,6 +45,8 @@ class Kernel:
     Attributes:
         func: the function of one thread, for functions and kernels that call it.
         arguments: names of the arguments, as in the other backends.
+        real: Taichi's type of the numbers in its source.
+        axes: how many indices a thread has.
     """
 
     def __init__(self, function: Any) -> None:
@@ -60,13 +62,15 @@ class Kernel:
         self._uses = uses_of(function, {**given, **arrays})
         self._made: dict[tuple[Any, ...], Any] = {}
         real = [kind.dtype for kind in self._types.values() if isinstance(kind, GroupType)]
-        self._real = ti.f64 if "float64" in real else ti.f32
+        self.real = ti.f64 if "float64" in real else ti.f32
+        self.axes = len(self._indices)
 
-    def bind(self, dim: int | tuple[int, int], values: Mapping[str, Any], device: str) -> Bound:
+    def bind(self, dim: int | tuple[int, int], values: Mapping[str, Any], device: str) -> KernelLaunch:
         """A launch over so many threads (see ``runtime.backends.bind``).
 
         ``threads`` among the values, if there, is the number of threads of Taichi's pool that share the first axis; a
-        forked process has none of them and works alone.
+        forked process has none of them and works alone. With ``deferred`` among them the kernel is compiled when it is
+        first called, or ``prepare`` asks for it.
 
         Raises:
             ValueError: for an array that kernels cannot take as it is, naming it.
@@ -75,18 +79,33 @@ class Kernel:
         if len(extent) != len(self._indices):
             raise ValueError(f"{self.__name__} runs over {len(self._indices)} axes; dim is {dim}")
         shards = min(int(values.get("threads", 1)), extent[0])
-        arguments = [Argument(f"dim{i}", ti.i32, n, False) for i, n in enumerate(extent)]
-        arguments.append(Argument("shards", ti.i32, shards, False))
-        constants: dict[Array, Any] = {}
+        given, constants = {}, {}
         for array in self._flat():
             value, annotation = self._value(array, values)
             if self._is_constant(array):
                 constants[array] = value
                 continue
-            arguments.append(Argument(".".join(filter(None, array)), annotation, value, array in self._uses.written))
-        make = functools.partial(self._kernel, constants)
-        parallel = shards > 1
-        return Bound(self.__name__, make, arguments, elements=self.arguments, real=self._real, parallel=parallel)
+            name = ".".join(filter(None, array))
+            given[array] = Argument(name, annotation, value, array in self._uses.written)
+        return KernelLaunch(self, extent, given, constants, shards=shards, deferred=bool(values.get("deferred")))
+
+    def call(self, names: Mapping[Array, str], parallel: bool) -> list[str]:
+        """Source of the arguments of the function of one thread, behind its indices; groups are put together.
+
+        Args:
+            names: what the compiled kernel calls each array and number.
+            parallel: whether there is a variable ``shard``: threads share no cache line of a padding body.
+        """
+        given = []
+        for argument in self.arguments:
+            if not isinstance(self._types[argument], GroupType):
+                given.append(names[Array(argument, "")])
+                continue
+            values = {array.field: names[array] for array in self._flat() if array.group == argument}
+            if parallel and argument == "launch" and "padding_body" in values:
+                values["padding_body"] += f" + {PADDING} * shard"
+            given.append(f"Fields({', '.join(f'{field}={value}' for field, value in values.items())})")
+        return given
 
     def _flat(self) -> list[Array]:
         """Arrays and numbers that the compiled kernel takes, in order."""
@@ -115,7 +134,7 @@ class Kernel:
             value = seen(kind.name, kind.table[array.field], value)
         return value, annotation
 
-    def _kernel(self, constants: Mapping[Array, Any], parallel: bool) -> Any:
+    def compiled(self, constants: Mapping[Array, Any], parallel: bool) -> Any:
         """The kernel of Taichi with these numbers in it, for threads of its pool or the one that launches it."""
         key = (parallel, *constants.values())
         if key not in self._made:
@@ -128,16 +147,7 @@ class Kernel:
         """Source of the kernel: its loop, and the call of the function with its groups put together."""
         flat = self._flat()
         names = {array: "__".join(filter(None, array)) for array in flat} | {a: repr(v) for a, v in constants.items()}
-        given = list(self._indices)
-        for argument in self.arguments:
-            fields = [array for array in flat if array.group == argument]
-            if isinstance(self._types[argument], GroupType):
-                values = {array.field: names[array] for array in fields}
-                if parallel and argument == "launch" and "padding_body" in values:
-                    values["padding_body"] += f" + {PADDING} * shard"  # threads share no cache line of one
-                given.append(f"Fields({', '.join(f'{field}={value}' for field, value in values.items())})")
-            else:
-                given.append(argument)
+        given = [*self._indices, *self.call(names, parallel)]
         annotations = [*(f"dim{i}: ti.i32" for i in range(len(self._indices))), "shards: ti.i32"]
         annotations += [f"{names[array]}: types[{i}]" for i, array in enumerate(flat) if array not in constants]
         lines = ["@ti.kernel", f"def {self.__name__}({', '.join(annotations)}):"]
@@ -156,6 +166,41 @@ class Kernel:
             lines.append(f"{' ' * (4 + len(lines[-1]) - len(lines[-1].lstrip()))}for {index} in range(dim{i}):")
         indent = " " * (4 + len(lines[-1]) - len(lines[-1].lstrip()))
         return "\n".join([*lines, f"{indent}stage({', '.join(given)})", ""])
+
+
+class KernelLaunch(Bound):
+    """A bound launch of one kernel.
+
+    Attributes:
+        source: the kernel.
+        extent: threads along each axis.
+        given: its arguments by what they stand for in the kernel.
+        constants: numbers that are compiled in.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        extent: tuple[int, ...],
+        given: Mapping[Array, Argument],
+        constants: Mapping[Array, Any],
+        *,
+        shards: int,
+        deferred: bool,
+    ) -> None:
+        """See ``Kernel.bind``; ``shards``: of the first axis, each a thread's."""
+        self.source, self.extent, self.given, self.constants = kernel, extent, given, constants
+        arguments = [Argument(f"dim{i}", ti.i32, n, False) for i, n in enumerate(extent)]
+        arguments += [Argument("shards", ti.i32, shards, False), *given.values()]
+        super().__init__(
+            kernel.__name__,
+            functools.partial(kernel.compiled, constants),
+            arguments,
+            elements=kernel.arguments,
+            real=kernel.real,
+            parallel=shards > 1,
+            deferred=deferred,
+        )
 
 
 def kernel(function: Any) -> Kernel:

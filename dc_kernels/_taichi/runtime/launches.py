@@ -18,6 +18,7 @@ from dc_kernels._taichi.runtime.program import compiling, has_threads, program, 
 from dc_kernels.runtime.capture import refuse_recording
 
 MOST = 2**30  # numbers of an array: an index in int32, and lanes from there on (see ``lanes``)
+NEVER = object()  # the program of what was not compiled yet
 _parallel: weakref.WeakSet[Any] = weakref.WeakSet()  # launches that wait for threads of the program
 
 
@@ -96,6 +97,7 @@ class Bound:
         elements: Sequence[str] = (),
         real: Any,
         parallel: bool,
+        deferred: bool = False,
     ) -> None:
         """Check the arrays and compile what they need.
 
@@ -106,6 +108,7 @@ class Bound:
             elements: names of the arguments as host code has them, groups whole.
             real: Taichi's type of the numbers in the kernel's source.
             parallel: whether threads share the work, in a program that has them.
+            deferred: compile when it is called first.
 
         Raises:
             ValueError: see ``check_memory``.
@@ -116,7 +119,9 @@ class Bound:
         self._index = {argument.name: i for i, argument in enumerate(self.arguments)}
         if parallel:
             _parallel.add(self)
-        self._pack()
+        self._prog: Any = NEVER
+        if not deferred:
+            self.prepare()
 
     def __call__(self) -> None:
         """Launch.
@@ -128,6 +133,11 @@ class Bound:
         if running() is not self._prog:
             self._pack()
         self._launch(self._data, self._context)
+
+    def prepare(self) -> None:
+        """Compile, unless that has been done."""
+        if running() is not self._prog:
+            self._pack()
 
     def give(self, name: str, value: Any) -> None:
         """Set an argument to a number or an array, which must share no memory with others if one of them is written.
@@ -141,6 +151,8 @@ class Bound:
         argument = self.arguments[i]._replace(value=value)
         check_memory([argument])
         self.arguments[i] = argument
+        if self._prog is NEVER:
+            return
         if self._context is None:
             self._data[i] = value
         else:
@@ -148,7 +160,7 @@ class Bound:
 
     def forget(self) -> None:
         """Pack anew before the next call."""
-        self._prog = None
+        self._prog = NEVER
 
     def _pack(self) -> None:
         self._prog = prog = program()
