@@ -26,6 +26,7 @@ SECTIONS = {
     "fc2d": ("Problems of others", solving.fc2d),
     "accuracy": ("Closed forms", solving.accuracy),
     "stability": ("Stability", solving.stability),
+    "faults": ("Faults looked for", solving.faults),
     "learning": ("Learned starts and corrections", learning.learning),
     "generate": ("Data sets", speed.generate),
     "train": ("Training", speed.train),

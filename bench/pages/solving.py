@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from bench.faults.faults import BARS, LABELS
 from bench.pages.markdown import Record, figure, paragraphs, span, table
 
 LEVEL = "0.0001"  # of the relative natural map, as the record's keys have it
@@ -170,4 +171,13 @@ def stability(record: Record) -> str:
         "scene stand in its docstring in [bench/stability](../bench/stability). Of each scene the check that came "
         "closest to its limit:",
         table(("scene", "check", "value", "limit"), rows),
+    )
+
+
+def faults(record: Record) -> str:
+    """What was tried to crash it or to go wrong unseen, beside the bars of the full form."""
+    rows = [(LABELS[key], record[key], f"{sign} {bar:g}") for key, (sign, bar) in BARS.items()]
+    return paragraphs(
+        "Calls with bad arguments, hostile files, kills, threads and forks, each in processes of their own.",
+        table(("", "found", "bar"), rows),
     )
