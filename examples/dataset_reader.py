@@ -1,10 +1,11 @@
-"""A data set read with plain h5py, a network trained on it, and the network as ``--start FILE`` of a run."""
+"""A data set read with h5py and its plugins, a network trained on it, and the network as ``--start FILE`` of a run."""
 
 import json
 import tempfile
 from pathlib import Path
 
 import h5py
+import hdf5plugin  # noqa: F401  (h5py reads zstd with it)
 import numpy as np
 import torch
 

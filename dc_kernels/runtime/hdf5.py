@@ -5,8 +5,11 @@ looks at all links and datasets of a file before any value is read, and refuses
 
 - links to other files, user-defined links, datasets whose values stand in other files: raw ones (external storage) or
   HDF5 files (virtual datasets); an index of a data set may show files beside it, of plain names that its reader knows;
-- values that are not stored, and sizes that the file cannot hold: more than ``MOST_RATIO`` bytes of values for a byte
-  that is stored, which is as far as gzip goes.
+- filters other than those of ``FILTERS``: a plugin of HDF5's is code, which a file must not choose;
+- values that are not stored, and sizes that the file cannot hold: more bytes of values for a byte that is stored than
+  the compression can make of it, and more than ``MOST_RATIO`` for a byte of the whole file.
+
+Values in zstd are read with the plugin of the package ``hdf5plugin``, which is imported when a file has some.
 
 A file that was found fine is not looked at again by this process while it is as it was (``Identity``).
 
@@ -28,7 +31,25 @@ from dc_kernels.runtime.files import check_regular, file_name
 from dc_kernels.runtime.optional import require
 
 MOST_RATIO = 1032
-"""Bytes of values that a stored byte may stand for; gzip's format allows no more [1]."""
+"""Bytes of values that a byte of a file may stand for; gzip's format allows no more [1]."""
+GZIP, SHUFFLE, FLETCHER, ZSTD = 1, 2, 3, 32015
+"""Numbers of filters, as the HDF Group registers them."""
+FILTERS = {
+    (): 1,
+    (FLETCHER,): 1,
+    (SHUFFLE,): 1,
+    (SHUFFLE, FLETCHER): 1,
+    (GZIP,): MOST_RATIO,
+    (GZIP, FLETCHER): MOST_RATIO,
+    (SHUFFLE, GZIP): MOST_RATIO,
+    (SHUFFLE, GZIP, FLETCHER): MOST_RATIO,
+    (ZSTD,): 2**15,
+    (ZSTD, FLETCHER): 2**15,
+    (SHUFFLE, ZSTD): 2**15,
+    (SHUFFLE, ZSTD, FLETCHER): 2**15,
+}
+"""Filters that a dataset may have, in their order, and the bytes of values that a stored byte may then stand for: a
+block of zstd holds 128 KiB at most (RFC 8878) and takes 4 bytes at least [1]."""
 KEPT = 1024
 """Files of which a process remembers that they were fine."""
 SETTLE_NS = 2 * 10**9
@@ -153,7 +174,7 @@ def _check(file: Any, size: int, virtual: bool) -> None:
     links: list[tuple[bytes, int]] = []
     file.id.links.visit(lambda name, link: links.append((name, link.type)), info=True)  # an error must not pass HDF5
     seen: set[int] = set()
-    stored = 0
+    stored = values = 0
     for name, kind in links:
         if kind == h5py.h5l.TYPE_SOFT:
             continue  # within the file: what it leads to is looked at where it stands
@@ -168,13 +189,34 @@ def _check(file: Any, size: int, virtual: bool) -> None:
             continue
         seen.add(address)
         text = name.decode(errors="replace")
-        stored += _stored(h5py.h5d, found, text, virtual)
+        taken, held = _stored(h5py.h5d, found, text, virtual)
+        stored, values = stored + taken, values + held
         if stored > size:
             raise ValueError(f"{text}: the datasets up to this one take {stored} bytes; the file has {size}")
+        if values > MOST_RATIO * size:
+            raise ValueError(f"{text}: the datasets up to this one hold {values} bytes of values; the file has {size}")
 
 
-def _stored(h5d: Any, data: Any, name: str, virtual: bool) -> int:
-    """Return the bytes that a dataset takes in the file, checked against what it declares."""
+def _ratio(properties: Any, name: str) -> int:
+    """Return the bytes of values that a stored byte of a dataset may stand for; its filters can be used then.
+
+    Raises:
+        ValueError: for other filters than those of ``FILTERS``.
+        ImportError: naming the package that reads them.
+    """
+    filters = tuple(properties.get_filter(i)[0] for i in range(properties.get_nfilters()))
+    if filters not in FILTERS:
+        raise ValueError(
+            f"{name} has the filters {filters}; they must be shuffle ({SHUFFLE}), then gzip ({GZIP}) or zstd ({ZSTD}), "
+            f"then fletcher32 ({FLETCHER}), each of which may be left out"
+        )
+    if ZSTD in filters:
+        require("hdf5plugin", "pipeline")  # whose import is all that h5py needs
+    return FILTERS[filters]
+
+
+def _stored(h5d: Any, data: Any, name: str, virtual: bool) -> tuple[int, int]:
+    """Return the bytes that a dataset takes in the file, and those of its values, checked against each other."""
     properties = data.get_create_plist()
     if properties.get_external_count():
         raise ValueError(f"{name} has its values in another file (external storage), which are not read")
@@ -184,7 +226,7 @@ def _stored(h5d: Any, data: Any, name: str, virtual: bool) -> int:
         bad = sorted(source for source in shown if not (virtual and plain_name(source)))
         if bad or not virtual:
             raise ValueError(f"{name} is virtual: it shows values of {bad[:3]}, which are not read")
-        return 0
+        return 0, 0
     shape = data.shape  # each look at these makes an object of HDF5 anew
     width = data.get_type().get_size()
     declared = math.prod(shape or (0,)) * width
@@ -196,10 +238,10 @@ def _stored(h5d: Any, data: Any, name: str, virtual: bool) -> int:
         places = math.prod(-(-n // c) for n, c in zip(shape, chunk))
         if places != chunks:
             raise ValueError(f"{name} of shape {shape} has {chunks} of its {places} chunks stored")
-    most = stored * (MOST_RATIO if properties.get_nfilters() else 1)
+    most = stored * _ratio(properties, name)
     if max(held, declared) > most:
         raise ValueError(
             f"{name} declares {max(held, declared)} bytes of values, for which {stored} are stored; "
             f"these can hold {most}"
         )
-    return int(stored)
+    return int(stored), int(max(held, declared))

@@ -10,6 +10,7 @@ from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.settings import Whole
 from pipeline.commands.common import Common, SceneOption
 from pipeline.data.generate import describe, generate
+from pipeline.data.packing import Compression
 from pipeline.data.recipe import GenerateOptions, Recipe
 from pipeline.scenes import Thesis
 
@@ -26,6 +27,8 @@ class Generate(Common):
     """TOML file of options, with tables scene, ranges and solver: its values take the place of the defaults here."""
     out: Path = Path("out/data")
     """Folder of the shards and of index.h5."""
+    compression: Compression = "zstd"
+    """Of the shards: zstd, which HDF5 reads with the package hdf5plugin, or gzip, slower and a little larger."""
     threads: Whole = 0
     """Shards made at once; 0: one for each core [1]."""
     scheduler: str | None = None
@@ -33,7 +36,9 @@ class Generate(Common):
 
     def __call__(self) -> dict[str, Any]:
         recipe = Recipe(scene=self.scene, options=self.options, solver=self.solver)
-        summary = generate(recipe, self.out, self.threads, self.scheduler, progress=not self.json)
+        summary = generate(
+            recipe, self.out, self.threads, self.scheduler, progress=not self.json, compression=self.compression
+        )
         if not self.json:
             print(describe(summary))
         return summary

@@ -19,6 +19,7 @@ from dc_kernels.runtime.inputs import check_whole
 from dc_kernels.runtime.optional import require
 from pipeline.data.index import write_index
 from pipeline.data.layout import INDEX, shard_path
+from pipeline.data.packing import check_compression, one_by_one
 from pipeline.data.recipe import Recipe
 from pipeline.data.recorder import Halt, check_scene, make_shard
 from pipeline.data.shards import check_shard, opened, remove_partial
@@ -91,18 +92,28 @@ Image = bytes | memoryview
 
 
 def on_threads(
-    threads: int, recipe: Recipe, numbers: Sequence[int], stop: Stop, progress: Progress
+    threads: int, recipe: Recipe, numbers: Sequence[int], stop: Stop, progress: Progress, compression: str
 ) -> Iterator[tuple[int, Image]]:
-    """Make shards on threads of this process; each comes as soon as it is made, until ``stop``."""
+    """Make shards on threads of this process; each comes as soon as it is made, until ``stop``.
+
+    Threads that have no shard to make compress the chunks of others.
+    """
     halt = Halt()
     left: list[int] = list(reversed(numbers))
     running: dict[Any, int] = {}
     with ThreadPoolExecutor(threads) as pool:
+
+        def spread(work: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+            return _shared(pool, work, items) if len(running) < threads and not left else one_by_one(work, items)
+
         try:
             while (left or running) and not stop.is_set():
                 while left and len(running) <= threads:  # one waits, so that no thread does while a shard is written
                     number = left.pop()
-                    running[pool.submit(make_shard, recipe, number, progress.of(number), halt)] = number
+                    future = pool.submit(
+                        make_shard, recipe, number, progress.of(number), halt, compression=compression, spread=spread
+                    )
+                    running[future] = number
                 for future in wait(running, TICK, FIRST_COMPLETED).done:
                     number = running.pop(future)
                     yield number, future.result()
@@ -116,8 +127,18 @@ def on_threads(
                 halt.hurry()  # a shard may have begun another solve
 
 
+def _shared(pool: ThreadPoolExecutor, work: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+    """Call a function for each of some arguments, on the threads of a pool from the first on, on this one from the end.
+
+    This thread takes whatever no other has begun, so it never waits for one that is at something else.
+    """
+    futures = [pool.submit(work, item) for item in items]
+    own = {i: work(items[i]) for i in reversed(range(len(items))) if futures[i].cancel()}
+    return [own[i] if i in own else future.result() for i, future in enumerate(futures)]
+
+
 def on_cluster(
-    address: str, recipe: Recipe, numbers: Sequence[int], stop: Stop, progress: Progress
+    address: str, recipe: Recipe, numbers: Sequence[int], stop: Stop, progress: Progress, compression: str
 ) -> Iterator[tuple[int, Image]]:
     """Make shards on the workers of a Dask scheduler; a worker that dies costs what it was at, which others repeat.
 
@@ -126,7 +147,7 @@ def on_cluster(
     """
     distributed = require("distributed", "cluster")
     with distributed.Client(address, timeout=CONNECT, set_as_default=False) as client:
-        running = {client.submit(_on_worker, recipe, n, pure=False): n for n in numbers}
+        running = {client.submit(_on_worker, recipe, n, compression, pure=False): n for n in numbers}
         while running and not stop.is_set():
             done = [future for future in running if future.done()]
             for future in done:
@@ -142,13 +163,18 @@ def on_cluster(
                 time.sleep(TICK)
 
 
-def _on_worker(recipe: Recipe, number: int) -> bytes:
+def _on_worker(recipe: Recipe, number: int, compression: str) -> bytes:
     """Make a shard on a worker of Dask, as bytes that can be sent."""
-    return bytes(make_shard(recipe, number))
+    return bytes(make_shard(recipe, number, compression=compression))
 
 
 def generate(
-    recipe: Recipe, out: Path, threads: int = 0, scheduler: str | None = None, progress: bool = True
+    recipe: Recipe,
+    out: Path,
+    threads: int = 0,
+    scheduler: str | None = None,
+    progress: bool = True,
+    compression: str = "zstd",
 ) -> dict[str, Any]:
     """Make a data set, or go on with one that was cut short: whole shards are checked and kept, the others made.
 
@@ -161,6 +187,8 @@ def generate(
         threads: shards made at once; 0: as many as there are cores.
         scheduler: address of a Dask scheduler, tcp://..., whose workers make the shards instead.
         progress: show a bar on stderr.
+        compression: of the shards that are made, "zstd" or "gzip"; those that are there stay as they are, as it is no
+            part of what a data set holds.
 
     Returns:
         What was made and what it took.
@@ -170,9 +198,9 @@ def generate(
             of the shards that are there, or a damaged or foreign shard, which is left as it is.
         OSError: when a file cannot be written, another process is writing into the folder, or the scheduler is not
             there or lost.
-        ImportError: naming the extra, without h5py, tqdm or distributed.
+        ImportError: naming the extra, without h5py, tqdm, zstandard or distributed.
     """
-    threads = check_whole("threads", threads)
+    threads, compression = check_whole("threads", threads), check_compression(compression)
     options, began = recipe.options, time.perf_counter()
     check_scene(recipe)
     with sole_writer(out) as alone:
@@ -189,9 +217,9 @@ def generate(
         ):
             state = Progress(recipe, bar, sum(len(options.seeds(number)) for number in kept))
             source = (
-                on_cluster(scheduler, recipe, missing, stop, state)
+                on_cluster(scheduler, recipe, missing, stop, state, compression)
                 if scheduler
-                else on_threads(threads or cores(), recipe, missing, stop, state)
+                else on_threads(threads or cores(), recipe, missing, stop, state, compression)
             )
             for number, image in source:
                 write_bytes(shard_path(out, number), image)

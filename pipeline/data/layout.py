@@ -26,12 +26,12 @@ stand in one dataset because a start repeats the solution of the step before: co
 that they satisfy is the attribute ``law`` of this dataset (``LAW``); ``MOTION_LAW``, at ``motion/position``, says how a
 state follows from the one before.
 
-Every dataset has ``unit`` and ``meaning``, gzip, shuffle and a Fletcher checksum; one of codes has ``codes``, JSON of
-their values by name; one of images has ``channels`` and ``units``. Attributes of a file: ``schema``
-(``deep-contact.dataset``), ``version`` (2), ``kind`` (shard or index), ``config`` and ``versions`` (JSON), ``seed`` of
-the first world, ``worlds``, ``steps``, ``flags`` (all ``step/flags`` or-ed), ``label_reached`` (share of the states).
-In the index ``*_start`` count through all shards and the other datasets are virtual: they show those of the shards,
-whose names are in ``shard/name``.
+Every dataset has ``unit`` and ``meaning``, shuffle, zstd (or gzip, as in the index) and a Fletcher checksum; one of
+codes has ``codes``, JSON of their values by name; one of images has ``channels`` and ``units``. Attributes of a file:
+``schema`` (``deep-contact.dataset``), ``version`` (2), ``kind`` (shard or index), ``config`` and ``versions`` (JSON),
+``seed`` of the first world, ``worlds``, ``steps``, ``flags`` (all ``step/flags`` or-ed), ``label_reached`` (share of
+the states). In the index ``*_start`` count through all shards and the other datasets are virtual: they show those of
+the shards, whose names are in ``shard/name``.
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ import dc_kernels as dc
 from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES
 from dc_kernels.solve.rows import read_column
 from pipeline.data.layout import LAYOUT, MOTION, STAGES, DatasetSpec, offsets
+from pipeline.data.packing import Spread, one_by_one
 from pipeline.data.recipe import Recipe
 from pipeline.data.shards import shard_image
 from pipeline.scenes.base import parameter_docs
@@ -44,7 +45,13 @@ class Halt(threading.Event):
 
 
 def make_shard(
-    recipe: Recipe, number: int, progress: Callable[[int], None] | None = None, stop: Halt | None = None
+    recipe: Recipe,
+    number: int,
+    progress: Callable[[int], None] | None = None,
+    stop: Halt | None = None,
+    *,
+    compression: str = "zstd",
+    spread: Spread = one_by_one,
 ) -> memoryview:
     """Simulate the worlds of a shard.
 
@@ -53,6 +60,8 @@ def make_shard(
         number: of the shard.
         progress: called with the steps done after each.
         stop: ends the shard early, by ``Stopped``.
+        compression: of its file, a key of ``packing.CODECS``.
+        spread: what shares the compression among threads.
 
     Returns:
         The bytes of its file.
@@ -84,7 +93,8 @@ def make_shard(
         "flags": recorder.flags,
         "label_reached": recorder.label_reached / (len(seeds) * recipe.options.steps),
     }
-    return shard_image(itertools.chain(own.items(), recorder.arrays()), {**extra, **recorder.extra}, attributes)
+    arrays = itertools.chain(own.items(), recorder.arrays())
+    return shard_image(arrays, {**extra, **recorder.extra}, attributes, compression, spread)
 
 
 def _drawn_spec(recipe: Recipe, name: str) -> DatasetSpec:
@@ -237,7 +247,10 @@ class Recorder:
         body_start, shape_start = (model.numpy(name).astype(np.int64) for name in ("body_start", "shape_start"))
         bodies = np.diff(body_start)
         count = np.stack(kept.pop("count"))  # (steps, worlds)
-        edges = np.concatenate([np.zeros((steps, 1), np.int64), np.cumsum(count, axis=1)], axis=1).tolist()
+        first = np.cumsum(count) - count.ravel()  # contacts lie step after step; they are wanted world after world
+        wanted = count.T.ravel()
+        order = np.arange(wanted.sum())
+        order += np.repeat(first.reshape(count.shape).T.ravel() - (np.cumsum(wanted) - wanted), wanted)
         fixed = {
             **{f"world/{name}": model.numpy(name) for name in ("gravity", "origin", "length_scale")},
             "world/slop": self.recipe.solver.slop * model.numpy("length_scale"),
@@ -262,13 +275,7 @@ class Recorder:
             parts, axis = kept.pop(name), name.split("/")[0]
             if axis == "contact":
                 lead = len(LAYOUT[axis][name.split("/")[1]].lead)
-                before = (slice(None),) * lead
-                rows = (
-                    part[(*before, slice(edge[w], edge[w + 1]))]
-                    for w in range(worlds)
-                    for part, edge in zip(parts, edges)
-                )
-                yield name, np.concatenate(list(rows), lead)
+                yield name, np.concatenate(parts, lead).take(order, lead)
                 continue
             whole = np.stack(parts)  # (steps, ...)
             if axis == "motion":

@@ -16,7 +16,7 @@ import numpy as np
 
 from dc_kernels.runtime.hdf5 import dataset, reading
 from pipeline.data.layout import INDEX, LAYOUT, SCHEMA, STARTS, VERSION, DatasetSpec, described
-from pipeline.data.packing import ROWS, damaged_row, file_image, pack
+from pipeline.data.packing import Spread, damaged_row, file_image, one_by_one, pack
 from pipeline.files import versions
 
 SPECS = described()
@@ -28,7 +28,11 @@ _COUNTED = {
 
 
 def shard_image(
-    arrays: Iterable[tuple[str, np.ndarray]], extra: Mapping[str, DatasetSpec], attributes: Mapping[str, Any]
+    arrays: Iterable[tuple[str, np.ndarray]],
+    extra: Mapping[str, DatasetSpec],
+    attributes: Mapping[str, Any],
+    compression: str = "zstd",
+    spread: Spread = one_by_one,
 ) -> memoryview:
     """Build a shard in memory.
 
@@ -36,6 +40,8 @@ def shard_image(
         arrays: path and values of the datasets of ``LAYOUT`` and ``extra``; each is packed before the next is made.
         extra: what stands beside ``LAYOUT``: drawn parameters and grids.
         attributes: of the file, besides those of every file.
+        compression: of the chunks, a key of ``packing.CODECS``.
+        spread: what shares them among threads.
 
     Returns:
         The bytes of its file.
@@ -45,8 +51,7 @@ def shard_image(
     for name, values in arrays:
         spec = specs[name]
         values = np.ascontiguousarray(values, spec.dtype)
-        size = values[..., :1, :].nbytes if spec.lead else values[:1].nbytes
-        packed[name] = pack(values, len(spec.lead), max(1, min(ROWS, 2**20 // max(size, 1))))
+        packed[name] = pack(values, len(spec.lead), None, compression, spread)
     common = {"schema": SCHEMA, "version": VERSION, "kind": "shard", "versions": json.dumps(versions())}
     return file_image(packed, specs, {**common, **attributes})
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import resource
+import sys
 import time
 import zlib
 
 import h5py
+import hdf5plugin
 import numpy as np
 import pytest
+import zstandard
 
 from dc_kernels.runtime import hdf5
 from dc_kernels.runtime.hdf5 import image, plain_name, reading
@@ -35,7 +38,33 @@ def bomb(file):
     data.id.write_direct_chunk((0,), zlib.compress(once * 8))
 
 
+def zstd_bomb(file):
+    """Zeros in zstd, of which a stored byte makes thirty thousand; a gigabyte in all."""
+    data = file.create_dataset("a/bomb", (2**30,), "u1", chunks=(2**26,), **hdf5plugin.Zstd())
+    for first in range(0, 2**30, 2**26):
+        data.id.write_direct_chunk((first,), zstandard.compress(bytes(2**26)))
+
+
+def filtered(**options):
+    return lambda file: file.create_dataset("odd", data=np.ones(10), chunks=(10,), **options)
+
+
+def twice(file):
+    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    properties.set_chunk((10,))
+    properties.set_deflate(1)
+    properties.set_deflate(1)
+    space = h5py.h5s.create_simple((10,))
+    h5py.h5d.create(file.id, b"odd", h5py.h5t.NATIVE_DOUBLE, space, properties)
+    file["odd"][...] = np.ones(10)
+
+
 REFUSED = [
+    (zstd_bomb, "a/bomb: the datasets up to this one hold 1073741824 bytes of values; the file has"),
+    (filtered(compression="lzf"), r"odd has the filters \(32000,\); they must be shuffle"),
+    (filtered(**hdf5plugin.Blosc()), r"odd has the filters \(32001,\)"),
+    (filtered(scaleoffset=2), r"odd has the filters \(6,\)"),
+    (twice, r"odd has the filters \(1, 1\)"),
     (lambda f: f.__setitem__("a/link", h5py.ExternalLink("/etc/x.h5", "/x")), "a/link is a link to another file"),
     (external, r"a/raw has its values in another file \(external storage\)"),
     (virtual("other.h5"), r"a/shown is virtual: it shows values of \['other.h5'\]"),
@@ -68,6 +97,7 @@ def test_what_is_usual_is_read(tmp_path):
         for level in (1, 9):  # zeros compress as far as gzip goes
             file.create_dataset(f"zeros{level}", data=np.zeros(3 * 10**6), compression=level, chunks=(10**6,))
         file.create_dataset("edge", data=np.ones(1000), chunks=(999,), shuffle=True, compression=4, fletcher32=True)
+        file.create_dataset("zstd", data=np.zeros(10**5), chunks=(10**4,), shuffle=True, **hdf5plugin.Zstd())
         file["soft"], file["again"] = h5py.SoftLink("/rows"), file["rows"]
         file["loop"] = file["/"]
         file["gone"] = h5py.SoftLink("/nothing")
@@ -76,7 +106,7 @@ def test_what_is_usual_is_read(tmp_path):
     path.write_bytes(image(build))
     with reading(path) as file:
         np.testing.assert_array_equal(file["soft"], np.arange(1000))
-        assert file["scalar"][()] == 3.0 and not file["zeros9"][...].any()
+        assert file["scalar"][()] == 3.0 and not file["zeros9"][...].any() and not file["zstd"][...].any()
     with pytest.raises(ValueError, match=r"file\.h5 is damaged: .*not found"), reading(path) as file:
         file["gone"]
     with pytest.raises(ValueError, match=r"file\.h5: negative"), reading(path) as file:
@@ -160,4 +190,13 @@ def test_a_file_is_looked_at_once_until_it_changes(tmp_path, monkeypatch):
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert (path.stat().st_size, path.stat().st_mtime_ns) == (before.st_size, before.st_mtime_ns)
     with pytest.raises(ValueError, match="a/shown is virtual"), reading(path, virtual=True):
+        pass
+
+
+def test_zstd_without_its_plugin_is_an_error_that_says_what_to_install(tmp_path, monkeypatch):
+    path = tmp_path / "file.h5"
+    path.write_bytes(image(filtered(**hdf5plugin.Zstd())))
+    monkeypatch.setitem(sys.modules, "hdf5plugin", None)
+    wanted = r"hdf5plugin: install it with  pip install 'deep-contact\[pipeline\]'"
+    with pytest.raises(ImportError, match=wanted), reading(path):
         pass

@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import h5py
+import hdf5plugin  # noqa: F401  (for h5py, which reads zstd with it)
 import numpy as np
 import pytest
 from hypothesis import given
@@ -69,10 +70,20 @@ def copy(whole, tmp_path) -> Path:
 # ---------------------------------------------------------------------- chunks
 
 
-def written(values: np.ndarray, axis: int, rows: int) -> h5py.File:
+FILTERS = {"zstd": (2, 32015, 3), "gzip": (2, 1, 3)}  # shuffle, the codec, fletcher32, as they are registered
+
+
+def filters(data: h5py.Dataset) -> tuple[int, ...]:
+    """Filters that HDF5 applied to a dataset, in their order."""
+    properties = data.id.get_create_plist()
+    return tuple(properties.get_filter(i)[0] for i in range(properties.get_nfilters()))
+
+
+def written(values: np.ndarray, axis: int, rows: int, compression: str) -> h5py.File:
     """A file of one dataset, packed by us."""
     column = layout.DatasetSpec(values.dtype, "1", "a test", values.shape[axis + 1 :], values.shape[:axis])
-    image = packing.file_image({"group/data": packing.pack(values, axis, rows)}, {"group/data": column}, {})
+    packed = packing.pack(values, axis, rows, compression)
+    image = packing.file_image({"group/data": packed}, {"group/data": column}, {})
     return h5py.File(io.BytesIO(image), "r")
 
 
@@ -82,16 +93,17 @@ def written(values: np.ndarray, axis: int, rows: int) -> h5py.File:
     st.sampled_from([(0, ()), (0, (2,)), (1, (2,)), (0, (3, 2))]),
     st.integers(1, 17),
     st.integers(0, 2**32 - 1),
+    st.sampled_from(sorted(FILTERS)),
 )
-def test_plain_h5py_reads_what_is_packed(dtype, rows, layout, chunk, seed):
+def test_plain_h5py_reads_what_is_packed(dtype, rows, layout, chunk, seed, compression):
     axis, rest = layout
     shape = (3, rows, *rest) if axis else (rows, *rest)
     values = np.random.default_rng(seed).integers(0, 255, (*shape, np.dtype(dtype).itemsize), np.uint8)
     values = values.view(dtype)[..., 0] if rows else np.zeros(shape, dtype)
-    with written(values, axis, chunk) as file:
+    with written(values, axis, chunk, compression) as file:
         data = file["group/data"]
         assert data[...].tobytes() == values.tobytes()
-        assert not rows or (data.compression, data.shuffle, data.fletcher32) == ("gzip", True, True)
+        assert not rows or filters(data) == FILTERS[compression]
 
 
 @given(st.binary(min_size=2, max_size=2000))
@@ -134,7 +146,7 @@ def test_layout_is_as_documented(whole):
                     if index and f"{axis}/{key}" not in layout.STARTS:
                         assert data.is_virtual
                     else:
-                        assert (data.compression, data.shuffle, data.fletcher32) == ("gzip", True, True)
+                        assert filters(data) == FILTERS["gzip" if index else "zstd"]
             for start, rows in layout.STARTS.items():
                 offsets = file[start][...]
                 count = next(d for k, d in file[rows].items() if f"{rows}/{k}" not in layout.STARTS).shape[0]
@@ -319,7 +331,7 @@ def test_stored_grids_are_those_made_from_the_states(tmp_path):
         np.testing.assert_array_equal(file["grid/label"], label)
         assert label.any() and file["grid/input"].is_virtual
     with h5py.File(tmp_path / SHARDS[0]) as file:
-        assert (file["grid/input"].compression, file["grid/input"].fletcher32) == ("gzip", True)
+        assert filters(file["grid/input"]) == FILTERS["zstd"]
 
 
 # ---------------------------------------------------------------------- cut short, damaged, full
@@ -363,11 +375,11 @@ def test_a_killed_run_goes_on(whole, tmp_path):
 def test_interrupt_keeps_what_is_finished(whole, tmp_path, monkeypatch):
     made = []
 
-    def one_then_interrupt(recipe, number, *rest):
+    def one_then_interrupt(recipe, number, *rest, **options):
         if made:
             os.kill(os.getpid(), signal.SIGINT)
         made.append(number)
-        return make_shard(recipe, number, *rest)
+        return make_shard(recipe, number, *rest, **options)
 
     monkeypatch.setattr(generation, "make_shard", one_then_interrupt)
     before = signal.getsignal(signal.SIGINT)
@@ -491,16 +503,38 @@ def test_a_data_set_grows(whole, tmp_path):
         assert (tmp_path / name).read_bytes() == (whole / name).read_bytes(), name
 
 
+def test_codecs_hold_the_same_values_and_mix(whole, tmp_path):
+    """A data set that was begun with gzip grows with zstd: its index, which has no codec of the shards, is the same."""
+    make(changed(SMALL, worlds=2), tmp_path, compression="gzip")
+    assert make(SMALL, tmp_path)["shards_kept"] == 1
+    assert (tmp_path / layout.INDEX).read_bytes() == (whole / layout.INDEX).read_bytes()
+    for name, codec in zip(SHARDS, ("gzip", "zstd", "zstd")):
+        with h5py.File(tmp_path / name) as file, h5py.File(whole / name) as other:
+            assert filters(file["contact/impulse"]) == FILTERS[codec]
+            for path, data in shards.datasets(file):
+                assert data[...].tobytes() == other[path][...].tobytes(), path
+    with pytest.raises(ValueError, match=r"compression is 'lzf'; it must be one of \('zstd', 'gzip'\)"):
+        make(SMALL, tmp_path, compression="lzf")
+
+
+def test_idle_threads_compress_and_change_no_bit(whole, tmp_path, monkeypatch):
+    shared = []
+    real = generation._shared
+    monkeypatch.setattr(generation, "_shared", lambda *given: shared.append(1) or real(*given))
+    make(SMALL, tmp_path, threads=4)
+    assert shared and contents(tmp_path) == contents(whole)
+
+
 def test_growth_that_is_cut_short_keeps_the_old_index(tmp_path, monkeypatch):
     dataset = pytest.importorskip("pipeline.data.dataset")
     make(changed(SMALL, worlds=3), tmp_path)
     before = dataset.States(tmp_path, min_contacts=0)
     first = before[0], before[len(before) - 1]
 
-    def fail(recipe, number, *rest):
+    def fail(recipe, number, *rest, **options):
         if number == 2:
             raise OSError("no more")
-        return make_shard(recipe, number, *rest)
+        return make_shard(recipe, number, *rest, **options)
 
     monkeypatch.setattr(generation, "make_shard", fail)
     with pytest.raises(OSError, match="no more"):
