@@ -55,6 +55,17 @@ ti.reset()
 check(made)
 print("done")
 """
+SUBNORMAL = """
+def product():
+    return float(np.float32(1e-30) * np.float32(1e-10))
+assert product() > 0.0
+made = launch()  # the program is started here
+assert product() > 0.0
+made[1].solved[:] = 1e-310
+made[0]()
+assert (made[1].displacement[:, 0] == 0.1 * 1e-310).all()
+print("done")
+"""
 THREADS = """
 made = launch(threads=2)  # the program is started here
 check(made)
@@ -112,6 +123,11 @@ def test_a_users_program_goes_on_beside(tmp_path, package):
 
 def test_threads_and_forks(tmp_path):
     assert run(tmp_path / "threads.py", THREADS) == "done\n"  # and no banner
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_subnormal_numbers_are_kept(tmp_path, package):
+    assert run(tmp_path / "subnormal.py", SUBNORMAL, package).endswith("done\n")
 
 
 def test_a_program_of_another_thread_is_named(tmp_path):

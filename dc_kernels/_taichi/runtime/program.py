@@ -5,6 +5,7 @@ in whichever is there; they are compiled with options of their own, and the prog
 """
 
 import contextlib
+import ctypes
 import io
 import os
 import threading
@@ -91,12 +92,27 @@ def compiling(prog: Any, real: Any) -> Iterator[None]:
                 setattr(runtime, name, value)
 
 
+@contextlib.contextmanager
+def _subnormals_kept() -> Iterator[None]:
+    """Put this thread's floating-point environment back, in which ``ti.init`` flushes subnormal numbers to zero.
+
+    All that this process computes on it from then on, with NumPy and Warp too, would have other bits.
+    """
+    library = ctypes.CDLL(None) if os.name == "posix" else ctypes.cdll.ucrtbase  # type: ignore[attr-defined, unused-ignore]
+    environment = ctypes.create_string_buffer(256)  # a fenv_t has 8 to 32 bytes
+    library.fegetenv(environment)
+    try:
+        yield
+    finally:
+        library.fesetenv(environment)
+
+
 def _start() -> None:
     """Start a program of our own, which keeps compiled kernels beside Warp's."""
     import warp as wp
 
     folder = os.path.join(wp.config.kernel_cache_dir, ti.__name__)
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()), _subnormals_kept():
         ti.init(arch=ti.cpu, log_level=ti.WARN, offline_cache=True, offline_cache_file_path=folder)
     _first()  # the thread that started a program has to be the first that compiles
 
