@@ -37,12 +37,12 @@ def shared_arrays(memory: Mapping[str, np.ndarray], elements: Mapping[str, Any])
         memory: on the CPU, by name.
         elements: their types for Warp, by name; those of a vector take an axis of the memory.
     """
-    made = {}
+    made, known = {}, wp.__version__.startswith(PACKED)
     for name, array in memory.items():
         element = elements[name]
         dimensions = array.ndim - hasattr(element, "_shape_")
         shape = array.shape[:dimensions]
-        if not wp.__version__.startswith(PACKED):
+        if not known:
             made[name] = wp.array(array, dtype=element, shape=shape, device="cpu", copy=False)
             continue
         # as Warp's constructor makes it, in a tenth of the time: a simulation has a hundred arrays
