@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dc_kernels._taichi.runtime.compiler import ti
-from dc_kernels._taichi.runtime.program import compiling, has_threads, program, running
+from dc_kernels._taichi.runtime.program import calm_threads, compiling, has_threads, program, running
 from dc_kernels.runtime.capture import refuse_recording
 
 MOST = 2**30  # numbers of an array: an index in int32, and lanes from there on (see ``lanes``)
@@ -164,7 +164,10 @@ class Bound:
 
     def _pack(self) -> None:
         self._prog = prog = program()
-        self.kernel = self.make(self.parallel and has_threads(prog))
+        parallel = self.parallel and has_threads(prog)
+        if parallel:
+            calm_threads(prog)
+        self.kernel = self.make(parallel)
         values = [argument.value for argument in self.arguments]
         with compiling(prog, self.real):
             try:

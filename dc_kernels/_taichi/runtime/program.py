@@ -6,11 +6,14 @@ in whichever is there; they are compiled with options of their own, and the prog
 
 import contextlib
 import ctypes
+import importlib
 import io
 import os
 import threading
 from collections.abc import Iterator
 from typing import Any
+
+import numpy as np
 
 from dc_kernels._taichi.runtime.compiler import impl, ti
 from dc_kernels.runtime.building import building
@@ -25,7 +28,27 @@ OPTIONS = {
 """What kernels are compiled with, whatever the program was started with."""
 DEFAULTS = ("default_fp", "default_ip", "short_circuit_operators")
 """What else of a running program decides how a source is compiled: types of its numbers, and how "and" is."""
+PATIENCE = 10_000_000  # turns that a thread waits for the others, some 0.1 s
+TRIES = 20
+_ours: Any = None  # the program that was started here
+_calmed: Any = None  # the program whose threads ``calm_threads`` has set
+_library: Any = ctypes.CDLL(None) if os.name == "posix" else ctypes.cdll.ucrtbase  # type: ignore[attr-defined, unused-ignore]
+_numbers = ctypes.create_string_buffer(256)  # a floating-point environment: a fenv_t has 8 to 32 bytes
 _inherited: Any = None  # the program that a forked process has of its parent, without its threads
+
+
+def _caller() -> Any:
+    """What puts a call of C's ``fesetenv`` into a kernel; None where the compiler has no such thing."""
+    with contextlib.suppress(ImportError, AttributeError):
+        builder = importlib.import_module(f"{ti.__name__}.lang.source_builder").SourceBuilder()
+        builder.mode, builder.so = "so", _library
+        call = builder.fesetenv
+        call._is_wrapped_kernel = True  # or a warning tells of it
+        return call
+    return None
+
+
+_set_numbers = _caller()
 
 
 def program() -> Any:
@@ -98,23 +121,56 @@ def _subnormals_kept() -> Iterator[None]:
 
     All that this process computes on it from then on, with NumPy and Warp too, would have other bits.
     """
-    library = ctypes.CDLL(None) if os.name == "posix" else ctypes.cdll.ucrtbase  # type: ignore[attr-defined, unused-ignore]
-    environment = ctypes.create_string_buffer(256)  # a fenv_t has 8 to 32 bytes
-    library.fegetenv(environment)
+    _library.fegetenv(_numbers)
     try:
         yield
     finally:
-        library.fesetenv(environment)
+        _library.fesetenv(_numbers)
 
 
 def _start() -> None:
     """Start a program of our own, which keeps compiled kernels beside Warp's."""
+    global _ours
     import warp as wp
 
     folder = os.path.join(wp.config.kernel_cache_dir, ti.__name__)
     with contextlib.redirect_stdout(io.StringIO()), _subnormals_kept():
         ti.init(arch=ti.cpu, log_level=ti.WARN, offline_cache=True, offline_cache_file_path=folder)
+    _ours = running()
     _first()  # the thread that started a program has to be the first that compiles
+
+
+def calm_threads(prog: Any) -> None:
+    """Put back the floating-point environment of the pool's threads too, in a program of our own."""
+    global _calmed
+    if prog is not _ours or prog is _calmed or _set_numbers is None:
+        return
+    count = prog.config().cpu_max_num_threads
+    with compiling(prog, ti.f32):
+        cached = prog.config().offline_cache
+        prog.config().offline_cache = False  # the address of a function of C holds in this process only
+        try:
+            for _ in range(TRIES):
+                waited = np.zeros(count + 1, np.int32)
+                _calm(ctypes.addressof(_numbers), count, waited)
+                if waited[1:].max() < PATIENCE:
+                    break
+        finally:
+            prog.config().offline_cache = cached
+    _calmed = prog
+
+
+@ti.kernel
+def _calm(numbers: ti.i64, count: ti.i32, waited: ti.types.ndarray(dtype=ti.i32, ndim=1)):
+    """Each thread takes one turn, as none ends before all have begun."""
+    ti.loop_config(block_dim=1)
+    for i in range(count):
+        _set_numbers(args=(numbers,), outputs=())
+        ti.atomic_add(waited[0], 1)
+        turns = 0
+        while turns < PATIENCE and ti.atomic_or(waited[0], 0) < count:
+            turns += 1
+        waited[1 + i] = turns
 
 
 @ti.kernel
