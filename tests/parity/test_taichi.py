@@ -15,7 +15,7 @@ from dc_kernels.collide.narrowphase import FOUND
 from dc_kernels.model.config import CONFIG
 from dc_kernels.model.dtypes import aligned_zeros
 from dc_kernels.model.fields import GROUPS, LAUNCH
-from dc_kernels.runtime.backends import argument_names, bind, has_kernels, make_kernels
+from dc_kernels.runtime.backends import argument_names, bind, has_kernels, kernel_file, make_kernels
 from dc_kernels.stages import STEP, Stage
 from tests.parity.scenes import bounce, boxes, crowd, discs, frozen, kinematic, mixed, pendulum, simulation, worlds
 
@@ -204,6 +204,31 @@ def test_colors_of_a_stage_are_those_of_warp() -> None:
         got = dc.color(a, b, movable, color=None if kept is None else kept.copy(), backend="taichi")
         np.testing.assert_array_equal(got, want)
     assert (want == 63).sum() > 9 and (want == color).sum() > 9
+
+
+def test_colors_of_a_callers_own_rows_are_those_of_warp() -> None:
+    found = {}
+    for backend in ("warp", "taichi"):
+        draw = np.random.default_rng(5)
+        a, b = draw.permuted(np.tile(np.arange(12, dtype=np.int32), (90, 1)), axis=1)[:, :2].T
+        every = {
+            "launch": {},
+            "model": {"body_start": [0, 12], "joint_start": [0, 0], "body_type": np.arange(12) % 4 // 2 * 2},
+            "state": {"flags": [0]},
+            "joints": {},
+            "contacts": {"contact_start": [0, 50], "contact_count": [50], "body_a": a[:50], "body_b": b[:50]},
+            "rows": {"row_start": [0, 40], "row_body_a": a[50:], "row_body_b": b[50:], "row_color": np.zeros(40)},
+        }
+        every["contacts"]["color"] = draw.integers(-1, 9, 50)
+        arrays = {group: {k: np.array(v, np.int32) for k, v in some.items()} for group, some in every.items()}
+        arrays["rows"]["color_mask"] = np.zeros(12, np.uint64)
+        make, tables = kernel_file(backend, "groups").group, {**GROUPS, "launch": LAUNCH}
+        values = {name: make(name, "float32", tables[name], some) for name, some in arrays.items()}
+        for name in ("keep_colors", "color_constraints"):
+            bind(make_kernels(backend, "collide.color", "float32")[name], 1, values, "cpu")()
+        found[backend] = arrays["contacts"]["color"].tolist(), arrays["rows"]["row_color"].tolist()
+    assert found["warp"] == found["taichi"]
+    assert len(set(found["warp"][1])) > 5
 
 
 @pytest.mark.parametrize("stage", PORTED, ids=lambda stage: stage.kernel)

@@ -54,8 +54,8 @@ def kernels(dtype: str) -> dict[str, Any]:
     t = group_types(dtype)
 
     @ti.func
-    def color_joints(w, model: t.Model, joints: t.Joints, rows: t.Rows, store: ti.template()):
-        """Each joint takes the lowest colour that is free; ``store``: whether it is written."""
+    def color_first(w, model: t.Model, joints: t.Joints, rows: t.Rows, store: ti.template()):
+        """Each joint, and each row of a caller's own, takes the lowest colour that is free; ``store``: and keeps it."""
         for b in range(model.body_start[w], model.body_start[w + 1]):
             rows.color_mask[b] = ti.u64(0)
         for j in range(model.joint_start[w], model.joint_start[w + 1]):
@@ -64,6 +64,13 @@ def kernels(dtype: str) -> dict[str, Any]:
             free = lowest_free(taken(a, b, model.body_type, rows.color_mask))
             if ti.static(store):
                 joints.joint_color[j] = free
+            take(a, b, free, rows.color_mask)
+        for k in range(rows.row_start[w], rows.row_start[w + 1]):
+            a = rows.row_body_a[k]
+            b = rows.row_body_b[k]
+            free = lowest_free(taken(a, b, model.body_type, rows.color_mask))
+            if ti.static(store):
+                rows.row_color[k] = free
             take(a, b, free, rows.color_mask)
 
     @kernel
@@ -78,20 +85,20 @@ def kernels(dtype: str) -> dict[str, Any]:
     ):
         """Greedy colours: no two constraints of a colour share a dynamic body.
 
-        Joints come first and so get the same colours in each step; contacts that persist keep theirs; new ones,
-        and those of the serial colour, take the lowest that is free at both bodies.
+        Joints and a caller's own rows come first and so get the same colours in each step; contacts that persist keep
+        theirs; new ones, and those of the serial colour, take the lowest that is free at both bodies.
         """
         w = tid + launch.world_offset
         if state.flags[w] == 0:
             start = contacts.contact_start[w]
             end = start + contacts.contact_count[w]
-            fresh = model.joint_start[w + 1] - model.joint_start[w]
+            fresh = model.joint_start[w + 1] - model.joint_start[w] + rows.row_start[w + 1] - rows.row_start[w]
             if fresh == 0:
                 for c in range(start, end):
                     if contacts.color[c] < 0 or contacts.color[c] == SERIAL:
                         fresh += 1
             if fresh != 0:  # else nothing new, nothing to colour
-                color_joints(w, model, joints, rows, True)
+                color_first(w, model, joints, rows, True)
                 for c in range(start, end):
                     kept = contacts.color[c]
                     if kept >= 0 and kept != SERIAL:
@@ -118,7 +125,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         """Contacts lose a colour that is none, or that a joint or an earlier contact of one of their bodies has too."""
         w = tid + launch.world_offset
         if state.flags[w] == 0:
-            color_joints(w, model, joints, rows, False)
+            color_first(w, model, joints, rows, False)
             start = contacts.contact_start[w]
             for c in range(start, start + contacts.contact_count[w]):
                 kept = contacts.color[c]
