@@ -24,6 +24,7 @@ MODULES = {
     "train": "speed.train",
     "startup": "speed.startup",
     "overhead": "speed.overhead",
+    "backends": "backends.backends",
     "foreign": "speed.foreign",
     "accuracy": "accuracy.accuracy",
     "error_time": "error_time.error_time",

@@ -1,9 +1,9 @@
 """``python -m bench.run [NAME ...] [--quick]``: run benches one after the other and keep what they print.
 
 Each bench runs in a process of its own; its JSON line replaces the earlier one of that bench in
-``bench/results/results.jsonl``. The bench ``worlds`` also gives the figure ``bench/results/worlds.png``. After each
-bench ``docs/measured.md`` and the figures in ``README.md`` are written from that file; ``--pages`` writes them and runs
-none.
+``bench/results/results.jsonl``. The benches ``worlds`` and ``backends`` also give a figure of their name there.
+After each bench ``docs/measured.md`` and the figures in ``README.md`` are written from that file; ``--pages`` writes
+them and runs none.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.__main__ import NAMES
+from bench.backends.figure import draw as draw_backends
 from bench.pages import page
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -117,6 +118,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         store([record], options.out / "results.jsonl")
         if name == "worlds":
             draw(record, options.out / "worlds.png")
+        elif name == "backends":
+            draw_backends(record, options.out / "backends.png")
         if options.out == RESULTS:
             page.write()
     return 0

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bench.__main__ import NAMES, load
-from bench.pages import learning, solving, speed, transfer
+from bench.pages import backends, learning, solving, speed, transfer
 from bench.pages.markdown import Record, figure, paragraphs, table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,6 +35,7 @@ SECTIONS = {
     "neighbors": ("Neighbour search", speed.neighbors),
     "startup": ("Start of a process", speed.startup),
     "overhead": ("A step beside its kernels", speed.overhead),
+    "backends": ("Backends", backends.backends),
 }
 
 

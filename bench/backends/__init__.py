@@ -1,0 +1,1 @@
+"""The backends beside each other, each in a process of its own."""
