@@ -216,6 +216,15 @@ class SortedCells:
             room = self.workspace.room[place] = min(total + total // 8, MAX_FOUND) + PADDING
 
 
+def shortened(array: np.ndarray, rows: int) -> np.ndarray:
+    """The first rows of an array that nobody else has; the memory of the others returns to the system."""
+    try:
+        array.resize((rows, *array.shape[1:]), refcheck=False)
+    except ValueError:  # something keeps a weak reference to it, as a launch of Quadrants does
+        return array[:rows].copy()
+    return array
+
+
 def hash_pairs(
     points: np.ndarray,
     radius: float,
@@ -236,8 +245,7 @@ def hash_pairs(
         values = {"world_offset": first, "worlds": count, "limit": limit, "cells": cells}
         number = int(starts[first + count] - starts[first])
         pairs, total = hashed.fill("sweep_pairs", "pair", number, (2,), values, keep=True)
-        pairs.resize((total, 2), refcheck=False)  # returns the rest to the system
-        return pairs
+        return shortened(pairs, total)
 
     found = map_threads(shard, range(len(shards)), threads)
     allowed(sum(map(len, found)))

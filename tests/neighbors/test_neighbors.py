@@ -3,6 +3,7 @@
 import functools
 import itertools
 import tracemalloc
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -334,3 +335,13 @@ def test_what_a_method_cannot_hold_is_refused():
         neighbor_pairs(np.array([[1e39, 0.0]]), 1.0, method="tree")
     with pytest.raises(ValueError, match=r"radius finds more than 2147483631 pairs"):
         neighbor_pairs(np.zeros((66_000, 2), np.float32), 1.0)
+
+
+def test_an_array_with_a_weak_reference_is_shortened_too():
+    for held in (False, True):
+        array = np.arange(12, dtype=np.int32).reshape(6, 2)
+        want = array[:4].copy()
+        kept = weakref.ref(array) if held else None
+        short = cell_search.shortened(array, 4)
+        np.testing.assert_array_equal(short, want)
+        assert short.base is None and short.flags.owndata and (kept is None or short is not kept())
