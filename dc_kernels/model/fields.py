@@ -171,7 +171,7 @@ PAIRS = field_table(
     ("bucket_start", "world+1", "int32", "1", "first bucket of each world; a power of two of them and one more"),
     ("bucket", "bucket", "int32", "1", "first entry of each bucket in sorted_shape"),
     ("cell", "shape", "vec3i", "1", "cell of the shape's box: column, row, level"),
-    ("sorted_shape", "shape", "int32", "1", "shapes sorted by bucket"),
+    ("sorted_shape", "shape", "int32", "1", "shapes sorted by bucket; then the last pair of each with a static hull"),
     ("box", "shape", "vec4", "m", "low x, low y, high x, high y, with margin"),
     ("start", "world+1", "int32", "1", "first reserved pair of each world"),
     ("count", "world", "int32", "1", "candidate pairs of each world, sorted by (A, B)"),
@@ -180,7 +180,7 @@ PAIRS = field_table(
     ("rebuilds", "world", "int32", "1", "rebuilds so far"),
     ("shape_a", "pair", "int32", "1", "shape A"),
     ("shape_b", "pair", "int32", "1", "shape B"),
-    ("temp_a", "pair", "int32", "1", "shape A, half sorted"),
+    ("temp_a", "pair", "int32", "1", "shape A, half sorted; then the pair before of its shape B with a static hull"),
     ("temp_b", "pair", "int32", "1", "shape B, half sorted"),
 )
 

@@ -56,6 +56,7 @@ def hull_disc_moving(
     radii, horizon = hull.radius + r, HORIZON * dt
     gaps = dot(hull.normals, p - hull.vertices) - radii
     time = closing_time(gaps, dot(hull.normals, w), overlap, horizon)
+    m.beside = m.corner or int((gaps >= -overlap).sum()) > 1
     if time == 0 and not m.corner:
         return m
     later = hull_disc(hull, p + w * time, r, epsilon)
@@ -68,7 +69,7 @@ def hull_disc_moving(
     gap = later.distance - dot(later.normal, w) * time
     if gap < -overlap - slack:
         return m
-    return Manifold(later.normal, [(p - later.normal * (r + 0.5 * gap), gap, later.points[0][2])])
+    return Manifold(later.normal, [(p - later.normal * (r + 0.5 * gap), gap, later.points[0][2])], beside=True)
 
 
 def hull_hull_moving(
@@ -91,7 +92,8 @@ def hull_hull_moving(
         time = corner_time(time, apart, w, radii - overlap, radii + overlap, m.distance <= overlap, horizon)
         later = hull_hull(a, b.moved(w * time), np.inf, slack, overlap, epsilon)
     shift = dot(later.normal, w) * time
-    if not later.points or min(gap for _, gap, _ in later.points) - shift < -overlap - slack:
+    if not later.points or later.least_gap - shift < -overlap - slack:
         return m
     back = (w * time - later.normal * shift) * share + later.normal * (0.5 * shift)
-    return Manifold(later.normal, [(point - back, gap - shift, feature) for point, gap, feature in later.points])
+    points = [(point - back, gap - shift, feature) for point, gap, feature in later.points]
+    return Manifold(later.normal, points, beside=True)

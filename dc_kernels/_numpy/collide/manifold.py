@@ -54,10 +54,16 @@ class Manifold:
         """Gap of the first point."""
         return self.points[0][1]
 
+    @property
+    def least_gap(self) -> Any:
+        """Of its points."""
+        return min(gap for _, gap, _ in self.points)
+
     def placed(self, r: Array, x: Array, flip: bool = False) -> Manifold:
         """The manifold in another frame: turned by r, then moved by x; ``flip`` turns its normal around."""
         normal = rotate(r, self.normal)
-        return Manifold(-normal if flip else normal, [(rotate(r, p) + x, gap, f) for p, gap, f in self.points])
+        points = [(rotate(r, p) + x, gap, f) for p, gap, f in self.points]
+        return Manifold(-normal if flip else normal, points, self.corner, self.beside)
 
 
 def length(v: Array) -> Any:

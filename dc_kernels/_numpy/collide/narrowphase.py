@@ -5,12 +5,14 @@ Each pair is treated in the frame of one of its shapes and turned to world axes 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from dc_kernels._numpy.collide.closing import disc_disc_moving, hull_disc_moving, hull_hull_moving
-from dc_kernels._numpy.collide.manifold import Hull, Manifold, length
+from dc_kernels._numpy.collide.manifold import Hull, Manifold, hull_disc, hull_hull, length
+from dc_kernels._numpy.collide.support import closes, supported
 from dc_kernels._numpy.common import Array, Kernels, cross, dot, rotate, rotation
 from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
@@ -78,9 +80,14 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
                 drift = rotate(turn_b.T, approach(b, centre_a, a, centre_a, state.velocity, state.angular_velocity))
                 return hull_disc_moving(hull_of(b), local, ra, drift, **bounds).placed(turn_b, xb, flip=True)
             if disc_b:
-                local = rotate(turn_a.T, centre_b - xa)
-                drift = rotate(turn_a.T, approach(a, centre_b, b, centre_b, state.velocity, state.angular_velocity))
-                return hull_disc_moving(hull_of(a), local, rb, drift, **bounds).placed(turn_a, xa)
+                local, hull_a = rotate(turn_a.T, centre_b - xa), hull_of(a)
+                drift = approach(a, centre_b, b, centre_b, state.velocity, state.angular_velocity)
+
+                def met(velocity: Array) -> Manifold:
+                    m = hull_disc_moving(hull_a, local, rb, rotate(turn_a.T, velocity), **bounds)
+                    return m.placed(turn_a, xa)
+
+                return supported_meeting(a, b, drift, met)
             relative = rotation(state.angle[model.shape_body[b]] - state.angle[model.shape_body[a]])
             hull_b = hull_of(b).placed(relative, rotate(turn_a.T, xb - xa))
             va, vb = motion.predicted[model.shape_body[a]], motion.predicted[model.shape_body[b]]
@@ -88,9 +95,40 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
                 abs(v[2]) * (length(model.shape_center[s]) + model.shape_extent[s]) for v, s in ((va, a), (vb, b))
             )
             within = speculative + dt * (length(vb - va) + spin)
-            drift = rotate(turn_a.T, approach(a, centre_a, b, centre_b, state.velocity, state.angular_velocity))
-            share = vb[3] / (va[3] + vb[3])
-            return hull_hull_moving(hull_of(a), hull_b, drift, share, reach=within, **bounds).placed(turn_a, xa)
+            drift = approach(a, centre_a, b, centre_b, state.velocity, state.angular_velocity)
+            share, hull_a = vb[3] / (va[3] + vb[3]), hull_of(a)
+
+            def met(velocity: Array) -> Manifold:
+                w = rotate(turn_a.T, velocity)
+                return hull_hull_moving(hull_a, hull_b, w, share, reach=within, **bounds).placed(turn_a, xa)
+
+            return supported_meeting(a, b, drift, met)
+
+        def still(a: int, b: int, reach: Any) -> Manifold:
+            """Points of a static hull and a shape as they are now, in world axes."""
+            xa, xb = state.position[model.shape_body[a]], state.position[model.shape_body[b]]
+            turn_a, turn_b = rotation(state.angle[model.shape_body[a]]), rotation(state.angle[model.shape_body[b]])
+            if model.shape_type[b] == ShapeType.DISC:
+                local = rotate(turn_a.T, xb + rotate(turn_b, model.shape_center[b]) - xa)
+                m = hull_disc(hull_of(a), local, model.shape_radius[b], epsilon)
+                m.beside = m.corner
+            else:
+                relative = rotation(state.angle[model.shape_body[b]] - state.angle[model.shape_body[a]])
+                hull_b = hull_of(b).placed(relative, rotate(turn_a.T, xb - xa))
+                m = hull_hull(hull_of(a), hull_b, reach, bounds["slack"], bounds["overlap"], epsilon)
+            return m.placed(turn_a, xa)
+
+        def supported_meeting(a: int, b: int, velocity: Array, met: Callable[[Array], Manifold]) -> Manifold:
+            """Where a shape meets another by its velocity, or by what static shapes leave of it that it meets first."""
+            m = met(velocity)
+            if model.body_type[model.shape_body[a]] != BodyType.STATIC or not closes(m, velocity, dt, bounds["slack"]):
+                return m
+            mine = range(pairs.start[w], pairs.start[w] + pairs.count[w])
+            others = [int(pairs.shape_a[pair]) for pair in reversed(mine) if pairs.shape_b[pair] == b]
+            static = model.body_type[model.shape_body] == BodyType.STATIC
+            hulls = [k for k in others if k != a and static[k] and model.shape_type[k] != ShapeType.DISC]
+            far = length(velocity) * dt
+            return met(supported(velocity, (still(k, b, far) for k in hulls), dt, bounds["slack"]))
 
         dt = motion.step_dt[w]
         speculative = motion.reach[w]

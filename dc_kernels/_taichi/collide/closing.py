@@ -115,9 +115,13 @@ def closing_functions(dtype: str) -> SimpleNamespace:
                 m = later
                 step = DONE
                 if m.count > 0 and moves(approach):
+                    parting = 0
                     for i in range(hull.first, hull.first + hull.count):
                         gap = dot(model.vertex_normals[i], p - model.vertices[i]) - radii
+                        if gap >= -overlap:
+                            parting += 1
                         time = later_of(time, gap, dot(model.vertex_normals[i], w), overlap, horizon)
+                    m.beside = m.corner != 0 or parting > 1
                     if time != 0.0 or m.corner != 0:
                         step = CLOSED
             elif step == CLOSED and later.count > 0 and later.corner != 0:
@@ -132,6 +136,7 @@ def closing_functions(dtype: str) -> SimpleNamespace:
                         m = later
                         m.point0 = p - later.normal * (r + 0.5 * gap)
                         m.gap0 = gap
+                        m.beside = 1
         return m
 
     @ti.func
@@ -183,6 +188,7 @@ def closing_functions(dtype: str) -> SimpleNamespace:
                 if later.count > 0 and gap0 >= -overlap - slack and (later.count == 1 or gap1 >= -overlap - slack):
                     back = (w * time - later.normal * shift) * approach.share + later.normal * (0.5 * shift)
                     m = later
+                    m.beside = 1
                     m.gap0 = gap0
                     m.gap1 = gap1
                     m.point0 = later.point0 - back

@@ -5,6 +5,7 @@ from typing import Any
 
 from dc_kernels._taichi.collide.closing import closing_functions
 from dc_kernels._taichi.collide.manifold import manifold_functions
+from dc_kernels._taichi.collide.support import support_functions
 from dc_kernels._taichi.common import cross, dot, length, rotate, rotate_back
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
@@ -37,6 +38,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     moving = closing_functions(dtype)
     Approach, disc_disc_moving, hull_disc_moving = moving.Approach, moving.disc_disc_moving, moving.hull_disc_moving
     hull_hull_moving = moving.hull_hull_moving
+    support = support_functions(dtype, only_discs)
+    closes, list_static, supported = support.closes, support.list_static, support.supported
 
     @ti.func
     def velocity_at(ba, bb, arm_a, arm_b, state: t.State):
@@ -78,8 +81,11 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         return m
 
     @ti.func
-    def hull_disc_manifold(a, b, toward, model: t.Model, state: t.State):
-        """A disc and a hull, whichever comes first."""
+    def hull_disc_manifold(a, b, given, left, toward, model: t.Model, state: t.State):
+        """A disc and a hull, whichever comes first; whether it is in the way, and the velocity of the second shape.
+
+        That is ``left`` where it is ``given``.
+        """
         disc_first = model.shape_type[a] == DISC
         disc = b
         other = a
@@ -95,17 +101,20 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         p = state.position[round_body] + center
         hull = hull_of(other, model.shape_type[other], model.shape_radius[other], model)
         drift = velocity_at(body, round_body, p - x, p - state.position[round_body], state)
+        if given:
+            drift = left
         toward.velocity = rotate_back(c, s, drift)
         m = hull_disc_moving(hull, rotate_back(c, s, p - x), model.shape_radius[disc], toward, model)
+        blocked = closes(m, toward.velocity, toward.dt, toward.slack)
         m.normal = rotate(c, s, m.normal)
         if disc_first:
             m.normal = m.normal * -1.0
         m.point0 = rotate(c, s, m.point0) + x
-        return m
+        return m, blocked, drift
 
     @ti.func
-    def hulls_manifold(a, b, speculative, toward, model: t.Model, state: t.State, motion: t.Motion):
-        """Two hulls."""
+    def hulls_manifold(a, b, speculative, given, left, toward, model: t.Model, state: t.State, motion: t.Motion):
+        """Two hulls, as in ``hull_disc_manifold``."""
         ba = model.shape_body[a]
         bb = model.shape_body[b]
         xa = state.position[ba]
@@ -120,20 +129,26 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         c = ca * cb + sa * sb
         s = ca * sb - sa * cb
         drift = vec2(vb[0] - va[0], vb[1] - va[1])
-        arms_a = ti.abs(va[2]) * (length(center_a) + model.shape_extent[a])
-        arms_b = ti.abs(vb[2]) * (length(center_b) + model.shape_extent[b])
-        within = speculative + toward.dt * (length(drift) + arms_a + arms_b)
+        size_a = length(center_a) + model.shape_extent[a]
+        size_b = length(center_b) + model.shape_extent[b]
+        within = speculative + toward.dt * (length(drift) + ti.abs(va[2]) * size_a + ti.abs(vb[2]) * size_b)
         hull_a = hull_of(a, model.shape_type[a], model.shape_radius[a], model)
         hull_b = hull_of(b, model.shape_type[b], model.shape_radius[b], model)
         frame = frame_of(c, s, rotate_back(ca, sa, state.position[bb] - xa))
         drift = velocity_at(ba, bb, rotate(ca, sa, center_a), rotate(cb, sb, center_b), state)
+        if given:
+            drift = left
         toward.velocity = rotate_back(ca, sa, drift)
         toward.share = vb[3] * inverse_or_zero(va[3] + vb[3])
-        m = hull_hull_moving(hull_a, hull_b, frame, within, toward, model)
+        m = Manifold()
+        if length(state.position[bb] - xa) <= size_a + size_b + within:
+            m = hull_hull_moving(hull_a, hull_b, frame, within, toward, model)
+        moves = dot(drift, drift) * toward.dt * toward.dt > toward.slack * toward.slack
+        blocked = moves and closes(m, toward.velocity, toward.dt, toward.slack)
         m.normal = rotate(ca, sa, m.normal)
         m.point0 = rotate(ca, sa, m.point0) + xa
         m.point1 = rotate(ca, sa, m.point1) + xa
-        return m
+        return m, blocked, drift
 
     @kernel
     def narrowphase(
@@ -161,6 +176,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
             start = contacts.contact_start[w]
             capacity = contacts.contact_start[w + 1] - start
             n = 0
+            listed = 0
             first_pair = pairs.start[w]
             for pair in range(first_pair, first_pair + pairs.count[w]):
                 a = pairs.shape_a[pair]
@@ -170,11 +186,30 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                 m = Manifold()
                 if kind_a == DISC and kind_b == DISC:
                     m = discs_manifold(a, b, speculative, dt, slop, model, state, motion)
-                elif kind_a == DISC or kind_b == DISC:
-                    m = hull_disc_manifold(a, b, toward, model, state)
                 else:
-                    if ti.static(not only_discs):
-                        m = hulls_manifold(a, b, speculative, toward, model, state, motion)
+                    asked = kind_a == DISC or model.body_type[model.shape_body[a]] != STATIC
+                    given = False
+                    left = vec2(0.0, 0.0)
+                    again = True
+                    while again:
+                        again = False
+                        blocked = False
+                        drift = left
+                        if kind_a == DISC or kind_b == DISC:
+                            m, blocked, drift = hull_disc_manifold(a, b, given, left, toward, model, state)
+                        else:
+                            if ti.static(not only_discs):
+                                m, blocked, drift = hulls_manifold(
+                                    a, b, speculative, given, left, toward, model, state, motion
+                                )
+                        if blocked and not asked:
+                            asked = True
+                            given = True
+                            if listed == 0:
+                                list_static(w, model, pairs)
+                                listed = 1
+                            left = supported(pair, drift, toward, model, state, pairs)
+                            again = left[0] != drift[0] or left[1] != drift[1]
                 if m.count > 0:
                     ba = model.shape_body[a]
                     bb = model.shape_body[b]

@@ -112,9 +112,13 @@ def closing_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         radii = hull.radius + r
         horizon = real(HORIZON) * dt
         time = real(0.0)
+        open = int(0)
         for i in range(hull.first, hull.first + hull.count):
             gap = wp.dot(vertex_normals[i], p - vertices[i]) - radii
+            if gap >= -overlap:
+                open += 1
             time = later_of(time, gap, wp.dot(vertex_normals[i], w), overlap, horizon)
+        m.beside = m.corner or open > 1
         if time == real(0.0) and not m.corner:
             return m
         later = hull_disc(hull, p + w * time, r, vertices, vertex_normals)
@@ -129,6 +133,7 @@ def closing_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
             return m
         later.point0 = p - later.normal * (r + real(0.5) * gap)
         later.gap0 = gap
+        later.beside = True
         return later
 
     @wp.func(module=module)
@@ -181,6 +186,7 @@ def closing_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         later.gap1 = later.gap1 - shift
         if later.count == 0 or later.gap0 < -overlap - slack or (later.count == 2 and later.gap1 < -overlap - slack):
             return m
+        later.beside = True
         back = (w * time - later.normal * shift) * approach.share + later.normal * (real(0.5) * shift)
         later.point0 = later.point0 - back
         later.point1 = later.point1 - back

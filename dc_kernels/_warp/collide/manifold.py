@@ -192,12 +192,10 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
             for j in range(n2):
                 low = wp.min(low, wp.dot(turned, vertices[first2 + j]))
             distance = low - offset
+            second = wp.max(second, wp.min(best, distance))
             if distance > best:
-                second = best
                 best = distance
                 edge = i
-            elif distance > second:
-                second = distance
         return best, edge, second
 
     @wp.func(module=module)

@@ -7,6 +7,7 @@ import warp as wp
 
 from dc_kernels._warp.collide.closing import closing_functions
 from dc_kernels._warp.collide.manifold import manifold_functions
+from dc_kernels._warp.collide.support import support_functions
 from dc_kernels._warp.common import cross, kernel_module, rotate, rotate_back
 from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.native import native_code
@@ -43,6 +44,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     moving = closing_functions(dtype, only_discs)
     disc_disc_moving, hull_disc_moving = moving.disc_disc_moving, moving.hull_disc_moving
     hull_hull_moving, Approach = moving.hull_hull_moving, moving.Approach
+    support = support_functions(dtype, only_discs)
+    closes, list_static, supported = support.closes, support.list_static, support.supported
 
     @wp.func_native(native_code("collide/store_contact.h", dtype=dtype))
     def store_contact(contacts: t.Contacts, i: wp.int32, contact: Contact): ...
@@ -87,6 +90,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         start = contacts.contact_start[w]
         capacity = contacts.contact_start[w + 1] - start
         n = int(0)
+        listed = int(0)
         first_pair = pairs.start[w]
         for pair in range(first_pair, first_pair + pairs.count[w]):
             a = pairs.shape_a[pair]
@@ -114,13 +118,14 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     pb = xb + rotate(wp.cos(state.angle[bb]), wp.sin(state.angle[bb]), center_b)
                     far += dt * (wp.abs(va[2]) * wp.length(center_a) + wp.abs(vb[2]) * wp.length(center_b))
                 d = pb - pa
-                if wp.dot(d, d) <= far * far:
-                    dv = vec2(vb[0] - va[0], vb[1] - va[1])
-                    if wp.static(not only_discs):
-                        to_a = pa - xa
-                        to_b = pb - xb
-                        dv += vec2(-to_b[1], to_b[0]) * vb[2] - vec2(-to_a[1], to_a[0]) * va[2]
-                    m = disc_disc_moving(pa, ra, pb, rb, dv, dt, slop)
+                if wp.dot(d, d) > far * far:
+                    continue
+                dv = vec2(vb[0] - va[0], vb[1] - va[1])
+                if wp.static(not only_discs):
+                    to_a = pa - xa
+                    to_b = pb - xb
+                    dv += vec2(-to_b[1], to_b[0]) * vb[2] - vec2(-to_a[1], to_a[0]) * va[2]
+                m = disc_disc_moving(pa, ra, pb, rb, dv, dt, slop)
             elif kind_a == DISC:
                 c = wp.cos(state.angle[bb])
                 s = wp.sin(state.angle[bb])
@@ -136,23 +141,38 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                 s = wp.sin(state.angle[ba])
                 pb = xb + rotate(wp.cos(state.angle[bb]), wp.sin(state.angle[bb]), center_b)
                 hull = hull_of(a, kind_a, ra, model.vertex_start)
-                toward.velocity = rotate_back(c, s, velocity_at(ba, bb, pb - xa, pb - xb, state))
+                drift = velocity_at(ba, bb, pb - xa, pb - xb, state)
                 local = rotate_back(c, s, pb - xa)
-                m = hull_disc_moving(hull, local, rb, toward, model.vertices, model.vertex_normals)
+                asked = model.body_type[ba] != STATIC
+                again = bool(True)
+                while again:
+                    again = False
+                    toward.velocity = rotate_back(c, s, drift)
+                    m = hull_disc_moving(hull, local, rb, toward, model.vertices, model.vertex_normals)
+                    if not asked and closes(m, toward.velocity, dt, slack):
+                        asked = True
+                        if listed == 0:
+                            list_static(w, model, pairs)
+                            listed = 1
+                        left = supported(pair, drift, dt, slack, toward.overlap, model, state, pairs)
+                        again = left[0] != drift[0] or left[1] != drift[1]
+                        drift = left
                 m.normal = rotate(c, s, m.normal)
                 m.point0 = rotate(c, s, m.point0) + xa
             else:
                 if wp.static(not only_discs):
+                    drift = vec2(vb[0] - va[0], vb[1] - va[1])
+                    size_a = wp.length(center_a) + model.shape_extent[a]
+                    size_b = wp.length(center_b) + model.shape_extent[b]
+                    within = speculative + dt * (wp.length(drift) + wp.abs(va[2]) * size_a + wp.abs(vb[2]) * size_b)
+                    if wp.length(xb - xa) > size_a + size_b + within:
+                        continue
                     ca = wp.cos(state.angle[ba])
                     sa = wp.sin(state.angle[ba])
                     cb = wp.cos(state.angle[bb])
                     sb = wp.sin(state.angle[bb])
                     c = ca * cb + sa * sb
                     s = ca * sb - sa * cb
-                    drift = vec2(vb[0] - va[0], vb[1] - va[1])
-                    arms_a = wp.abs(va[2]) * (wp.length(center_a) + model.shape_extent[a])
-                    arms_b = wp.abs(vb[2]) * (wp.length(center_b) + model.shape_extent[b])
-                    within = speculative + dt * (wp.length(drift) + arms_a + arms_b)
                     hull_a = hull_of(a, kind_a, ra, model.vertex_start)
                     hull_b = hull_of(b, kind_b, rb, model.vertex_start)
                     frame = frame_of(c, s, rotate_back(ca, sa, xb - xa))
@@ -162,9 +182,24 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     if m.count > 0 and m.beside:
                         arm_b = rotate(cb, sb, center_b)
                         drift = velocity_at(ba, bb, rotate(ca, sa, center_a), arm_b, state)
-                        toward.velocity = rotate_back(ca, sa, drift)
                         toward.share = vb[3] * inverse_or_zero(va[3] + vb[3])
-                        m = hull_hull_moving(hull_a, hull_b, frame, m, toward, model.vertices, model.vertex_normals)
+                        now = m
+                        asked = model.body_type[ba] != STATIC
+                        again = bool(wp.length_sq(drift) * dt * dt > slack * slack)
+                        while again:
+                            again = False
+                            toward.velocity = rotate_back(ca, sa, drift)
+                            m = hull_hull_moving(
+                                hull_a, hull_b, frame, now, toward, model.vertices, model.vertex_normals
+                            )
+                            if not asked and closes(m, toward.velocity, dt, slack):
+                                asked = True
+                                if listed == 0:
+                                    list_static(w, model, pairs)
+                                    listed = 1
+                                left = supported(pair, drift, dt, slack, toward.overlap, model, state, pairs)
+                                again = left[0] != drift[0] or left[1] != drift[1]
+                                drift = left
                     m.normal = rotate(ca, sa, m.normal)
                     m.point0 = rotate(ca, sa, m.point0) + xa
                     m.point1 = rotate(ca, sa, m.point1) + xa
