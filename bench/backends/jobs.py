@@ -251,6 +251,9 @@ def transfer(case: Case, engine: str, folder: Path, dtype: str) -> Job:
     count = int(case.what)
     row = f"{case.kind}, {case.what} particles"
     if engine == "peer":
+        import torch
+
+        torch.set_num_threads(case.threads)
         theirs = Cloud(count)
         theirs.splat()
         call = (index_add if case.kind == "splat" else grid_sample)(theirs)
