@@ -16,7 +16,7 @@ from types import SimpleNamespace
 
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
-from dc_kernels.solve.rows import COLUMNS
+from dc_kernels.solve.rows import COLUMNS, JOINTED
 
 
 @ti.func
@@ -120,13 +120,14 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
     columns = COLUMNS[variant]
     width = len(columns)
     discs = variant == "discs"
-    jointed = variant == "joints"
+    jointed, own = variant in JOINTED, variant == "rows"
     at = {name: i for i, name in enumerate(columns)}
     NX, NY, EN, ET, BIAS, MU, GAP = (at[c] for c in ("nx", "ny", "en", "et", "bias", "mu", "gap"))
     # discs have dA, dB, kA and kB for arms along the tangent and turns by an impulse along it
     RAN, RBN = at.get("rAn", 0), at.get("rBn", 0)
     RAT, RBT, WA, WB = (at[c] for c in (("dA", "dB", "kA", "kB") if discs else ("rAt", "rBt", "iA", "iB")))
-    LO = at.get("lo", 0)
+    LO, HI, SOFT = (at.get(c, 0) for c in ("lo", "hi", "soft"))
+    AX, AY = at.get("ax", NX), at.get("ay", NY)  # of a caller's own rows; else one normal serves both bodies
 
     @ti.func
     def least(rows: t.Rows, k):
@@ -167,17 +168,26 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             ln0 = rows.impulse[2 * b]
             lt0 = rows.impulse[2 * b + 1]
             vn = nx * (bx - ax) + ny * (by - ay)
+            if ti.static(own):
+                vn = (nx * bx - rows.column[k + AX] * ax) + (ny * by - rows.column[k + AY] * ay)
+                bias = bias + rows.column[k + SOFT] * ln0
             if ti.static(not discs):
                 vn = vn + (rbn * bw - ran * aw)
             ln = ti.max(ln0 - (omega * en) * (vn + bias), low)
+            if ti.static(own):
+                ln = ti.min(ln, rows.column[k + HI])
             dn = ln - ln0
             vt = vec8(0.0)
             if ti.static(discs):  # a disc's normal impulse has no tangential effect: its tangent need not wait for it
                 vt = (ny * (bx - ax) - nx * (by - ay)) + (rbt * bw + rat * aw)
             px = nx * dn
             py = ny * dn
-            ax = ax - am * px
-            ay = ay - am * py
+            if ti.static(own):
+                ax = ax - am * (rows.column[k + AX] * dn)
+                ay = ay - am * (rows.column[k + AY] * dn)
+            else:
+                ax = ax - am * px
+                ay = ay - am * py
             bx = bx + bm * px
             by = by + bm * py
             if ti.static(not discs):
@@ -235,8 +245,12 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             py = ny * dn
             qx = ny * dt
             qy = nx * dt
-            ax = (ax - am * px) - am * qx
-            ay = (ay - am * py) + am * qy
+            if ti.static(own):
+                ax = (ax - am * (rows.column[k + AX] * dn)) - am * qx
+                ay = (ay - am * (rows.column[k + AY] * dn)) + am * qy
+            else:
+                ax = (ax - am * px) - am * qx
+                ay = (ay - am * py) + am * qy
             bx = (bx + bm * px) + bm * qx
             by = (by + bm * py) - bm * qy
             if ti.static(discs):
@@ -259,6 +273,8 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             nx = rows.column[k + NX]
             ny = rows.column[k + NY]
             vn = nx * (bx - ax) + ny * (by - ay)
+            if ti.static(own):
+                vn = (nx * bx - rows.column[k + AX] * ax) + (ny * by - rows.column[k + AY] * ay)
             if ti.static(not discs):
                 vn = vn + (rows.column[k + RBN] * bw - rows.column[k + RAN] * aw)
             step = ti.max(factor * (vn + rows.column[k + GAP]), vec8(limit * -1.0))
@@ -267,8 +283,12 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             dn = ti.max((rows.column[k + EN] * step) * -1.0, least(rows, k))
             px = nx * dn
             py = ny * dn
-            ax = ax - am * px
-            ay = ay - am * py
+            if ti.static(own):
+                ax = ax - am * (rows.column[k + AX] * dn)
+                ay = ay - am * (rows.column[k + AY] * dn)
+            else:
+                ax = ax - am * px
+                ay = ay - am * py
             bx = bx + bm * px
             by = by + bm * py
             if ti.static(not discs):
@@ -291,6 +311,8 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             dn = rows.change[2 * b]
             dt = rows.change[2 * b + 1]
             yn = ti.max(xn + alpha * dn, low)
+            if ti.static(own):
+                yn = ti.min(yn, rows.column[k + HI])
             limit = mu * yn
             yt = ti.min(ti.max(xt + alpha * dt, limit * -1.0), limit)
             rows.impulse[2 * b] = yn

@@ -8,12 +8,14 @@ from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.runtime.kernels import kernel
 from dc_kernels._taichi.solve.constraints.contact import contact_row
 from dc_kernels._taichi.solve.constraints.distance import distance_row
+from dc_kernels._taichi.solve.constraints.jacobian import jacobian_row
 from dc_kernels.model.config import METHODS
 from dc_kernels.model.enums import Flag
-from dc_kernels.solve.rows import COLORS, COLUMNS, LANES
+from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES
 
 ROW_OVERFLOW = int(Flag.ROW_OVERFLOW)
 JACOBI = METHODS["jacobi"]
+INFINITY = float("inf")
 
 
 @cache
@@ -23,15 +25,17 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     vec2, vec8 = t.vec2, t.vec8
     columns = COLUMNS[variant]
     discs = variant == "discs"
-    jointed = variant == "joints"
+    jointed, own = variant in JOINTED, variant == "rows"
     width = len(columns)
     at = {name: i for i, name in enumerate(columns)}
     NX, NY, EN, ET, BIAS, MU, GAP = (at[c] for c in ("nx", "ny", "en", "et", "bias", "mu", "gap"))
     # the variant that lacks a column never writes it
     RAN, RBN, RAT, RBT, IA, IB = (at.get(c, 0) for c in ("rAn", "rBn", "rAt", "rBt", "iA", "iB"))
     DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
+    HI, AX, AY, SOFT = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft"))
     make_contact_row = contact_row(dtype, variant)
     make_distance_row = distance_row(dtype, variant)
+    make_jacobian_row = jacobian_row(dtype, variant)
 
     @ti.func
     def store_row(rows: t.Rows, k, lane, row):
@@ -57,6 +61,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         rows.column[k + GAP][lane] = row.gap
         if ti.static(jointed):
             rows.column[k + LO][lane] = row.least
+        if ti.static(own):
+            rows.column[k + HI][lane] = row.most
+            rows.column[k + AX][lane] = row.direction_a[0]
+            rows.column[k + AY][lane] = row.direction_a[1]
+            rows.column[k + SOFT][lane] = row.softness
 
     @ti.func
     def lay_out(w, padding_body, model: t.Model, joints: t.Joints, contacts: t.Contacts, rows: t.Rows):
@@ -74,6 +83,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             color = joints.joint_color[j]
             rows.color_fill[count + color] = rows.color_fill[count + color] + 1
             used = ti.max(used, color + 1)
+        if ti.static(own):
+            for k in range(rows.row_start[w], rows.row_start[w + 1]):
+                color = rows.row_color[k]
+                rows.color_fill[count + color] = rows.color_fill[count + color] + 1
+                used = ti.max(used, color + 1)
         first = rows.block_start[w]
         ends = w * (COLORS + 1)
         block = first
@@ -142,14 +156,25 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 start = contacts.contact_start[w]
                 for c in range(start, start + contacts.contact_count[w]):
                     row = make_contact_row(c, w, config, model, state, motion, contacts)
+                    if ti.static(own):  # one normal serves both bodies, and pushes without bound
+                        row.direction_a = row.normal
+                        row.most = INFINITY
                     rows.slot[c] = place(w, contacts.color[c], jacobi, row, rows)
                     least = ti.min(least, contacts.gap[c])
                     scale += row.square
                 if ti.static(jointed):
                     for j in range(model.joint_start[w], model.joint_start[w + 1]):
                         joint_row = make_distance_row(j, w, config, model, state, motion, joints)
+                        if ti.static(own):
+                            joint_row.direction_a = joint_row.normal
+                            joint_row.most = INFINITY
                         rows.joint_slot[j] = place(w, joints.joint_color[j], jacobi, joint_row, rows)
                         scale += joint_row.square
+                if ti.static(own):
+                    for k in range(rows.row_start[w], rows.row_start[w + 1]):
+                        own_row = make_jacobian_row(k, model, motion, rows)
+                        rows.row_slot[k] = place(w, rows.row_color[k], jacobi, own_row, rows)
+                        scale += own_row.square
                 rows.scale[w] = ti.sqrt(scale)
                 rows.deepest[w] = least
                 stats.colors[w] = used
@@ -177,5 +202,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 for j in range(model.joint_start[w], model.joint_start[w + 1]):
                     i = rows.joint_slot[j]
                     joints.joint_impulse[j] = rows.impulse[i // LANES][i % LANES]
+            if ti.static(own):
+                for k in range(rows.row_start[w], rows.row_start[w + 1]):
+                    i = rows.row_slot[k]
+                    rows.row_impulse[k] = rows.impulse[i // LANES][i % LANES]
 
     return {"pack_rows": pack_rows, "unpack_impulses": unpack_impulses}

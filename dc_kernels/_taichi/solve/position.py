@@ -9,7 +9,7 @@ from dc_kernels._taichi.runtime.kernels import kernel
 from dc_kernels._taichi.solve.lanes import lane_functions
 from dc_kernels._taichi.solve.row import row_functions
 from dc_kernels._taichi.solve.world import ENDS, world_functions
-from dc_kernels.solve.rows import COLORS, LANES, SERIAL_COLOR
+from dc_kernels.solve.rows import COLORS, JOINTED, LANES, SERIAL_COLOR
 
 
 @cache
@@ -19,7 +19,7 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
     push_row = row_functions(dtype, variant).push_row
     push_lanes = lane_functions(dtype, variant).push
     unknown_one = world_functions(dtype, variant).unknown_one
-    jointed = variant == "joints"
+    jointed = variant in JOINTED
 
     @kernel
     def correct_positions(

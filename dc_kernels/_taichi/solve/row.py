@@ -9,7 +9,9 @@ from types import SimpleNamespace
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.solve.laws import linear_speed, natural_map_squared, relative_speed
-from dc_kernels.solve.rows import COLUMNS
+from dc_kernels.solve.rows import COLUMNS, JOINTED
+
+INFINITY = float("inf")
 
 
 @cache
@@ -23,19 +25,25 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
     real, vec2, vec4 = t.real, t.vec2, t.vec4
     columns = COLUMNS[variant]
     discs = variant == "discs"
-    jointed = variant == "joints"
+    jointed, own = variant in JOINTED, variant == "rows"
     width = len(columns)
     at = {name: i for i, name in enumerate(columns)}
     NX, NY, EN, ET, BIAS, MU, GAP = (at[c] for c in ("nx", "ny", "en", "et", "bias", "mu", "gap"))
     # the variant that lacks a column never reads it
     RAN, RBN, RAT, RBT, IA, IB = (at.get(c, 0) for c in ("rAn", "rBn", "rAt", "rBt", "iA", "iB"))
     DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
+    HI, AX, AY, SOFT = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft"))
 
     @ti.func
     def normal_speed(rows: t.Rows, k, lane, va, vb):
         n = vec2(rows.column[k + NX][lane], rows.column[k + NY][lane])
         speed = linear_speed(n, va, vb)
-        if ti.static(not discs):
+        if ti.static(own):
+            speed = (n[0] * vb[0] - rows.column[k + AX][lane] * va[0]) + (
+                n[1] * vb[1] - rows.column[k + AY][lane] * va[1]
+            )
+            speed = speed + (rows.column[k + RBN][lane] * vb[2] - rows.column[k + RAN][lane] * va[2])
+        elif ti.static(not discs):
             speed = relative_speed(n, va, vb, rows.column[k + RAN][lane], rows.column[k + RBN][lane])
         return speed
 
@@ -52,8 +60,8 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
     @ti.func
     def normal_change_a(rows: t.Rows, k, lane, v, dn):
         """Velocity of body A after a normal impulse."""
-        px = rows.column[k + NX][lane] * dn
-        py = rows.column[k + NY][lane] * dn
+        px = rows.column[k + (AX if own else NX)][lane] * dn
+        py = rows.column[k + (AY if own else NY)][lane] * dn
         spin = v[2]
         if ti.static(not discs):
             spin = spin - rows.column[k + IA][lane] * (rows.column[k + RAN][lane] * dn)
@@ -102,6 +110,22 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         return low
 
     @ti.func
+    def within(rows: t.Rows, k, lane, impulse):
+        """A normal impulse within its bounds."""
+        bounded = ti.max(impulse, least_normal(rows, k, lane))
+        if ti.static(own):
+            bounded = ti.min(bounded, rows.column[k + HI][lane])
+        return bounded
+
+    @ti.func
+    def bias_of(rows: t.Rows, k, lane, impulse):
+        """What the normal speed is to be zero with: the bias, and what a soft row gives way by for its impulse."""
+        bias = rows.column[k + BIAS][lane]
+        if ti.static(own):
+            bias = bias + rows.column[k + SOFT][lane] * impulse
+        return bias
+
+    @ti.func
     def sweep_row(block, lane, rows: t.Rows, bodies: ti.template(), omega):
         """Projected Gauss-Seidel on one row, normal before friction; the larger impulse change [N s]."""
         k = block * width
@@ -112,8 +136,8 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         ln0 = rows.impulse[2 * block][lane]
         lt0 = rows.impulse[2 * block + 1][lane]
         vn = normal_speed(rows, k, lane, va, vb)
-        step = (omega * rows.column[k + EN][lane]) * (vn + rows.column[k + BIAS][lane])
-        ln = ti.max(ln0 - step, least_normal(rows, k, lane))
+        step = (omega * rows.column[k + EN][lane]) * (vn + bias_of(rows, k, lane, ln0))
+        ln = within(rows, k, lane, ln0 - step)
         dn = ln - ln0
         # a disc's normal impulse has no tangential effect: its tangent is that of before
         va = normal_change_a(rows, k, lane, va, dn)
@@ -153,6 +177,14 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
             rat = rows.column[k + RAT][lane]
             rbt = rows.column[k + RBT][lane]
             normal = na * (ma + ia * ran * ran) + nb * (mb + ib * rbn * rbn)
+            if ti.static(own):
+                nx = rows.column[k + NX][lane]
+                ny = rows.column[k + NY][lane]
+                ax = rows.column[k + AX][lane]
+                ay = rows.column[k + AY][lane]
+                of_a = ma * (ax * ax + ay * ay) + ia * ran * ran
+                of_b = mb * (nx * nx + ny * ny) + ib * rbn * rbn
+                normal = na * of_a + nb * of_b + rows.column[k + SOFT][lane]
             along = na * (ma + ia * rat * rat) + nb * (mb + ib * rbt * rbt)
             mixed = na * (ia * ran * rat) + nb * (ib * rbn * rbt)
         return normal, along, mixed
@@ -175,8 +207,8 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         ln = ln0
         mass_n, mass_t, mixed = split_mass(rows, k, lane, na, nb, va[3], vb[3])
         if mass_n > 0.0:
-            speed = normal_speed(rows, k, lane, va, vb) + rows.column[k + BIAS][lane]
-            ln = ti.max(ln0 - omega * speed / mass_n, least_normal(rows, k, lane))
+            speed = normal_speed(rows, k, lane, va, vb) + bias_of(rows, k, lane, ln0)
+            ln = within(rows, k, lane, ln0 - omega * speed / mass_n)
         dn = ln - ln0
         lt = lt0
         limit = rows.column[k + MU][lane] * ln
@@ -233,13 +265,17 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         k = block * width
         va = bodies[rows.body[2 * block][lane]]
         vb = bodies[rows.body[2 * block + 1][lane]]
-        un = normal_speed(rows, k, lane, va, vb) + rows.column[k + BIAS][lane]
+        un = normal_speed(rows, k, lane, va, vb) + bias_of(rows, k, lane, rows.impulse[2 * block][lane])
         e = rows.column[k + EN][lane]
         ut = tangent_speed(rows, k, lane, va, vb)
         mu = rows.column[k + MU][lane]
         x = vec2(rows.impulse[2 * block][lane], rows.impulse[2 * block + 1][lane])
         square = natural_map_squared(x, vec2(x[0] - e * (un + mu * ti.abs(ut)), x[1] - e * ut), mu)
-        if ti.static(jointed):
+        if ti.static(own):
+            if rows.column[k + LO][lane] != 0.0 or rows.column[k + HI][lane] < INFINITY:
+                off = x[0] - within(rows, k, lane, x[0] - e * un)
+                square = off * off
+        elif ti.static(jointed):
             if rows.column[k + LO][lane] < 0.0:
                 square = (e * un) * (e * un)
         return square

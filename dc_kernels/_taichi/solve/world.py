@@ -14,7 +14,7 @@ from dc_kernels._taichi.solve.lanes import lane_functions
 from dc_kernels._taichi.solve.row import row_functions
 from dc_kernels.model.config import METHODS, STOPS
 from dc_kernels.solve.iteration import NEVER
-from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR
+from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, SERIAL_COLOR
 
 ENDS = COLORS + 1
 JACOBI = METHODS["jacobi"]
@@ -47,7 +47,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     natural_map_row = row.natural_map_row
     lanes = lane_functions(dtype, variant)
     sweep_lanes, apply_lanes = lanes.sweep, lanes.apply
-    jointed = variant == "joints"
+    jointed, own = variant in JOINTED, variant == "rows"
     columns = COLUMNS[variant]
     width = len(columns)
     EN, ET = columns.index("en"), columns.index("et")
@@ -131,6 +131,11 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             for j in range(model.joint_start[w], model.joint_start[w + 1]):
                 i = rows.joint_slot[j]
                 rows.impulse[i // LANES][i % LANES] = joints.joint_impulse[j]
+        if ti.static(own):
+            for k in range(rows.row_start[w], rows.row_start[w + 1]):
+                i = rows.row_slot[k]
+                if rows.column[i // (2 * LANES) * width + EN][i % LANES] > 0.0:
+                    rows.impulse[i // LANES][i % LANES] = rows.row_impulse[k]
 
     @ti.func
     def natural_map(span, bodies: ti.template(), rows: t.Rows):
