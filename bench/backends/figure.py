@@ -23,6 +23,8 @@ def draw(record: dict[str, Any], path: Path) -> None:
         axes = figure.subplots()
         for engine, name in ENGINES.items():
             places = [i for i, row in enumerate(rows) if engine in row["over_warp"]]
+            if not places:
+                continue  # not in the quick form, or not installed
             color, marker = looks[engine]
             ratios = [rows[i]["over_warp"][engine] for i in places]
             axes.plot(ratios, places, marker, color=color, label=name, linestyle="none", markersize=5.5)
