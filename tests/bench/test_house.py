@@ -95,12 +95,3 @@ def test_two_circles_that_share_no_module(tree):
     (tree / "pipeline/q.py").write_text("from pipeline.p import x\nimport dc_kernels.c\n")
     circle = "dc_kernels.a, dc_kernels.b, dc_kernels.c, pipeline.p, pipeline.q"
     assert house.count(tree)["import_circles"] == (1, circle)
-
-
-def test_report_names_what_is_above_its_bar():
-    values = house.measure(quick=True)
-    assert set(house.KEYS) <= set(values)
-    assert values["above"] == sum(values[key] > bar for key, bar in house.BARS.items())
-    text = house.report(values)
-    assert all(key in text for key in house.KEYS)
-    assert values["where"]["longest_module"] in text

@@ -10,11 +10,18 @@ from bench import house
 
 
 @pytest.fixture(scope="module")
-def figures():
-    return house.count()
+def values():
+    return house.measure(quick=True)
 
 
 @pytest.mark.parametrize("key", house.KEYS)
-def test_figure_stays_within_its_bound(figures, key):
-    value, where = figures[key]
-    assert value <= house.BARS[key], f"{key} is {value}, at most {house.BARS[key]}: {where}"
+def test_figure_stays_within_its_bound(values, key):
+    where = values["where"].get(key)
+    assert values[key] <= house.BARS[key], f"{key} is {values[key]}, at most {house.BARS[key]}: {where}"
+
+
+def test_report_names_what_is_above_its_bar(values):
+    assert values["above"] == sum(values[key] > bar for key, bar in house.BARS.items())
+    text = house.report(values)
+    assert all(key in text for key in house.KEYS)
+    assert values["where"]["longest_module"] in text

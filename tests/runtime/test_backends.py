@@ -12,7 +12,7 @@ from dc_kernels.runtime.backends import BACKENDS, check_backend, has_kernels, ho
             "numpy",
             "grid.tiles",
             "kernels",
-            r"'numpy', which has no kernels of grid.tiles; it must be one of \('warp',\)",
+            r"'numpy', which has no kernels of grid.tiles; it must be one of \('warp', 'taichi'\)",
         ),
         (
             "numpy",
