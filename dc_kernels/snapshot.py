@@ -85,7 +85,7 @@ def load(
         path: of the file, or a binary file that is open, read from where it stands to its end.
         threads: of the simulation; the result does not depend on it.
         device: "cpu" or a CUDA device of Warp; None: the one it was saved from.
-        backend: "warp" or "numpy"; None: the one it was saved from.
+        backend: "warp", "numpy" or "taichi"; None: the one it was saved from.
         **options: of the constructor of ``Simulation``, in place of those it was saved with.
 
     Raises:

@@ -342,7 +342,7 @@ class ModelBuilder:
         Args:
             dtype: "float32" or "float64".
             device: "cpu", or a CUDA device of Warp.
-            backend: "warp" or "numpy" (on the CPU only), see ``runtime.backends``.
+            backend: "warp", or on the CPU "numpy" or "taichi", see ``runtime.backends``.
 
         Raises:
             ValueError: no world; a dynamic body without mass; too many shapes in a world; a value that the dtype

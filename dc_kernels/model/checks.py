@@ -135,7 +135,8 @@ def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype
     if len(bad):
         index = tuple(int(i) for i in bad[0])
         limit = "finite" if dtype.kind == "f" else f"a {dtype.name}"
-        raise ValueError(f"{name}[{', '.join(map(str, index))}] is {array[index]}; it must be {limit}")
+        place = f"[{', '.join(map(str, index))}]" if index else ""
+        raise ValueError(f"{name}{place} is {array[index]}; it must be {limit}")
     if array.dtype == dtype:
         return np.ascontiguousarray(array)
     with np.errstate(over="ignore"):
