@@ -7,12 +7,8 @@ oracle's where it ends within seconds and else Warp's.
 
 from __future__ import annotations
 
-import os
 import statistics
-import subprocess
-import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -23,7 +19,8 @@ import numpy as np
 from bench import timing
 from bench.backends import jobs
 from bench.backends.jobs import CASES, ENGINES, UNITS, Case
-from bench.backends.worker import ROOT, VARIABLE, Worker
+from bench.backends.worker import VARIABLE, Worker
+from bench.speed.startup import first_step
 
 SUMMARY = "warp, taichi, quadrants, numpy, torch and SciPy side by side: stages, steps, sweeps, splats, searches"
 # of Taichi; values hold those of Quadrants with "quadrants_" before them. None: not measured
@@ -47,8 +44,9 @@ NAMES = {"warp": "Warp", "taichi": "Taichi", "quadrants": "Quadrants", "numpy": 
 
 ROUNDS, ROUNDS_QUICK, ROUNDS_NUMPY = 9, 3, 1
 SCALE = {"us": 1e6, "ns": 1e9}
+# kernels of Taichi need a source that is a file: those of the package have one, whatever runs them
 FIRST_STEP = """
-import sys, time
+import time
 import dc_kernels as dc
 from bench import cases
 model, state, joints = cases.scenes.Thesis().build(1, 0).finalize(backend="taichi")
@@ -159,23 +157,6 @@ def widen(narrow: Path, wide: Path) -> None:
         new.attrs.update({key: "float64" if value == "float32" else value for key, value in old.attrs.items()})
 
 
-def first_step(compiler: str, cache: str | None = None) -> float:
-    """Seconds from the start of a new process to the end of its first step; ``cache`` is where compiled kernels are.
-
-    Raises:
-        RuntimeError: with the process's error output, when it fails.
-    """
-    # kernels of Taichi need a source that is a file, which those of the package are
-    environment = {**os.environ, VARIABLE: compiler, **({"WARP_CACHE_PATH": cache} if cache else {})}
-    begin = time.time()  # of the system, since two processes take it
-    child = subprocess.run(
-        [sys.executable, "-c", FIRST_STEP], check=False, cwd=ROOT, env=environment, capture_output=True, text=True
-    )
-    if child.returncode != 0:
-        raise RuntimeError(f"the child process failed:\n{child.stderr}")
-    return float(child.stdout.split()[-1]) - begin
-
-
 def starts(quick: bool) -> dict[str, float | None]:
     """Seconds to a first step with an empty cache and with a full one; the quick form takes no empty one."""
     found: dict[str, float | None] = {}
@@ -187,9 +168,10 @@ def starts(quick: bool) -> dict[str, float | None]:
         timing.progress(f"first step of a process, {compiler}")
         if not quick:
             with tempfile.TemporaryDirectory(prefix="deep-contact-cache-") as folder:
-                found[f"{prefix}cold_s"] = first_step(compiler, folder)
-            first_step(compiler)  # fills the user's cache
-        found[f"{prefix}warm_s"] = statistics.median(first_step(compiler) for _ in range(1 if quick else 5))
+                found[f"{prefix}cold_s"] = first_step(folder, FIRST_STEP, {VARIABLE: compiler})
+            first_step(None, FIRST_STEP, {VARIABLE: compiler})  # fills the user's cache
+        times = [first_step(None, FIRST_STEP, {VARIABLE: compiler}) for _ in range(1 if quick else 5)]
+        found[f"{prefix}warm_s"] = statistics.median(times)
     return found
 
 

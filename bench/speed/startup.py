@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,18 +32,23 @@ print("done", time.time())
 """
 
 
-def first_step(cache: str | None = None) -> float:
-    """Seconds from the start of a new process to the end of its first step; ``cache`` is Warp's kernel cache.
+def first_step(cache: str | None = None, code: str = CHILD, variables: Mapping[str, str] | None = None) -> float:
+    """Seconds from the start of a new process to the end of its first step.
+
+    Args:
+        cache: where compiled kernels are; None: where they are for everybody.
+        code: what the process runs; the last word that it prints is the time of the system when it has ended.
+        variables: of its environment, beside those of this process.
 
     Raises:
         RuntimeError: with the process's error output, when it fails.
     """
-    environment = dict(os.environ)
+    environment = {**os.environ, **(variables or {})}
     if cache is not None:
         environment["WARP_CACHE_PATH"] = cache
     begin = time.time()  # of the system, since two processes take it
     child = subprocess.run(
-        [sys.executable, "-c", CHILD], check=False, cwd=ROOT, env=environment, capture_output=True, text=True
+        [sys.executable, "-c", code], check=False, cwd=ROOT, env=environment, capture_output=True, text=True
     )
     if child.returncode != 0:
         raise RuntimeError(f"the child process failed:\n{child.stderr}")
