@@ -35,7 +35,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     accelerate = accelerate_functions(dtype, variant)
     reset, accelerated = accelerate.reset, accelerate.after_sweep
     forbid = adaptive.functions(dtype, variant).forbid
-    squares = range_functions(dtype).squares
+    copy, squares = range_functions(dtype).copy, range_functions(dtype).squares
     world = world_functions(dtype, variant)
     refresh, natural_map = world.refresh, world.natural_map
     huge = real(3e38)
@@ -94,12 +94,10 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         best = span.past_at + AT_BEST * (span.high - span.low)
         if (first or 2 * sweeps > config.max_sweeps) and change < real(0.9) * iteration[w].least_change:
             iteration[w].least_change = change
-            for i in range(span.low, span.high):
-                rows.past[best + i - span.low] = rows.impulse[i]
+            copy(rows.impulse, span.low, rows.past, best, span.high - span.low)
         least = iteration[w].least_change
         if sweeps >= config.max_sweeps and least < huge and not (change <= real(RETREAT) * least):
-            for i in range(span.low, span.high):
-                rows.impulse[i] = rows.past[best + i - span.low]
+            copy(rows.past, best, rows.impulse, span.low, span.high - span.low)
             iteration[w].change = least
             return 1
         return 0
@@ -117,8 +115,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             return 0
         if iteration[w].least_change < huge:
             best = span.past_at + AT_BEST * (span.high - span.low)
-            for i in range(span.low, span.high):
-                rows.impulse[i] = rows.past[best + i - span.low]
+            copy(rows.past, best, rows.impulse, span.low, span.high - span.low)
         forbid(w, iteration)
         return 1
 
@@ -170,8 +167,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             if sweeps >= span.pause_at and stats.iteration[w].measured == sweeps - 1:
                 return PAUSES
             stats.iteration[w].measured = sweeps
-            for i in range(span.low, span.high):
-                rows.before[i] = rows.change[i]
+            copy(rows.change, span.low, rows.before, span.low, span.high - span.low)
         return GOES_ON
 
     @wp.func(module=module)

@@ -34,7 +34,10 @@ def row_macros(variant: str) -> dict[str, Any]:
 
 @cache
 def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
-    """``sweep``, ``apply``, ``push`` and ``extrapolate`` over the blocks b0 .. b1 of rows of a variant.
+    """``sweep``, ``apply``, ``push``, ``natural_map``, ``extrapolate`` over the blocks b0 .. b1 of a variant's rows.
+
+    ``extrapolate`` moves impulses on, and the velocities with them; ``move_on`` does so for the impulses alone, also on
+    a GPU and where rows of a block share bodies.
 
     They take arrays rather than groups: a struct of 20 arrays passed by value would cost a small world's sweep 4 %.
     """
@@ -42,8 +45,8 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
     real, vec4 = t.real, t.vec4
     macros = row_macros(variant)
 
-    def code(*names: str) -> str:
-        return native_code("prelude.h", *(f"solve/{name}.h" for name in names), dtype=dtype, **macros)
+    def code(*names: str, **more: object) -> str:
+        return native_code("prelude.h", *(f"solve/{name}.h" for name in names), dtype=dtype, **macros, **more)
 
     @wp.func_native(code("bodies", "row", "sweep"))
     def sweep(
@@ -78,9 +81,11 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         limit: real,
     ) -> real: ...
 
-    @wp.func_native(code("extrapolate"))
+    @wp.func_native(code("bodies", "row", "extrapolate", FOLLOW=True))
     def extrapolate(
         columns: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        bodies: wp.array(dtype=vec4),
         impulse: wp.array(dtype=real),
         change: wp.array(dtype=real),
         b0: wp.int32,
@@ -88,7 +93,31 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         alpha: real,
     ): ...
 
-    return SimpleNamespace(sweep=sweep, apply=apply, push=push, extrapolate=extrapolate)
+    @wp.func_native(code("bodies", "row", "extrapolate", FOLLOW=False))
+    def move_on(
+        columns: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        bodies: wp.array(dtype=vec4),
+        impulse: wp.array(dtype=real),
+        change: wp.array(dtype=real),
+        b0: wp.int32,
+        b1: wp.int32,
+        alpha: real,
+    ): ...
+
+    @wp.func_native(code("bodies", "row", "natural_map"))
+    def natural_map(
+        columns: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        bodies: wp.array(dtype=vec4),
+        impulse: wp.array(dtype=real),
+        b0: wp.int32,
+        b1: wp.int32,
+    ) -> real: ...
+
+    return SimpleNamespace(
+        sweep=sweep, apply=apply, push=push, extrapolate=extrapolate, move_on=move_on, natural_map=natural_map
+    )
 
 
 @wp.func_native("""

@@ -19,7 +19,8 @@ def range_functions(dtype: str) -> SimpleNamespace:
 
     ``squares`` is the sum of squares, ``along`` the product of a change with the move before; ``conjugate`` makes a
     step of nonlinear CG, ``onward`` and ``onward_bodies`` one of momentum; ``products``, ``remember`` and ``combine``
-    are the parts of Anderson's update. Each is described at the top of its header.
+    are the parts of Anderson's update; ``copy`` and ``copy_bodies`` keep numbers for later. Each is described at the
+    top of its header.
     """
     t = scalar_types(dtype)
     real, vec4 = t.real, t.vec4
@@ -95,6 +96,20 @@ def range_functions(dtype: str) -> SimpleNamespace:
         i1: wp.int32,
     ): ...
 
+    @wp.func_native(code("copy"))
+    def copy(
+        source: wp.array(dtype=real),
+        source_at: wp.int32,
+        target: wp.array(dtype=real),
+        target_at: wp.int32,
+        count: wp.int32,
+    ): ...
+
+    @wp.func_native(code("copy_bodies"))
+    def copy_bodies(
+        bodies: wp.array(dtype=vec4), history: wp.array(dtype=real), at: wp.int32, b0: wp.int32, b1: wp.int32
+    ): ...
+
     return SimpleNamespace(
         squares=squares,
         conjugate=conjugate,
@@ -104,4 +119,6 @@ def range_functions(dtype: str) -> SimpleNamespace:
         products=products,
         combine=combine,
         remember=remember,
+        copy=copy,
+        copy_bodies=copy_bodies,
     )

@@ -24,7 +24,7 @@ NO_PAUSE = wp.constant(NEVER)
 
 @cache
 def world_functions(dtype: str, variant: str) -> SimpleNamespace:
-    """``span_of``, ``sweep``, ``apply``, ``refresh``, ``load_impulses`` and ``natural_map`` of a world's rows."""
+    """``span_of``, ``load_impulses``, ``natural_map`` of a world's rows, and what moves their impulses."""
     t = group_types(dtype)
     real, vec4 = t.real, t.vec4
     Span = t.Span
@@ -33,7 +33,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     sweep_row, jacobi_row, apply_row = row.sweep_row, row.jacobi_row, row.apply_row
     natural_map_row = row.natural_map_row
     lanes = lane_functions(dtype, variant)
-    sweep_lanes, apply_lanes = lanes.sweep, lanes.apply
+    sweep_lanes, apply_lanes, natural_map_lanes = lanes.sweep, lanes.apply, lanes.natural_map
+    extrapolate_lanes, move_on = lanes.extrapolate, lanes.move_on
     jointed, own = variant in JOINTED, variant == "rows"
     tiny = real(1e-30)
     columns = COLUMNS[variant]
@@ -95,6 +96,18 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             apply_row(k / N_LANES, k % N_LANES, rows, motion.solved, delta)
 
     @wp.func(module=module)
+    def extrapolate(span: Span, alpha: real, motion: t.Motion, rows: t.Rows):
+        """Impulses move on by alpha times their change, within their bounds, and the velocities follow."""
+        first = span.first
+        bodies = motion.solved
+        if has_lanes() == 1:
+            extrapolate_lanes(rows.column, rows.body, bodies, rows.impulse, rows.change, first, span.serial, alpha)
+            first = span.serial  # the lanes have done the colours before it
+        move_on(rows.column, rows.body, bodies, rows.impulse, rows.change, first, span.last, alpha)
+        for k in range(first * N_LANES, span.last * N_LANES):
+            apply_row(k / N_LANES, k % N_LANES, rows, bodies, rows.change)
+
+    @wp.func(module=module)
     def refresh(span: Span, motion: t.Motion, rows: t.Rows):
         """Velocities anew from the impulses: steps of momentum add up their round-off."""
         for b in range(span.first_body, span.last_body):
@@ -137,8 +150,12 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         It is the 2-norm of the natural maps of all rows over ``rows.scale``, the 2-norm of the impulses that would
         stop each row, with its friction, if it were alone; where that is zero, the former itself [N s].
         """
+        first = span.first
         total = real(0.0)
-        for k in range(span.first * N_LANES, span.last * N_LANES):
+        if has_lanes() == 1:
+            total = natural_map_lanes(rows.column, rows.body, bodies, rows.impulse, first, span.serial)
+            first = span.serial  # the lanes have done the colours before it
+        for k in range(first * N_LANES, span.last * N_LANES):
             total += natural_map_row(k / N_LANES, k % N_LANES, rows, bodies)
         total = wp.sqrt(total)
         scale = rows.scale[span.world]
@@ -150,6 +167,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         span_of=span_of,
         sweep=sweep,
         apply=apply,
+        extrapolate=extrapolate,
         refresh=refresh,
         load_impulses=load_impulses,
         natural_map=natural_map,

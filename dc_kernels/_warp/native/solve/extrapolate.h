@@ -1,5 +1,6 @@
 // Impulses of the blocks b0 .. b1 moved on along their change, x <- clamp(x + alpha change); change is then what they
-// moved by. Parameters: columns, impulse, change, b0, b1, alpha. Macros: JOINTS, OWN, COLUMNS, AT_mu, AT_lo, AT_hi.
+// moved by, and where FOLLOW is 1 the velocities of the lanes' bodies follow it.
+// Parameters: columns, row_body, bodies, impulse, change, b0, b1, alpha. Stands behind prelude.h, bodies.h and row.h.
 for (int b = b0; b < b1; ++b) {
 #if defined(__CUDA_ARCH__)
     for (int lane = 0; lane < LANES; ++lane) {
@@ -32,7 +33,17 @@ for (int b = b0; b < b1; ++b) {
     const Vector yt = clamp(xt + alpha * load(d + LANES), load(block + AT_mu) * yn);
     store(x, yn);
     store(x + LANES, yt);
-    store(d, yn - xn);
-    store(d + LANES, yt - xt);
+    const Vector dn = yn - xn, dt = yt - xt;
+    store(d, dn);
+    store(d + LANES, dt);
+#if FOLLOW
+    const int* const index = row_body.data + (size_t)b * 2 * LANES;
+    Bodies A = load_bodies(index), B = load_bodies(index + LANES);
+    const Row row = load_row(block);
+    apply_normal(row, A, B, dn);
+    apply_tangent(row, A, B, dt);
+    store_bodies(index, A);
+    store_bodies(index + LANES, B);
+#endif
 #endif
 }

@@ -12,7 +12,6 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
-from dc_kernels._warp.solve.lanes import lane_functions
 from dc_kernels._warp.solve.ranges import range_functions
 from dc_kernels._warp.solve.world import world_functions
 
@@ -32,8 +31,8 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
     t = group_types(dtype)
     real = t.real
     module = kernel_module("solver", dtype, variant)
-    extrapolate, squares = lane_functions(dtype, variant).extrapolate, range_functions(dtype).squares
-    apply = world_functions(dtype, variant).apply
+    copy, squares = range_functions(dtype).copy, range_functions(dtype).squares
+    extrapolate = world_functions(dtype, variant).extrapolate
     huge = real(3e38)
 
     @wp.func(module=module)
@@ -69,8 +68,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         now = squares(rows.change, span.low, span.high)
         if now < before and move == 1:
             alpha = series_limit(wp.sqrt(now / before), config.aitken_cap)
-            extrapolate(rows.column, rows.impulse, rows.change, span.first, span.last, alpha)
-            apply(span, motion, rows, rows.change)
+            extrapolate(span, alpha, motion, rows)
         period = iteration[w].period
         if now > config.aitken_threshold * config.aitken_threshold * iteration[w].at_end:
             period = wp.min(2 * period, config.aitken_period_max)
@@ -107,8 +105,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         if inside == period - 1:
             iteration[w].before_end = squares(rows.change, span.low, span.high)
             if sweeps >= span.pause_at - 1:
-                for i in range(span.low, span.high):
-                    rows.before[i] = rows.change[i]
+                copy(rows.change, span.low, rows.before, span.low, span.high - span.low)
         if inside >= period:
             if sweeps >= span.pause_at:  # the extrapolation waits: it is made when the solve goes on
                 iteration[w].postponed = 1

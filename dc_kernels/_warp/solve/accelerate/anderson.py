@@ -11,7 +11,6 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
-from dc_kernels._warp.solve.lanes import lane_functions
 from dc_kernels._warp.solve.ranges import range_functions
 from dc_kernels._warp.solve.world import world_functions
 from dc_kernels.solve.iteration import ANDERSON_PERIOD, ANDERSON_REST, ANDERSON_REST_MAX
@@ -31,8 +30,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
     module = kernel_module("solver", dtype, variant)
     ranges = range_functions(dtype)
     squares, products, combine, remember = ranges.squares, ranges.products, ranges.combine, ranges.remember
-    extrapolate = lane_functions(dtype, variant).extrapolate
-    apply = world_functions(dtype, variant).apply
+    extrapolate = world_functions(dtype, variant).extrapolate
     one = real(1.0)
     zero = real(0.0)
     damping = real(1e-5)  # of the normal equations, relative to their trace: what float32 resolves
@@ -111,8 +109,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         combine(rows.impulse, rows.change, rows.past, span.past_at, span.low, span.high, kept, a * scale, b * scale)
         iteration[w].before_update = now
         iteration[w].updated = 1
-        extrapolate(rows.column, rows.impulse, rows.change, span.first, span.last, one)
-        apply(span, motion, rows, rows.change)
+        extrapolate(span, one, motion, rows)
         iteration[w].period = wp.max(PERIOD, config.aitken_period)
         iteration[w].at_end = now
         iteration[w].inside = 0

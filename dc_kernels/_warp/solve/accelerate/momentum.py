@@ -34,6 +34,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
     module = kernel_module("solver", dtype, variant)
     ranges = range_functions(dtype)
     along, onward, onward_bodies = ranges.along, ranges.onward, ranges.onward_bodies
+    copy, copy_bodies = ranges.copy, ranges.copy_bodies
     one = real(1.0)
 
     @wp.func(module=module)
@@ -46,13 +47,9 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         """Begin at the present impulses and velocities, at rest."""
         w = span.world
         iteration[w].momentum = one
-        for i in range(span.low, span.high):
-            rows.past[span.past_at + i - span.low] = rows.impulse[i]
-        h = span.past_at + N_PAST * (span.high - span.low)
-        for b in range(span.first_body, span.last_body):
-            for k in range(4):
-                rows.past[h + k] = motion.solved[b][k]
-            h += 4
+        length = span.high - span.low
+        copy(rows.impulse, span.low, rows.past, span.past_at, length)
+        copy_bodies(motion.solved, rows.past, span.past_at + N_PAST * length, span.first_body, span.last_body)
 
     @wp.func(module=module)
     def after_sweep(
