@@ -20,8 +20,8 @@ MASK = MOST - 1
 def lane_functions(dtype: str) -> SimpleNamespace:
     """The type ``vector``, and functions of vectors: ``iota``, ``fold``, ``total``, loads and stores.
 
-    ``load(array, at)`` and ``store(array, at, vector)`` are of arrays of four axes, ``load_row`` and ``load_line`` of
-    arrays of two and of one, whose numbers may be any.
+    ``load(array, at)`` and ``store(array, at, vector)`` are of arrays of four axes, ``load_row``, ``store_row`` and
+    ``load_line`` of arrays of two and of one, whose numbers may be any.
     """
     vector = ti.types.vector(LANES, scalar_types(dtype).real)
 
@@ -92,6 +92,11 @@ def lane_functions(dtype: str) -> SimpleNamespace:
         for k in ti.static(range(LANES)):
             array[0, 0, 0, at + k] = v[k]
 
-    return SimpleNamespace(
-        vector=vector, iota=iota, fold=fold, total=total, load=load, load_row=load_row, load_line=load_line, store=store
-    )
+    @ti.func
+    def store_row(array: ti.template(), first, v):
+        at = first & MASK
+        for k in ti.static(range(LANES)):
+            array[0, at + k] = v[k]
+
+    functions = (iota, fold, total, load, load_row, load_line, store, store_row)
+    return SimpleNamespace(vector=vector, **{function.__name__: function for function in functions})

@@ -124,9 +124,10 @@ class Splat:
         if tiled is None:
             # what takes a second goes by tiles, between which an interrupt may arrive, unless points reach too many
             reached = count * (window / TILE_COLUMNS + 1.0) * (window / TILE_ROWS + 1.0)
-            tiled = "splat_tiles" in self.table and rows * columns * channels * dtype.itemsize > TILED_BYTES
-            tiled |= backend == "warp" and self._slices > LONG and reached < MOST_REACHED
-            tiled = tiled and not recording()  # tiles are counted on the host
+            tiled = rows * columns * channels * dtype.itemsize > TILED_BYTES
+            tiled |= self._slices > LONG and reached < MOST_REACHED
+            # tiles are counted on the host
+            tiled = tiled and "splat_tiles" in self.table and not recording()
         self.tiled = bool(tiled) and columns >= window
         self.missed = np.zeros(worlds, np.int32)
         self.values: dict[str, Any] = {

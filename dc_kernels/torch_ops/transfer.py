@@ -36,7 +36,7 @@ from dc_kernels.grid.splat import (
 )
 from dc_kernels.grid.stencil import BILINEAR, POLY6, Stencil, check_place
 from dc_kernels.model.arrays import kernel_array
-from dc_kernels.runtime.backends import argument_names, check_backend
+from dc_kernels.runtime.backends import argument_names, check_backend, has_kernels
 from dc_kernels.runtime.inputs import check_bins, check_count, check_places, check_start, check_truth
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.launches import Calls
@@ -193,7 +193,8 @@ def _share(image: Any, weight: Any, bins: int) -> Any:
 def _splat(points: Any, values: Any, *settings: Any) -> Any:
     call = _Call(points, settings)
     shape = (call.worlds, call.bins * call.check_values(values), *call.shape)
-    if call.backend == "warp" and math.prod(shape[1:]) * values.element_size() > TILED_BYTES:
+    large = math.prod(shape[1:]) * values.element_size() > TILED_BYTES
+    if large and has_kernels(call.backend, "grid.tiles"):
         image = values.new_zeros(shape)
         call.run_tiled(values, image)
         return image
@@ -366,9 +367,10 @@ class _Call:
 
     def run_tiled(self, value: Any, image: Any) -> None:
         """Splat onto a large, zeroed image tile by tile."""
-        points = points_group(self.grid, self.worlds, "warp", self.dtype, **self._arrays())
-        given = [kernel_array(tensor.detach().numpy(), "warp") for tensor in (value, image)]
-        Splat(self.stencil, self.grid, points, *given, bins=self.bins, threads=self.threads)()
+        points = points_group(self.grid, self.worlds, self.backend, self.dtype, **self._arrays())
+        given = [kernel_array(tensor.detach().numpy(), self.backend) for tensor in (value, image)]
+        options = {"bins": self.bins, "threads": self.threads, "backend": self.backend}
+        Splat(self.stencil, self.grid, points, *given, **options)()
 
 
 @functools.lru_cache(256)

@@ -90,7 +90,7 @@ def test_the_bits_do_not_depend_on_threads() -> None:
     assert one == two
 
 
-@pytest.mark.parametrize(("kernel", "support"), [("poly6", 0.8), ("bilinear", None)])
+@pytest.mark.parametrize(("kernel", "support"), [("poly6", 0.8), ("poly6", 0.5), ("bilinear", None)])
 def test_tiles_do_not_change_a_bit(kernel: str, support: float | None) -> None:
     grid = Grid(rows=150, columns=140, spacing=0.25, origin=(0.3, -1.0))
     given = cloud(grid, "float32", count=700, bins=2)

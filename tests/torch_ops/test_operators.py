@@ -13,7 +13,7 @@ import pytest
 
 from dc_kernels.grid import transfer
 from dc_kernels.grid.grid import Grid
-from dc_kernels.grid.splat import TILED_BYTES
+from dc_kernels.grid.splat import TILED_BYTES, Splat
 from dc_kernels.grid.stencil import Stencil
 from dc_kernels.sph.smoothing import STENCILS
 
@@ -81,8 +81,9 @@ def test_operators_give_the_bits_of_the_host_functions(dtype, threads):
             np.testing.assert_array_equal(found.numpy(), expected)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_large_images_go_by_tiles(threads):
+@pytest.mark.parametrize(("backend", "threads"), [("warp", 1), ("warp", 2), ("taichi", 2)])
+def test_large_images_go_by_tiles(backend, threads, monkeypatch):
+    pytest.importorskip(backend)
     grid = Grid(rows=1100, columns=1100, spacing=0.01)
     assert 2 * 4 * grid.rows * grid.columns > TILED_BYTES
     draw = np.random.default_rng(0)
@@ -90,7 +91,10 @@ def test_large_images_go_by_tiles(threads):
         draw.uniform(-0.1, 11.1, (500, 2)).astype(np.float32),
         draw.normal(size=(500, 2)).astype(np.float32),
     )
-    found = splat_torch(torch.from_numpy(points), torch.from_numpy(values), grid, threads=threads)
+    made = []
+    monkeypatch.setattr(operators, "Splat", lambda *args, **options: made.append(Splat(*args, **options)) or made[-1])
+    found = splat_torch(torch.from_numpy(points), torch.from_numpy(values), grid, threads=threads, backend=backend)
+    assert [stage.tiled for stage in made] == [True]
     np.testing.assert_array_equal(found.numpy(), transfer.splat(points, values, grid))
 
 

@@ -30,13 +30,20 @@ def kernels(dtype: str) -> dict[str, Any]:
         """Set the bands to 0 that the call before touched."""
         rows = image.shape[2]
         columns = image.shape[3]
+        plane = rows * columns
+        base = (w * image.shape[1] + channel_offset) * plane
         for b in range(touched.shape[1]):
             if touched[w, b] != 0:
                 touched[w, b] = 0
-                for c in range(channel_offset, channel_offset + channels):
-                    for r in range(b * BAND, ti.min(b * BAND + BAND, rows)):
-                        for n in range(columns):
-                            image[w, c, r, n] = 0.0
+                for c in range(channels):
+                    at = base + c * plane + b * BAND * columns
+                    end = base + c * plane + ti.min((b + 1) * BAND, rows) * columns
+                    while at + LANES <= end:
+                        lanes.store(image, at, lanes.vector(0.0))
+                        at += LANES
+                    while at < end:
+                        image[0, 0, 0, at] = 0.0
+                        at += 1
 
     @ti.func
     def add_row(at, w, scaled, image: t.image):
