@@ -119,10 +119,6 @@ class Glance:
         return wrong
 
 
-UNSEEN = Glance("numpy", np.float64)
-"""Looks at nothing."""
-
-
 @functools.cache
 def _calls(backend: str, dtype: str, name: str) -> Any:
     from dc_kernels.runtime.launches import Calls

@@ -5,6 +5,61 @@
 auto larger = [](double a, double b) { return a > b ? a : b; };
 auto smaller = [](double a, double b) { return a < b ? a : b; };
 auto size_of = [](double a) { return __builtin_fabs(a); };
+// inlined, so that the loops over a box's corners are unrolled
+auto misfits = [&](const int s, const int corners) __attribute__((always_inline)) {
+    const int start = vertex_start.data[s];
+    const REAL radius = shape_radius.data[s], center_x = shape_center.data[s][0], center_y = shape_center.data[s][1];
+    const REAL* vertex = (const REAL*)(vertices.data + start);
+    double x[MAX_VERTICES + 1], y[MAX_VERTICES + 1], dx[MAX_VERTICES + 1], dy[MAX_VERTICES + 1];
+    double left = vertex[0], right = left, bottom = vertex[1], top = bottom, reach = 0;  // squared
+    for (int k = 0; k < corners; ++k) {
+        x[k] = vertex[2 * k];
+        y[k] = vertex[2 * k + 1];
+        left = smaller(x[k], left);
+        right = larger(x[k], right);
+        bottom = smaller(y[k], bottom);
+        top = larger(y[k], top);
+        const double off_x = x[k] - center_x, off_y = y[k] - center_y;
+        reach = larger(off_x * off_x + off_y * off_y, reach);
+    }
+    x[corners] = x[0];
+    y[corners] = y[0];
+    const double size = larger(larger(-left, right), larger(-bottom, top));
+    const double slack = ROUNDING * (size + larger(size_of(center_x), size_of(center_y)));
+    if (!(center_x >= left - slack && center_x <= right + slack)) return 1;
+    if (!(center_y >= bottom - slack && center_y <= top + slack)) return 1;
+    const double arm = (double)shape_extent.data[s] - radius, more = arm + slack + NEAR / 2 * arm;
+    const double less = larger(arm - slack - NEAR / 2 * arm, 0);
+    if (!(arm >= 0 && reach >= less * less && reach <= more * more)) return 1;
+    if (corners == 1) return 0;
+
+    // an edge's length is taken along its normal, turned: neither roots nor quotients, and what bends by less than the
+    // rounding, though right, is left to the closer look
+    const REAL* normal = (const REAL*)(vertex_normals.data + start);
+    const double blur = ROUNDING / 2 * size;
+    int wrong = 0;
+    for (int k = 0; k < corners; ++k) {
+        dx[k] = x[k + 1] - x[k];
+        dy[k] = y[k + 1] - y[k];
+        const double nx = normal[2 * k], ny = normal[2 * k + 1], one = nx * nx + ny * ny;
+        const double along = nx * dy[k] - ny * dx[k];
+        wrong |= (int)!(size_of(nx * dx[k] + ny * dy[k]) <= blur + NEAR / 2 * along) | (int)!(along > 0);
+        wrong |= (int)!(size_of(one - 1) <= NEAR);
+    }
+    if (wrong) return 1;
+    if (corners == 2) return 0;
+    dx[corners] = dx[0];
+    dy[corners] = dy[0];
+    double area = 0;
+    int rises = 0;  // edges that turn upwards: one of them, where vertices go around once
+    for (int k = 0; k < corners; ++k) {
+        wrong |= (int)!(dx[k] * dy[k + 1] - dy[k] * dx[k + 1] > 0);
+        rises += (int)(dy[k] <= 0) & (int)(dy[k + 1] > 0);
+        area += (x[k] - x[0]) * dy[k] - (y[k] - y[0]) * dx[k];
+    }
+    const double width = right - left, height = top - bottom;
+    return (int)(wrong || rises != 1 || !(area > 2 * FLAT * (width * width + height * height)));
+};
 const int n = shape_type.shape[0];
 for (int s = 0; s < n; ++s) {
     const int kind = shape_type.data[s], start = vertex_start.data[s];
@@ -19,57 +74,7 @@ for (int s = 0; s < n; ++s) {
     } else if (given < 2 || given > MAX_VERTICES || (given == 2 && !(radius > 0))) {
         return 1;
     }
-    const int corners = kind == SEGMENT ? 2 : given;
-    double x[MAX_VERTICES + 1], y[MAX_VERTICES + 1], ux[MAX_VERTICES + 1], uy[MAX_VERTICES + 1], blur[MAX_VERTICES + 1];
-    double left = vertex[0], right = left, bottom = vertex[1], top = bottom, reach = 0;
-    for (int k = 0; k < corners; ++k) {
-        x[k] = vertex[2 * k];
-        y[k] = vertex[2 * k + 1];
-        left = smaller(x[k], left);
-        right = larger(x[k], right);
-        bottom = smaller(y[k], bottom);
-        top = larger(y[k], top);
-        const double dx = x[k] - center_x, dy = y[k] - center_y;
-        reach = larger(dx * dx + dy * dy, reach);
-    }
-    x[corners] = x[0];
-    y[corners] = y[0];
-    reach = __builtin_sqrt(reach) + radius;
-    const double size = larger(larger(-left, right), larger(-bottom, top));
-    const double slack = ROUNDING * (size + larger(size_of(center_x), size_of(center_y)));
-    if (!(center_x >= left - slack && center_x <= right + slack)) return 1;
-    if (!(center_y >= bottom - slack && center_y <= top + slack)) return 1;
-    if (!(size_of((double)shape_extent.data[s] - reach) <= slack + NEAR * reach)) return 1;
-    if (corners == 1) continue;
-
-    const REAL* normal = (const REAL*)(vertex_normals.data + start);
-    int wrong = 0;
-#pragma clang loop vectorize_width(4) interleave_count(1)
-    for (int k = 0; k < corners; ++k) {
-        const double dx = x[k + 1] - x[k], dy = y[k + 1] - y[k];
-        const double per_side = 1 / __builtin_sqrt(dx * dx + dy * dy);
-        ux[k] = dx * per_side;
-        uy[k] = dy * per_side;
-        blur[k] = ROUNDING * size * per_side + NEAR;
-        const double nx = normal[2 * k], ny = normal[2 * k + 1], one = nx * nx + ny * ny;
-        const double off_x = nx - uy[k], off_y = ny + ux[k];
-        wrong |= (int)!(off_x * off_x + off_y * off_y <= blur[k] * blur[k]);
-        wrong |= (int)!(one >= (1 - NEAR) * (1 - NEAR)) | (int)!(one <= (1 + NEAR) * (1 + NEAR));
-    }
-    if (wrong) return 1;
-    if (corners == 2) continue;
-    ux[corners] = ux[0];
-    uy[corners] = uy[0];
-    blur[corners] = blur[0];
-    double area = 0, turn = 0;
-    for (int k = 0; k < corners; ++k) {
-        const double sine = ux[k] * uy[k + 1] - uy[k] * ux[k + 1];
-        if (!(sine >= -(blur[k] + blur[k + 1]))) return 1;
-        if (corners > 4) turn += wp::atan2(larger(sine, 0.0), ux[k] * ux[k + 1] + uy[k] * uy[k + 1]);
-        area += ((x[k] - x[0]) * (y[k + 1] - y[0]) - (y[k] - y[0]) * (x[k + 1] - x[0])) / 2;
-    }
-    const double width = right - left, height = top - bottom;
-    if (!(area > FLAT * (width * width + height * height) && turn < 3 * 3.141592653589793)) return 1;
+    if (kind != SEGMENT && given == 4 ? misfits(s, 4) : misfits(s, kind == SEGMENT ? 2 : given)) return 1;
 }
 return 0;
 #else
