@@ -11,7 +11,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
@@ -22,13 +22,15 @@ from dc_kernels.runtime.backends import bind, check_backend, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_count, check_points, check_start
 from dc_kernels.runtime.optional import require
-from dc_kernels.runtime.threads import map_threads
+from dc_kernels.runtime.threads import in_main_thread, map_threads, run_apart
 
 _number = checker(Annotated[float, Limits(above=0.0, size=math.sqrt(np.finfo(np.float64).max))])  # its square decides
 METHODS = ("hash", "kdtree", "tree", "all")
 WAITING = 8  # workspaces that are kept for the next calls
+LONG = 30_000  # points from which a search may take more than half a second, if all are neighbours
 BLOCK = 1 << 20  # distances at a time in the method "all"
 Found = tuple[np.ndarray, np.ndarray]  # one world's (queries, points), indices in the world
+Result = TypeVar("Result")
 Search = Callable[["np.ndarray | None", np.ndarray, Any], Found]
 
 
@@ -75,8 +77,12 @@ def neighbor_pairs(
     starts = check_start("start", start, len(points))
     limit = square("radius", radius, points.dtype)
     if search is None:
-        with _workspace(backend) as workspace:
-            return hash_pairs(points, radius, limit, starts, threads, workspace)
+
+        def by_cells(points: np.ndarray) -> np.ndarray:
+            with _workspace(backend) as workspace:
+                return hash_pairs(points, radius, limit, starts, threads, workspace)
+
+        return _leaving(by_cells, points)
 
     def world(w: int) -> np.ndarray:
         first, last = starts[w : w + 2]
@@ -132,10 +138,13 @@ def neighbor_lists(
         raise ValueError(f"query_start has {worlds} worlds, point_start has {len(first_point) - 1}; they must agree")
     limit = square("radius", radius, points.dtype)
     if search is None:
-        with _workspace(backend) as workspace:
-            return Neighbors(
-                *hash_lists(queries, points, radius, limit, (first_query, first_point), threads, workspace)
-            )
+
+        def by_cells(queries: np.ndarray, points: np.ndarray) -> Neighbors:
+            with _workspace(backend) as workspace:
+                found = hash_lists(queries, points, radius, limit, (first_query, first_point), threads, workspace)
+            return Neighbors(*found)
+
+        return _leaving(by_cells, queries, points)
 
     def world(w: int) -> tuple[np.ndarray, np.ndarray]:
         q0, q1 = first_query[w : w + 2]
@@ -148,6 +157,18 @@ def neighbor_lists(
     lists = np.zeros(len(queries) + 1, np.int64)
     np.cumsum(np.concatenate([count for count, _ in parts]) if parts else [], out=lists[1:])
     return Neighbors(lists, np.concatenate([index for _, index in parts]) if parts else np.empty(0, np.int32))
+
+
+def _leaving(search: Callable[..., Result], *points: np.ndarray) -> Result:
+    """What a search of points finds; one that may take seconds is left to end by itself when it is interrupted.
+
+    So an interrupt is not kept waiting. The search goes on with copies, which nobody changes.
+    """
+    if sum(map(len, points)) < LONG or not in_main_thread():
+        return search(*points)
+    copies, found = {id(array): array.copy() for array in points}, []
+    run_apart(lambda: found.append(search(*(copies[id(array)] for array in points))), lambda ended: None)
+    return found[0]
 
 
 _idle: dict[str, list[Workspace]] = {}  # of each backend: those that wait for a call
