@@ -8,6 +8,7 @@ touch keeps its bits: other worlds, and the contacts with their impulses.
 from __future__ import annotations
 
 import contextlib
+import difflib
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -80,17 +81,26 @@ def change(sim: Simulation, values: Mapping[str, Any]) -> None:
 
 
 def _given(name: str, values: Any, model: Model, joints: Joints) -> np.ndarray:
-    """An array of a field's own shape and dtype; one number for all."""
+    """An array of a field's own shape and dtype; one element (a number, or a vector) is that of all."""
     group: ArrayGroup = model if name in MODEL else joints
     if name not in group.changeable:
-        names = ", ".join((*model.changeable, *joints.changeable))
-        raise KeyError(f"{name} cannot be changed in a simulation; make a new one. It may be one of {names}")
+        changeable = (*model.changeable, *joints.changeable)
+        why = "cannot be changed in a simulation; make a new one"
+        if name not in {**MODEL, **JOINTS}:
+            meant = [other for other in changeable if name in other] or difflib.get_close_matches(name, changeable)
+            why = (
+                f"is no field of a model or of joints (did you mean {' or '.join(meant)}?)"
+                if meant
+                else ("is no field of a model or of joints")
+            )
+        raise KeyError(f"{name} {why}. It may be one of {', '.join(changeable)}")
     field = group.table[name]
     scalar, inner = numpy_spec(field, group.dtype)
     shape = (group.sizes[field.per], *inner)
     array = numeric(name, host_view(name, values), f"numbers of shape {shape}")
-    if array.ndim == 0 and not inner:
-        array = np.full(shape, check_values(name, array, (), np.dtype(np.float64) if scalar.kind == "f" else scalar))
+    if array.shape == inner:
+        one = check_values(name, array, inner, np.dtype(np.float64) if scalar.kind == "f" else scalar)
+        array = np.broadcast_to(one, shape)
     return np.array(check_values(name, array, shape, scalar))
 
 

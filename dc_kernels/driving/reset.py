@@ -126,9 +126,14 @@ def check_rows(model: Model, worlds: np.ndarray | None, state: Any) -> list[tupl
         chosen = rows[STATE[name].per]
         array = numeric(f"state[{name!r}]", host_view(f"state[{name!r}]", given), "numbers", "buif")
         count = model.world_count if worlds is None else len(worlds)
-        if count and len(chosen) % count == 0 and array.shape == (count, len(chosen) // count, *inner):
-            array = array.reshape((len(chosen), *inner))
-        found.append((name, chosen, check_values(f"state[{name!r}]", array, (len(chosen), *inner), scalar)))
+        flat, alike = (len(chosen), *inner), (count, len(chosen) // max(count, 1), *inner)
+        if count * alike[1] != len(chosen):
+            alike = flat
+        if array.shape not in (flat, alike):
+            either = " or ".join(str(shape) for shape in dict.fromkeys((flat, alike)))
+            raise ValueError(f"state[{name!r}] has shape {array.shape}; it must be {either}")
+        array = array.reshape(flat)
+        found.append((name, chosen, check_values(f"state[{name!r}]", array, flat, scalar)))
     return found
 
 

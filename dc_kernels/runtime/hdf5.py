@@ -105,6 +105,10 @@ def reading(path: Any, *, virtual: bool = False, schema: str = "") -> Iterator[A
         content = path.read()
         if not isinstance(content, bytes):
             raise TypeError(f"{label}.read() gives a {type(content).__name__}; it must give bytes")
+        if not content:
+            raise ValueError(
+                f"{label}.read() gives nothing: the file is empty, or stands at its end; rewind it by seek(0)"
+            )
         source = io.BytesIO(content)
     else:
         check_regular(path)

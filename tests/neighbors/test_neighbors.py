@@ -1,7 +1,9 @@
 """Neighbour search: every method finds what all pairs do, and the sorted cells are those of the oracle."""
 
+import _thread
 import functools
 import itertools
+import threading
 import tracemalloc
 import weakref
 from concurrent.futures import ThreadPoolExecutor
@@ -17,6 +19,32 @@ from dc_kernels.neighbors import search
 from dc_kernels.neighbors.cells import SortedCells, Workspace, shards_of
 from dc_kernels.neighbors.fields import CELLS
 from dc_kernels.neighbors.search import METHODS, neighbor_lists, neighbor_pairs
+
+
+def test_a_long_search_is_left_to_itself_at_an_interrupt(monkeypatch):
+    points = np.random.default_rng(0).uniform(0, 1, (500, 2))
+    whole, begun, goes_on, ended = neighbor_pairs(points, 0.1), threading.Event(), threading.Event(), threading.Event()
+
+    def slow(*args):
+        begun.set()
+        goes_on.wait()
+        pairs.append(hash_pairs(*args))
+        ended.set()
+
+    pairs, hash_pairs = [], search.hash_pairs
+    monkeypatch.setattr(search, "LONG", len(points))
+    monkeypatch.setattr(search, "hash_pairs", slow)
+    threading.Thread(target=lambda: (begun.wait(), _thread.interrupt_main())).start()
+    with pytest.raises(KeyboardInterrupt):
+        neighbor_pairs(points, 0.1)
+    assert not ended.is_set()
+    kept = points.copy()
+    points[:] = np.nan  # it has copies
+    goes_on.set()
+    assert ended.wait(30)
+    monkeypatch.undo()
+    assert np.array_equal(pairs[0], whole)
+    assert np.array_equal(neighbor_pairs(kept, 0.1), whole)
 
 
 def in_order(pairs):
