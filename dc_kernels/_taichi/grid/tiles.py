@@ -126,15 +126,15 @@ def kernels(dtype: str) -> dict[str, Any]:
         lanes.store_row(tiles.scratch, at, lanes.load_row(tiles.scratch, at) + w * scaled)
 
     @ti.func
-    def add_few(low, r0, r1, at, stride, w0, w1, w2, w3, scaled, tiles: Tiles):
-        """Add a scaled value to those of the rows from ``low`` on, at most four, that are r0 .. r1."""
-        if r0 <= low <= r1:
+    def add_few(begin, last, at, stride, w0, w1, w2, w3, scaled, tiles: Tiles):
+        """Add a scaled value to the rows ``begin`` .. ``last`` of a window of one vector and at most four rows."""
+        if begin <= 0 <= last:
             add_row(at, w0, scaled, tiles)
-        if r0 <= low + 1 <= r1:
+        if begin <= 1 <= last:
             add_row(at + stride, w1, scaled, tiles)
-        if r0 <= low + 2 <= r1:
+        if begin <= 2 <= last:
             add_row(at + 2 * stride, w2, scaled, tiles)
-        if r0 <= low + 3 <= r1:
+        if begin <= 3 <= last:
             add_row(at + 3 * stride, w3, scaled, tiles)
 
     @ti.func
@@ -224,8 +224,10 @@ def kernels(dtype: str) -> dict[str, Any]:
                         r1 = ti.min(place.r1, row_high - 1)
                         if few:
                             at = to + place.r0 * stride + place.first
+                            begin = r0 - place.r0
+                            last = r1 - place.r0
                             for c in range(channels):
-                                add_few(place.r0, r0, r1, at, stride, w0, w1, w2, w3, value[i, c] * factor, tiles)
+                                add_few(begin, last, at, stride, w0, w1, w2, w3, value[i, c] * factor, tiles)
                                 at += layer
                         else:
                             for r in range(r0, r1 + 1):
