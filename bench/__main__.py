@@ -31,6 +31,7 @@ MODULES = {
     "fc2d": "error_time.fc2d",
     "stability": "stability.stability",
     "faults": "faults.faults",
+    "games": "games.games",
     "house": "house",
 }
 NAMES = tuple(MODULES)
@@ -65,10 +66,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one bench and print its table, and its JSON line if asked for; return 0, or 2 for an unknown name."""
     parser = argparse.ArgumentParser(prog="python -m bench", description="Benches of deep-contact.")
     parser.add_argument("name", nargs="?", help="which bench; without it they are listed")
-    parser.add_argument("more", nargs="*", metavar="argument", help="what a bench takes beside: fc2d a folder")
+    parser.add_argument(
+        "more", nargs="*", metavar="argument", help="what a bench takes beside: fc2d a folder, games scenes"
+    )
+    parser.add_argument("--config", metavar="NAME[,NAME]", help="settings of ours by name, for the bench games")
     parser.add_argument("--quick", action="store_true", help="fewer repeats and worlds: ends within 40 s")
     parser.add_argument("--json", action="store_true", help="print one JSON line last")
-    options = parser.parse_args(arguments)
+    options = parser.parse_intermixed_args(arguments)  # names may stand behind --quick
     if options.name is None:
         print(listing())
         return 0
@@ -80,12 +84,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     wp.config.log_level = wp.LOG_WARNING  # its lines on loading modules would stand between ours
     bench = load(options.name)
     takes = getattr(bench, "TAKES", "")
-    if len(options.more) > len(takes.split()):
+    if len(options.more) > len(takes.split()) and not takes.endswith("..."):
         wanted = f"{takes} and no more" if takes else "no argument"
         print(f"bench {options.name} takes {wanted}; there is {' '.join(options.more)!r}", file=sys.stderr)
         return 2
+    given = {} if options.config is None else {"config": options.config}
+    if given and not hasattr(bench, "CONFIGS"):
+        print(f"bench {options.name} takes no --config", file=sys.stderr)
+        return 2
     print(timing.machine_line(timing.machine(bench.THREADS)))
-    values = bench.measure(options.quick, *options.more)
+    values = bench.measure(options.quick, *options.more, **given)
     print(bench.report(values), flush=True)
     if options.json:
         print(timing.json_line(options.name, values, bench.KEYS, quick=options.quick, threads=bench.THREADS))

@@ -85,18 +85,16 @@ def settled(bodies: int, worlds: int = 1) -> dc.Simulation:
     return sim
 
 
-def side_by_side(sim: dc.Simulation, copies: int, *, shuffled: bool = False, **options: Any) -> dc.Simulation:
-    """Put copies of a settled thesis pile side by side in one world, every second one mirrored, and let them rest.
+def wide_pile(pile: np.ndarray, copies: int, *, shuffled: bool = False) -> dc.ModelBuilder:
+    """Put copies of a settled thesis pile side by side in one world, every second one mirrored.
 
     It spares the fall of so large a pile.
 
     Args:
-        sim: holds the pile in its first world.
+        pile: positions of its discs (n, 2) [m].
         copies: how many.
         shuffled: number the bodies at random instead of by place.
-        options: of ``dc.Simulation``, except config.
     """
-    pile = disc_positions(sim.model, sim.state)[0]
     scene = scenes.Thesis(bodies=len(pile))
     left = -0.5 * copies * scene.side
     mirrored = [scene.side, 0.0] + pile * [-1.0, 1.0]
@@ -107,6 +105,15 @@ def side_by_side(sim: dc.Simulation, copies: int, *, shuffled: bool = False, **o
     if shuffled:
         positions = np.random.default_rng(0).permutation(positions)
     builder.add_discs(positions, scene.radius, **scene.material)
+    return builder
+
+
+def side_by_side(sim: dc.Simulation, copies: int, *, shuffled: bool = False, **options: Any) -> dc.Simulation:
+    """Put copies of the pile in the first world of a simulation side by side (``wide_pile``), and let them rest.
+
+    Options are those of ``dc.Simulation``, except config.
+    """
+    builder = wide_pile(disc_positions(sim.model, sim.state)[0], copies, shuffled=shuffled)
     model, state, joints = builder.finalize()
     wide = dc.Simulation(model, state, joints, config=dc.SolverConfig(max_sweeps=SWEEPS), **options)
     wide.run(SETTLING_COPIES, DT)

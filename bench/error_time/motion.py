@@ -16,7 +16,7 @@ import numpy as np
 
 import dc_kernels as dc
 from bench import timing
-from bench.error_time.peers import ENGINES
+from bench.peers.engines import ENGINES
 from dc_kernels.runtime.optional import require
 from pipeline import scenes
 

@@ -16,15 +16,14 @@ import numpy as np
 import dc_kernels as dc
 from bench import timing
 from bench.cases import DT
-from bench.error_time.peers import ENGINES
 from bench.error_time.scenes import Case, State
-from dc_kernels.measure import contact_slots
+from bench.peers.engines import ENGINES
+from bench.peers.gauge import Gauge
 from dc_kernels.model.config import ACCELERATIONS
 
 ERRORS = ("penetration", "penetration_max", "drift")
 """Mean overlap of the touching pairs and the largest [m], means and maximum over four times of the run; mean
 displacement of a body in its last second, per second [m/s]."""
-TOUCHING = 1e-3  # gap below which surfaces touch [diameters]
 SAMPLES = 4
 STEPS = (0.02, 0.005, 0.0025)  # time steps beside DT [s]
 SHORT = 0.5  # [s]: shorter runs are timed three times
@@ -82,7 +81,7 @@ def runs(quick: bool) -> list[Run]:
 
 
 class _Ours:
-    """A simulation as a world of ``error_time_peers``."""
+    """A simulation as a world of ``peers.engines``."""
 
     def __init__(self, state: State, run: Run) -> None:
         self.sim = state.simulation(config=dc.SolverConfig(**run.changed))
@@ -95,32 +94,9 @@ class _Ours:
         return self.sim.state.numpy("position").copy(), self.sim.state.numpy("angle").copy()
 
 
-class Gauge:
-    """Overlaps of the touching pairs of a world's positions, in float64."""
-
-    def __init__(self, state: State) -> None:
-        """Of a state's world."""
-        self.state = state
-        model, initial, joints = self.state.scene.build(1, state.seed).finalize(dtype="float64")
-        self.model, self.initial, self.joints = model, initial, joints
-        self.scale = float(model.numpy("length_scale")[0])
-
-    def overlaps(self, position: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        """Of each contact point whose gap is below ``TOUCHING`` (n,) [m]; 0 where a gap is left."""
-        state = self.initial.copy()
-        state.assign("position", position.astype(np.float64))
-        state.assign("angle", angle.astype(np.float64))
-        state.assign("velocity", np.zeros_like(state.numpy("velocity")))
-        state.assign("angular_velocity", np.zeros_like(state.numpy("angular_velocity")))
-        sim = dc.Simulation(self.model, state, self.joints.copy())
-        sim.collide(1e-6)
-        gap = sim.contacts.numpy("gap")[contact_slots(sim.contacts)[0]]
-        return np.maximum(-gap[gap < TOUCHING * self.scale], 0.0)
-
-
 def points(case: Case, state: State, chosen: list[Run], advance: Callable[[str], None]) -> list[dict[str, Any]]:
     """A point for each run: wall time per simulated second, ``ERRORS``, and what it was."""
-    gauge = Gauge(state)
+    gauge = Gauge(*state.scene.build(1, state.seed).finalize(dtype="float64"))
     dynamic = gauge.model.numpy("body_type") == dc.BodyType.DYNAMIC
     started: tuple[Any, ...] | None = None
     found = []

@@ -13,6 +13,7 @@ from pipeline.scenes.mixed import Mixed
 from pipeline.scenes.peers import PeerWorld, to_box2d, to_pymunk
 from pipeline.scenes.placement import CLEARANCE, Sampler, place_discs
 from pipeline.scenes.registry import SCENES, register, scene
+from pipeline.scenes.tumbler import Tumbler
 
 __all__ = [
     "CLEARANCE",
@@ -29,6 +30,7 @@ __all__ = [
     "Stack",
     "Thesis",
     "ThesisClustered",
+    "Tumbler",
     "box_side",
     "place_discs",
     "register",

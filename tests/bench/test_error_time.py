@@ -12,12 +12,13 @@ import pytest
 import dc_kernels as dc
 from bench.error_time import error_time as bench_error_time
 from bench.error_time import motion as error_time_motion
-from bench.error_time import peers as error_time_peers
 from bench.error_time import points as error_time_points
 from bench.error_time import references as error_time_references
 from bench.error_time import runs as error_time_runs
 from bench.error_time import scenes as error_time_scenes
 from bench.error_time import solve as error_time_solve
+from bench.peers import engines
+from bench.peers.gauge import Gauge
 from dc_kernels.delassus import from_world
 from dc_kernels.model.config import ACCELERATIONS
 from pipeline import scenes
@@ -212,7 +213,7 @@ def test_peers_keep_what_lies_where_it_lies(engine, module):
     builder.add_disc(hung, 0.1)
     builder.add_distance_joint(floor, hung, (11.0, 3.0))
     groups = builder.finalize("float64")
-    make, choices = error_time_peers.ENGINES[engine]
+    make, choices = engines.ENGINES[engine]
     world = make(*groups, *choices[1])
     before, _ = world.places()
     np.testing.assert_allclose(before, groups[1].numpy("position"), atol=1e-6)
@@ -223,7 +224,7 @@ def test_peers_keep_what_lies_where_it_lies(engine, module):
 
 
 def test_penetration_is_measured_in_the_positions(states):
-    gauge = error_time_runs.Gauge(states[1])
+    gauge = Gauge(*states[1].scene.build(1, states[1].seed).finalize(dtype="float64"))
     position, angle = (states[1].bodies[name].astype(np.float64) for name in ("position", "angle"))
     rest = gauge.overlaps(position, angle)
     assert len(rest) > 15 and rest.max() < 2e-3

@@ -11,7 +11,7 @@ from pipeline import scenes
 
 
 class World(Protocol):
-    """One engine's copy of a world."""
+    """One engine's copy of the first world, or of some more."""
 
     def run(self, steps: int, dt: float) -> None:
         """Take steps of dt [s]."""
@@ -23,14 +23,20 @@ class World(Protocol):
 class Pymunk:
     """Chipmunk (see ``scenes.to_pymunk``)."""
 
-    def __init__(self, model: dc.Model, state: dc.State, joints: dc.Joints, iterations: int) -> None:
-        """Copy the first world."""
-        self.space, self.bodies = scenes.to_pymunk((model, state, joints))
-        self.space.iterations = iterations
+    def __init__(
+        self, model: dc.Model, state: dc.State, joints: dc.Joints, iterations: int, *, worlds: int = 1
+    ) -> None:
+        """Copy so many worlds, from the first on; each takes all its steps before the next does."""
+        made = [scenes.to_pymunk((model, state, joints), world) for world in range(worlds)]
+        self.spaces = [world.space for world in made]
+        self.bodies = [body for world in made for body in world.bodies]
+        for space in self.spaces:
+            space.iterations = iterations
 
     def run(self, steps: int, dt: float) -> None:
-        for _ in range(steps):
-            self.space.step(dt)
+        for space in self.spaces:
+            for _ in range(steps):
+                space.step(dt)
 
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         return np.array([tuple(b.position) for b in self.bodies]), np.array([b.angle for b in self.bodies])
@@ -40,15 +46,25 @@ class Pybox2d:
     """Box2D 2.3 (see ``scenes.to_box2d``)."""
 
     def __init__(
-        self, model: dc.Model, state: dc.State, joints: dc.Joints, velocity_iterations: int, position_iterations: int
+        self,
+        model: dc.Model,
+        state: dc.State,
+        joints: dc.Joints,
+        velocity_iterations: int,
+        position_iterations: int,
+        *,
+        worlds: int = 1,
     ) -> None:
-        """Copy the first world."""
+        """Copy so many worlds, from the first on; each takes all its steps before the next does."""
         self.iterations = velocity_iterations, position_iterations
-        self.space, self.bodies = scenes.to_box2d((model, state, joints))
+        made = [scenes.to_box2d((model, state, joints), world) for world in range(worlds)]
+        self.spaces = [world.space for world in made]
+        self.bodies = [body for world in made for body in world.bodies]
 
     def run(self, steps: int, dt: float) -> None:
-        for _ in range(steps):
-            self.space.Step(dt, *self.iterations)
+        for space in self.spaces:
+            for _ in range(steps):
+                space.Step(dt, *self.iterations)
 
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         places = np.array([tuple(body.position) for body in self.bodies], np.float64)

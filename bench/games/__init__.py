@@ -1,0 +1,1 @@
+"""Scenes of games, beside the engines of games."""
