@@ -15,7 +15,7 @@ from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recordin
 from dc_kernels.runtime.inputs import check_layout, check_truth
 from dc_kernels.runtime.interop import InPlace
 from dc_kernels.runtime.sequences import Rounds, Watch
-from dc_kernels.runtime.stepping import Shards
+from dc_kernels.runtime.stepping import shards_of
 from dc_kernels.runtime.threads import OneCaller
 from dc_kernels.solve.exchange import (
     BEFORE,
@@ -156,9 +156,9 @@ class ContactSolver(InPlace):
                 unless ``restitution`` is the number 0 or 1.
             discs: all bodies that contacts turn are discs about their centres, whose normals have no arm: less work.
             config: settings of the solver; it has no position phase: only position_correction="baumgarte" acts.
-            threads: at most so many Python threads share the worlds.
+            threads: at most so many threads share the worlds.
             schedule: "world" (a thread runs a world's solve) or "color" (a launch a colour).
-            backend: "warp", or "numpy": the oracle, never fast.
+            backend: "warp", "taichi", or "numpy": the oracle, never fast.
 
         Raises:
             ValueError: naming argument, index and limit.
@@ -180,8 +180,8 @@ class ContactSolver(InPlace):
         starts = offsets(lengths, given_starts)
         worlds = len(starts["body"]) - 1
         self._hosted = backend != "warp" or schedule != "world"
-        self._shards = Shards(worlds, lengths["body"], options.threads)
-        self.threads = self._shards.threads
+        self.threads = min(options.threads, max(worlds, 1))
+        self._shards = shards_of(self.backend, worlds, lengths["body"], self.threads)
         fewest = "joints" if lengths["joint"] else "discs" if discs else "general"
         self.variant = "rows" if lengths["row"] else fewest
         pull = gravity_of(gravity, restitution)
@@ -217,7 +217,7 @@ class ContactSolver(InPlace):
         self.contacts.assign("contact_start", starts["contact"])
         self.model.assign("length_scale", for_each("length_scale", length_scale, sizes["world"], positive=True))
         self.model.numpy("gravity")[:, 1] = for_each("gravity", gravity, sizes["world"])
-        weights, shards = for_each("weight", weight, sizes["world"]).astype(self.dtype), len(self._shards.ranges)
+        weights, shards = for_each("weight", weight, sizes["world"]).astype(self.dtype), self._shards.parts
         self._integrator = Integrator(self.model, shards, self._config.method, weights)
         self.motion = self._integrator.motion
         self._storage = SolverStorage(
@@ -235,12 +235,12 @@ class ContactSolver(InPlace):
         for file, *options in FILES:
             chosen = (getattr(self, option) for option in options)
             self.kernels |= make_kernels(self.backend, file, self.dtype.name, *chosen)
-        self._binding = Binding(self.kernels, self.model, self._shards.ranges, self._shards.cut_flag)
+        self._binding = Binding(self.kernels, self.model, self._shards.ranges, self._shards.cut_flag, self.threads)
 
     @property
     def _in_turn(self) -> bool:
-        """Whether a shard solves world after world."""
-        return self.schedule == "world"
+        """Whether a shard of the host solves world after world; threads of the backend's own share one shard."""
+        return self.schedule == "world" and self._shards.parts == len(self._shards.ranges)
 
     def _bind_all(self) -> None:
         """Take arrays and settings anew; launches are bound when they are first wanted."""
@@ -408,10 +408,11 @@ class ContactSolver(InPlace):
         if name in BEFORE:
             self.exchange.sizes["body before"] = self.exchange.sizes["body"]
         view = view_of(self.exchange, name, array, writes=name in WRITTEN)
+        for launch in self._exchanges if view.size else ():
+            if hasattr(launch, "give"):
+                launch.give(f"exchange.{name}", view)
         self._given[name], self._at[name], self._shared[name] = array, view.ctypes.data, view
         if self.backend == "warp":
-            for launch in self._exchanges if view.size else ():
-                launch.point(f"exchange.{name}", view.ctypes.data, view.shape)  # type: ignore[attr-defined]
             self._moved = True
         else:
             share_all(self.exchange, {name: array}, writes=WRITTEN)

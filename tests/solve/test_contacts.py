@@ -11,6 +11,7 @@ import warp as wp
 import dc_kernels as dc
 from dc_kernels import delassus
 from dc_kernels.model.config import ACCELERATIONS
+from tests import backends
 
 DT = 0.01
 
@@ -92,42 +93,48 @@ def assert_solved_alike(sim, given, stats):
 
 
 @pytest.mark.parametrize(
-    ("dtype", "options"),
+    ("dtype", "options", "backend"),
     [
-        ("float32", {}),
-        ("float64", {}),
-        ("float32", {"discs": True}),
-        ("float32", {"joints": True}),
-        ("float64", {"joints": True}),
+        ("float32", {}, "warp"),
+        ("float64", {}, "warp"),
+        ("float32", {"discs": True}, "warp"),
+        ("float32", {"joints": True}, "warp"),
+        ("float64", {"joints": True}, "warp"),
+        pytest.param("float32", {}, "taichi", marks=backends.NEEDS_TAICHI),
+        pytest.param("float64", {"joints": True}, "taichi", marks=backends.NEEDS_TAICHI),
     ],
 )
-def test_a_simulations_contacts_give_its_bits(dtype, options):
+def test_a_simulations_contacts_give_its_bits(dtype, options, backend):
     sim = pile(dtype, **options)
     given = arrays_of(sim)
-    solver = dc.ContactSolver(**given, config=sim.config)
+    for name in ("arm_a", "arm_b", "normal", "inv_mass"):  # which are only read
+        given[name].flags.writeable = False
+    solver = dc.ContactSolver(**given, config=sim.config, backend=backend)
     sim.solve()
     stats = solver.solve(DT)
     assert stats.numpy("sweeps").min() >= 10 and stats is solver.stats
     assert_solved_alike(sim, given, stats)
 
 
+@pytest.mark.parametrize("backend", backends.COMPILED)
 @pytest.mark.parametrize("acceleration", list(ACCELERATIONS))
 @pytest.mark.parametrize("method", ["pgs", "jacobi"])
-def test_all_methods_give_a_simulations_bits(method, acceleration):
+def test_all_methods_give_a_simulations_bits(method, acceleration, backend):
     config = dc.SolverConfig(method=method, acceleration=acceleration, omega=0.9, max_sweeps=60, tolerance=1e-6)
     sim = pile(config=config)
     given = arrays_of(sim, warm=False)
     sim.contacts.assign("impulse", np.zeros_like(sim.contacts.numpy("impulse")))
     sim.solve()
-    assert_solved_alike(sim, given, dc.ContactSolver(**given, config=config).solve(DT))
+    assert_solved_alike(sim, given, dc.ContactSolver(**given, config=config, backend=backend).solve(DT))
 
 
+@pytest.mark.parametrize("backend", backends.COMPILED)
 @pytest.mark.parametrize("options", [{"schedule": "color"}, {"threads": 2}])
-def test_schedules_and_threads_give_the_same_bits(monkeypatch, options):
+def test_schedules_and_threads_give_the_same_bits(monkeypatch, options, backend):
     monkeypatch.setattr("dc_kernels.runtime.stepping.WORTH_THREADS", 0)
     sim = pile(worlds=5, joints=True)
     given = arrays_of(sim)
-    solver = dc.ContactSolver(**given, config=sim.config, **options)
+    solver = dc.ContactSolver(**given, config=sim.config, backend=backend, **options)
     sim.solve()
     assert_solved_alike(sim, given, solver.solve(DT))
 
@@ -192,7 +199,7 @@ def test_one_contact_in_closed_form(dtype, changes, velocity, impulse):
     np.testing.assert_array_equal(given["velocity"][0], 0.0)
 
 
-@pytest.mark.parametrize("backend", ["warp", "numpy"])
+@pytest.mark.parametrize("backend", backends.ALL)
 @pytest.mark.parametrize("acceleration", ["none", "adaptive"])
 def test_no_impulse_stays_where_nothing_moves(acceleration, backend):
     """What a start gives to a contact of two immovable bodies no sweep would mend."""
@@ -302,7 +309,7 @@ def test_pivots_find_the_same_velocities():
 # ---------------------------------------------------------------------- calls
 
 
-@pytest.mark.parametrize("backend", ["warp", "numpy"])
+@pytest.mark.parametrize("backend", backends.ALL)
 def test_kept_rows_give_the_bits_of_a_whole_call(backend):
     sim = pile(worlds=2)
     one, two = arrays_of(sim), arrays_of(sim)
@@ -406,7 +413,7 @@ def test_arrays_of_other_libraries_are_used_where_they_lie(library):
     np.testing.assert_array_equal(one["joints"]["joint_impulse"], two["joints"]["joint_impulse"])
 
 
-@pytest.mark.parametrize("backend", ["warp", "numpy"])
+@pytest.mark.parametrize("backend", backends.ALL)
 def test_arrays_may_be_others_at_each_call(backend):
     given = drop("float32")
     solver = dc.ContactSolver(**{k: v for k, v in given.items() if "velocity" not in k}, backend=backend)
@@ -425,6 +432,20 @@ def test_arrays_may_be_others_at_each_call(backend):
     velocity = np.array([[0, 0], [0, -1]], np.float32)
     solver.solve(DT, velocity, **before)
     np.testing.assert_allclose(velocity[1], (0.0, 3.0), rtol=1e-6)
+
+
+@backends.NEEDS_TAICHI
+def test_memory_that_taichi_cannot_load_vectors_from_is_refused_and_the_call_before_stands():
+    given = drop("float32")
+    solver = dc.ContactSolver(**given, backend="taichi")
+    solver.solve(DT)
+    shifted = np.zeros(5, np.float32)[1:].reshape(2, 2)
+    for _ in range(2):
+        with pytest.raises(ValueError, match=r"exchange.velocity lies at address .* at multiples of 8 bytes"):
+            solver.solve(DT, shifted)
+    given["velocity"][1] = (0.0, -3.0)
+    solver.solve(DT)
+    np.testing.assert_allclose(given["velocity"][1], 0.0, atol=1e-6)
 
 
 def test_a_tensor_may_have_other_memory_at_each_call():
@@ -530,7 +551,7 @@ def test_a_graph_takes_the_arrays_of_its_call():
 # ---------------------------------------------------------------------- bad input
 
 
-@pytest.mark.parametrize("backend", ["warp", "numpy"])
+@pytest.mark.parametrize("backend", backends.ALL)
 @pytest.mark.parametrize(
     ("name", "index", "value", "message"),
     [

@@ -10,6 +10,7 @@ import pytest
 import dc_kernels as dc
 from dc_kernels import delassus
 from dc_kernels.model.config import ACCELERATIONS
+from tests import backends
 
 DT, GRAVITY = 0.01, 9.8
 EXACT = dc.SolverConfig(tolerance=1e-13, max_sweeps=2000)
@@ -20,7 +21,7 @@ NO_CONTACTS = {
     "normal": np.zeros((0, 2)),
     "gap": np.zeros(0),
 }
-BACKENDS = pytest.mark.parametrize("backend", ["warp", "numpy"])
+BACKENDS = pytest.mark.parametrize("backend", backends.ALL)
 
 
 def row(jacobian_a, jacobian_b, a=0, b=1, **more):
@@ -222,8 +223,15 @@ def test_all_methods_find_the_same_velocities(method, acceleration):
         np.testing.assert_allclose(found[name], wanted[name], atol=1e-8)
 
 
-@pytest.mark.parametrize("options", [{"schedule": "color"}, {"threads": 2}])
-def test_schedules_and_threads_give_the_same_bits(options):
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"schedule": "color"},
+        {"threads": 2},
+        pytest.param({"backend": "taichi"}, marks=backends.NEEDS_TAICHI),
+    ],
+)
+def test_schedules_threads_and_compilers_give_the_same_bits(options):
     config = dataclasses.replace(EXACT, max_sweeps=15)
     (one, _), (two, _) = solved(config=config), solved(config=config, **options)
     assert_alike(one, two, 0.0)

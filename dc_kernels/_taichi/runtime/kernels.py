@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -166,6 +166,22 @@ class Kernel:
             lines.append(f"{' ' * (4 + len(lines[-1]) - len(lines[-1].lstrip()))}for {index} in range(dim{i}):")
         indent = " " * (4 + len(lines[-1]) - len(lines[-1].lstrip()))
         return "\n".join([*lines, f"{indent}stage({', '.join(given)})", ""])
+
+
+class Either:
+    """Two kernels of the same name and arguments, of which a launch takes one by what it is given.
+
+    So a kernel that writes an array in one case only leaves that array alone, and unlooked at, in the other.
+    """
+
+    def __init__(self, decide: Callable[[Mapping[str, Any]], bool], one: Kernel, other: Kernel) -> None:
+        """``decide``: from the values of a launch, whether it takes the first kernel."""
+        self._decide, self._kernels = decide, (other, one)
+        self.__name__, self.arguments = one.__name__, one.arguments
+
+    def bind(self, dim: int | tuple[int, int], values: Mapping[str, Any], device: str) -> KernelLaunch:
+        """See ``Kernel.bind``."""
+        return self._kernels[self._decide(values)].bind(dim, values, device)
 
 
 class KernelLaunch(Bound):
