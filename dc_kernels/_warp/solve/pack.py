@@ -8,7 +8,7 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.native import native_code
-from dc_kernels._warp.solve.constraints.contact import contact_row
+from dc_kernels._warp.solve.constraints.contact import contact_rows
 from dc_kernels._warp.solve.constraints.distance import distance_row
 from dc_kernels._warp.solve.constraints.jacobian import jacobian_row
 from dc_kernels._warp.solve.lanes import row_macros
@@ -33,12 +33,35 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     jointed, own = variant in JOINTED, variant == "rows"
     infinity = real(float("inf"))
     width = wp.constant(len(COLUMNS[variant]) * LANES)
-    make_contact_row = contact_row(dtype, variant)
+    make_contact_rows = contact_rows(dtype, variant)
     make_distance_row = distance_row(dtype, variant)
     make_jacobian_row = jacobian_row(dtype, variant)
 
-    @wp.func_native(native_code("prelude.h", "solve/store_row.h", dtype=dtype, **row_macros(variant)))
+    def code(*names: str) -> str:
+        return native_code("prelude.h", *(f"pack/{name}.h" for name in names), dtype=dtype, **row_macros(variant))
+
+    @wp.func_native(code("store_row"))
     def store_row(columns: wp.array(dtype=real), r: wp.int32, row: Row): ...
+
+    @wp.func_native(native_code("pack/count.h", dtype=dtype, COLORS=COLORS))
+    def count_colors(
+        color: wp.array(dtype=wp.int32), fill: wp.array(dtype=wp.int32), at: wp.int32, i0: wp.int32, i1: wp.int32
+    ): ...
+
+    @wp.func_native(native_code("pack/count_rows.h", dtype=dtype))
+    def count_rows(contacts: t.Contacts, body_rows: wp.array(dtype=wp.int32), i0: wp.int32, i1: wp.int32): ...
+
+    @wp.func_native(code("least"))
+    def least_of(x: wp.array(dtype=real), i0: wp.int32, i1: wp.int32) -> real: ...
+
+    @wp.func_native(code("unpack"))
+    def unpack_contacts(
+        impulse: wp.array(dtype=real),
+        slot: wp.array(dtype=wp.int32),
+        solved: wp.array(dtype=vec2),
+        i0: wp.int32,
+        i1: wp.int32,
+    ): ...
 
     @wp.func(module=module)
     def lay_out(w: int, padding_body: int, model: t.Model, joints: t.Joints, contacts: t.Contacts, rows: t.Rows):
@@ -48,23 +71,20 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         count = w * N_COLORS
         for k in range(count, count + N_COLORS):
             rows.color_fill[k] = 0
-        used = int(0)
-        for c in range(start, end):
-            rows.color_fill[count + contacts.color[c]] += 1
-            used = wp.max(used, contacts.color[c] + 1)
-        for j in range(model.joint_start[w], model.joint_start[w + 1]):
-            rows.color_fill[count + joints.joint_color[j]] += 1
-            used = wp.max(used, joints.joint_color[j] + 1)
+        count_colors(contacts.color, rows.color_fill, count, start, end)
+        if wp.static(jointed):
+            count_colors(joints.joint_color, rows.color_fill, count, model.joint_start[w], model.joint_start[w + 1])
         if wp.static(own):
-            for k in range(rows.row_start[w], rows.row_start[w + 1]):
-                rows.color_fill[count + rows.row_color[k]] += 1
-                used = wp.max(used, rows.row_color[k] + 1)
+            count_colors(rows.row_color, rows.color_fill, count, rows.row_start[w], rows.row_start[w + 1])
+        used = int(0)
         first = rows.block_start[w]
         ends = w * (N_COLORS + 1)
         block = first
         for k in range(N_COLORS):
             rows.color_block[ends + k] = block
             block += (rows.color_fill[count + k] + N_LANES - 1) / N_LANES
+            if rows.color_fill[count + k] > 0:
+                used = k + 1
         rows.color_block[ends + N_COLORS] = block
         rows.block_needed[w] = block - first
         if block > rows.block_start[w + 1]:
@@ -137,14 +157,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if jacobi:
             for b in range(model.body_start[w], model.body_start[w + 1]):
                 rows.body_rows[b] = 0
-        scale = real(0.0)
-        least = real(0.0)
         start = contacts.contact_start[w]
-        for c in range(start, start + contacts.contact_count[w]):
-            row = make_contact_row(c, w, config, model, state, motion, contacts)
-            rows.slot[c] = place(w, contacts.color[c], jacobi, between(row), rows)
-            least = wp.min(least, contacts.gap[c])
-            scale += row.square
+        end = start + contacts.contact_count[w]
+        scale = make_contact_rows(w, launch.padding_body, config, model, state, motion, contacts, rows)
+        if jacobi:
+            count_rows(contacts, rows.body_rows, start, end)
         if wp.static(jointed):
             for j in range(model.joint_start[w], model.joint_start[w + 1]):
                 row = make_distance_row(j, w, config, model, state, motion, joints)
@@ -156,7 +173,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 rows.row_slot[k] = place(w, rows.row_color[k], jacobi, row, rows)
                 scale += row.square
         rows.scale[w] = wp.sqrt(scale)
-        rows.deepest[w] = least
+        rows.deepest[w] = least_of(contacts.gap, start, end)
         stats.colors[w] = used
 
     @wp.kernel(module=module, enable_backward=False)
@@ -178,9 +195,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if state.flags[w] != 0:
             return
         start = contacts.contact_start[w]
-        for c in range(start, start + contacts.contact_count[w]):
-            i = rows.slot[c]
-            contacts.impulse[c] = vec2(rows.impulse[i], rows.impulse[i + N_LANES])
+        unpack_contacts(rows.impulse, rows.slot, contacts.impulse, start, start + contacts.contact_count[w])
         if wp.static(jointed):
             for j in range(model.joint_start[w], model.joint_start[w + 1]):
                 joints.joint_impulse[j] = rows.impulse[rows.joint_slot[j]]

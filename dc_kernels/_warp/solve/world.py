@@ -7,7 +7,8 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
-from dc_kernels._warp.solve.lanes import has_lanes, lane_functions
+from dc_kernels._warp.native import native_code
+from dc_kernels._warp.solve.lanes import has_lanes, lane_functions, row_macros
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels.model.config import METHODS, STOPS
 from dc_kernels.solve.iteration import NEVER
@@ -26,7 +27,7 @@ NO_PAUSE = wp.constant(NEVER)
 def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     """``span_of``, ``load_impulses``, ``natural_map`` of a world's rows, and what moves their impulses."""
     t = group_types(dtype)
-    real, vec4 = t.real, t.vec4
+    real, vec2, vec4 = t.real, t.vec2, t.vec4
     Span = t.Span
     module = kernel_module("solver", dtype, variant)
     row = row_functions(dtype, variant)
@@ -39,7 +40,19 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     tiny = real(1e-30)
     columns = COLUMNS[variant]
     width = wp.constant(len(columns) * LANES)
-    EN, ET = (wp.constant(columns.index(name) * LANES) for name in ("en", "et"))
+    EN = wp.constant(columns.index("en") * LANES)
+
+    @wp.func_native(native_code("prelude.h", "pack/load.h", dtype=dtype, **row_macros(variant)))
+    def load_contacts(
+        columns: wp.array(dtype=real),
+        slot: wp.array(dtype=wp.int32),
+        start: wp.array(dtype=vec2),
+        impulse: wp.array(dtype=real),
+        b0: wp.int32,
+        b1: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+    ): ...
 
     @wp.func(module=module)
     def span_of(w: int, past_at: int, config: t.Config, model: t.Model, motion: t.Motion, rows: t.Rows):
@@ -123,16 +136,9 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         A row along which nothing can move has none: no sweep would change it.
         """
         w = span.world
-        for i in range(span.low, span.high):
-            rows.impulse[i] = real(0.0)
         start = contacts.contact_start[w]
-        for c in range(start, start + contacts.contact_count[w]):
-            i = rows.slot[c]
-            r = i / (2 * N_LANES) * width + i % N_LANES
-            if rows.column[r + EN] > real(0.0):
-                rows.impulse[i] = contacts.impulse[c][0]
-            if rows.column[r + ET] > real(0.0):
-                rows.impulse[i + N_LANES] = contacts.impulse[c][1]
+        end = start + contacts.contact_count[w]
+        load_contacts(rows.column, rows.slot, contacts.impulse, rows.impulse, span.first, span.last, start, end)
         if wp.static(jointed):
             for j in range(model.joint_start[w], model.joint_start[w + 1]):
                 rows.impulse[rows.joint_slot[j]] = joints.joint_impulse[j]

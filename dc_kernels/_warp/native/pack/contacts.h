@@ -1,0 +1,156 @@
+// Rows of the contacts of world w, SIDE of a colour side by side; the sum of the squared impulses that would
+// stop each of them alone [(N s)^2]. Empty lanes of a colour's last block are zero and point at the padding body. What
+// a row holds is said in solve/constraints/contact.py. Parameters: config, model, state, motion, contacts,
+// rows, w, padding_body. Macros: those of solve/row.h, BAUMGARTE, OPEN, COLORS. Stands behind prelude.h, predicted.h,
+// solve/bodies.h and side.h.
+auto inverse_or_zero = [&](Number x) { return pick(x > 0, (Real)1 / x, zero); };
+const Real* const normals = (const Real*)contacts.normal.data;
+const Real* const arms_a = (const Real*)contacts.arm_a.data;
+const Real* const arms_b = (const Real*)contacts.arm_b.data;
+const Real* const velocity_before = (const Real*)state.velocity.data;
+const Real* const spin_before = state.angular_velocity.data;
+const Real* const inv_inertia = model.inv_inertia.data;
+const Real* const gaps = contacts.gap.data;
+const Real* const frictions = contacts.friction.data;
+const Real* const restitutions = contacts.restitution.data;
+const int* const bodies_a = contacts.body_a.data;
+const int* const bodies_b = contacts.body_b.data;
+const Real step = motion.step_dt.data[w], per_step = (Real)1 / step, size = model.length_scale.data[w];
+const Real slop = config.slop * size, limit = config.max_correction * size;
+const Real factor = config.position_factor;
+const bool baumgarte = config.position_correction == BAUMGARTE;
+const auto gravity = model.gravity.data[w];
+const Real pull = wp::sqrt(gravity[0] * gravity[0] + gravity[1] * gravity[1]);
+const Real hardly = config.restitution_threshold * wp::sqrt(pull * size);
+
+// Columns of the rows of SIDE contacts, and their bodies; the squared impulses that would stop each alone.
+auto fill = [&](const int* c, Real* to, int* between) {
+    int a[SIDE], b[SIDE];
+    for (int i = 0; i < SIDE; ++i) {
+        between[i] = a[i] = bodies_a[c[i]];
+        between[LANES + i] = b[i] = bodies_b[c[i]];
+    }
+    Number nx, ny, ax, ay, bx, by;
+    pairs_at(normals, c, nx, ny);
+    pairs_at(arms_a, c, ax, ay);
+    pairs_at(arms_b, c, bx, by);
+    const Bodies A = load_bodies(a), B = load_bodies(b);
+    const Number iA = values_at(inv_inertia, a), iB = values_at(inv_inertia, b);
+    const Number rAt = ax * -nx - ay * ny, rBt = bx * -nx - by * ny;
+#if DISCS
+    const Number en = inverse_or_zero(A.m + B.m);
+#else
+    const Number rAn = ax * ny - ay * nx, rBn = bx * ny - by * nx;
+    const Number en = inverse_or_zero(A.m + B.m + iA * rAn * rAn + iB * rBn * rBn);
+#endif
+    const Number et = inverse_or_zero(A.m + B.m + iA * rAt * rAt + iB * rBt * rBt);
+    auto along_normal = [&](Number x, Number y, Number wA, Number wB) {
+#if DISCS
+        return nx * x + ny * y;
+#else
+        return (nx * x + ny * y) + (rBn * wB - rAn * wA);
+#endif
+    };
+    const Number x = B.x - A.x, y = B.y - A.y;
+    const Number un = along_normal(x, y, A.w, B.w), ut = (ny * x + -nx * y) + (rBt * B.w - rAt * A.w);
+    const Number gap = values_at(gaps, c), e = values_at(restitutions, c);
+    Number bias = pick(gap > slop, gap * per_step, zero), counted = zero + (Real)1;
+    if (baumgarte) bias = pick(gap < -slop, larger(factor * (gap + slop), zero - limit) * per_step, bias);
+    if (any(e > 0)) {
+        Number vAx, vAy, vBx, vBy;
+        pairs_at(velocity_before, a, vAx, vAy);
+        pairs_at(velocity_before, b, vBx, vBy);
+        const Number wA = values_at(spin_before, a), wB = values_at(spin_before, b);
+        const Number before = along_normal(vBx - vAx, vBy - vAy, wA, wB), after = e * before;
+        const Number threshold = pick(e < 1, zero + hardly, zero);
+        const Number bounce = pick(before < -threshold, smaller(bias, after), bias);
+        const Number closed = pick(before > 0, larger(bias, after), bounce);
+        const auto open = (gap > slop) & (gap + un * step >= 0) & (e > 0);
+        bias = pick(open, (Real)OPEN * gap * per_step, pick(e > 0, closed, bias));
+        counted = pick(open, zero, counted);
+    }
+    store(to + AT_nx, nx);
+    store(to + AT_ny, ny);
+#if DISCS
+    store(to + AT_dA, -rAt);
+    store(to + AT_dB, rBt);
+    store(to + AT_kA, -(iA * rAt));
+    store(to + AT_kB, iB * rBt);
+#else
+    store(to + AT_rAn, rAn);
+    store(to + AT_rBn, rBn);
+    store(to + AT_rAt, rAt);
+    store(to + AT_rBt, rBt);
+    store(to + AT_iA, iA);
+    store(to + AT_iB, iB);
+#endif
+    store(to + AT_en, en);
+    store(to + AT_et, et);
+    store(to + AT_bias, bias);
+    store(to + AT_mu, values_at(frictions, c));
+    store(to + AT_gap, gap + slop);
+#if JOINTS
+    store(to + AT_lo, zero);
+#endif
+#if OWN
+    store(to + AT_hi, zero + (Real)INFINITY);
+    store(to + AT_ax, nx);
+    store(to + AT_ay, ny);
+    store(to + AT_soft, zero);
+#endif
+    return counted * ((en * (un + bias)) * (en * (un + bias)) + (en * ut) * (en * ut));
+};
+
+const int i0 = contacts.contact_start.data[w], i1 = i0 + contacts.contact_count.data[w];
+const int* const color = contacts.color.data;
+int* const slot = rows.slot.data;
+int* const ends = rows.body.data;
+Real* const columns = rows.column.data;
+const int* const first = rows.color_block.data + (size_t)w * (COLORS + 1);
+int* const filled = rows.color_fill.data + (size_t)w * COLORS;
+Number squares = zero;
+#if defined(__CUDA_ARCH__)
+for (int c = i0; c < i1; ++c) {
+    const int k = color[c], row = filled[k]++, block = first[k] + row / LANES, lane = row % LANES;
+    const int at = block * 2 * LANES + lane;
+    slot[c] = at;
+    squares += fill(&c, columns + (size_t)block * COLUMNS * LANES + lane, ends + at);
+}
+return squares;
+#else
+// a block's contacts stand where its bodies A then do, those of CHUNK contacts before the rows of any: while the caches
+// hold them, and without a branch that is guessed wrong once a block
+const int CHUNK = 256;
+auto fill_block = [&](int block) {
+    int* const between = ends + (size_t)block * 2 * LANES;
+    int c[LANES];
+    for (int i = 0; i < LANES; ++i) c[i] = between[i];
+    return fill(c, columns + (size_t)block * COLUMNS * LANES, between);
+};
+int used = 0, done[COLORS] = {};
+for (int begin = i0; begin < i1; begin += CHUNK) {
+    const int end = begin + CHUNK < i1 ? begin + CHUNK : i1;
+    for (int c = begin; c < end; ++c) {
+        const int k = color[c];
+        const unsigned row = filled[k]++, at = (first[k] + row / LANES) * 2 * LANES + row % LANES;
+        slot[c] = at;
+        ends[at] = c;
+        used = k > used ? k : used;
+    }
+    for (int k = 0; k <= used; ++k)
+        for (; done[k] < filled[k] / LANES; ++done[k]) squares += fill_block(first[k] + done[k]);
+}
+for (int k = 0; k <= used; ++k) {
+    const int lanes = filled[k] % LANES, block = first[k] + filled[k] / LANES;
+    if (lanes == 0) continue;
+    int* const between = ends + (size_t)block * 2 * LANES;
+    for (int i = lanes; i < LANES; ++i) between[i] = between[0];
+    const Vector square = fill_block(block);
+    for (int i = 0; i < lanes; ++i) squares[i] += square[i];
+    for (int i = lanes; i < LANES; ++i) {
+        for (int n = 0; n < COLUMNS; ++n) columns[((size_t)block * COLUMNS + n) * LANES + i] = 0;
+        between[i] = between[LANES + i] = padding_body;
+    }
+}
+return total(squares);
+#endif
