@@ -12,6 +12,7 @@ import warp as wp
 from dc_kernels._warp.common import cross, kernel_module, rotate, rotate_back, scalar_types
 from dc_kernels.model.enums import ShapeType
 
+EPSILON = {"float32": 1e-9, "float64": 1e-15}  # distance over size below which there is no direction
 SEGMENT = wp.constant(int(ShapeType.SEGMENT))
 PARALLEL = wp.constant(-0.999)  # cosine of two outward normals below which they are of one axis
 
@@ -25,7 +26,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
     t = scalar_types(dtype)
     real, vec2 = t.real, t.vec2
     module = kernel_module("narrowphase", dtype, "discs" if only_discs else "all")
-    epsilon = real(1e-9 if dtype == "float32" else 1e-15)
+    epsilon = real(EPSILON[dtype])
 
     class Points:
         """Up to two points: normal from the first shape to the second, midpoint between the surfaces, gap, feature.

@@ -6,11 +6,13 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.collide.closing import closing_functions
+from dc_kernels._warp.collide.discs import disc_contacts
 from dc_kernels._warp.collide.manifold import manifold_functions
 from dc_kernels._warp.collide.support import support_functions
 from dc_kernels._warp.common import cross, kernel_module, rotate, rotate_back
 from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.native import native_code
+from dc_kernels._warp.solve.lanes import has_lanes
 from dc_kernels._warp.solve.laws import inverse_or_zero, linear_speed, relative_speed
 from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
@@ -46,6 +48,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     hull_hull_moving, Approach = moving.hull_hull_moving, moving.Approach
     support = support_functions(dtype, only_discs)
     closes, list_static, supported = support.closes, support.list_static, support.supported
+
+    find_disc_contacts = disc_contacts(dtype)
 
     @wp.func_native(native_code("collide/store_contact.h", dtype=dtype))
     def store_contact(contacts: t.Contacts, i: wp.int32, contact: Contact): ...
@@ -92,7 +96,18 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         n = int(0)
         listed = int(0)
         first_pair = pairs.start[w]
-        for pair in range(first_pair, first_pair + pairs.count[w]):
+        last_pair = first_pair + pairs.count[w]
+        next_pair = first_pair  # those before it are done
+        for pair in range(first_pair, last_pair):
+            if wp.static(only_discs):
+                if pair < next_pair:
+                    continue
+                if has_lanes() == 1:
+                    ahead = find_disc_contacts(w, pair, last_pair, n, config, model, state, motion, pairs, contacts)
+                    next_pair = ahead[0]
+                    n = ahead[1]
+                    if pair < next_pair:
+                        continue
             a = pairs.shape_a[pair]
             b = pairs.shape_b[pair]
             ba = model.shape_body[a]
