@@ -19,6 +19,7 @@ MODULES = {
     "transfer": "speed.transfer",
     "roundtrip": "learning.roundtrip",
     "neighbors": "speed.neighbors",
+    "queries": "speed.queries",
     "generate": "speed.generate",
     "learning": "learning.learning",
     "train": "speed.train",

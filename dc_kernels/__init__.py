@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from dc_kernels.model.enums import BodyType, Flag, ShapeType
     from dc_kernels.neighbors.search import Neighbors, neighbor_lists, neighbor_pairs
     from dc_kernels.neighbors.stage import NeighborSearch
+    from dc_kernels.queries.queries import Closest, Hits, Queries
     from dc_kernels.simulation import Simulation
     from dc_kernels.solve.contacts import ContactSolver
     from dc_kernels.solve.rows import LANES
@@ -54,12 +55,14 @@ __all__ = [
     "LANES",
     "BodyType",
     "Broadphase",
+    "Closest",
     "ContactEvents",
     "ContactSolver",
     "Contacts",
     "Flag",
     "Grid",
     "GridChoice",
+    "Hits",
     "ImageSpec",
     "Images",
     "Joints",
@@ -68,6 +71,7 @@ __all__ = [
     "Narrowphase",
     "NeighborSearch",
     "Neighbors",
+    "Queries",
     "ShapeBoxes",
     "ShapeType",
     "Simulation",
@@ -118,6 +122,7 @@ _MODULES = {
     "model.enums": ("BodyType", "Flag", "ShapeType"),
     "neighbors.search": ("Neighbors", "neighbor_lists", "neighbor_pairs"),
     "neighbors.stage": ("NeighborSearch",),
+    "queries.queries": ("Closest", "Hits", "Queries"),
     "simulation": ("Simulation",),
     "solve.contacts": ("ContactSolver",),
     "solve.rows": ("LANES",),

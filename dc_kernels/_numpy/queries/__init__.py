@@ -1,0 +1,1 @@
+"""NumPy oracle of ``dc_kernels.queries``."""

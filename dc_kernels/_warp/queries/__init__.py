@@ -1,0 +1,1 @@
+"""Warp kernels of ``dc_kernels.neighbors``."""

@@ -1,0 +1,421 @@
+"""Rays and shapes cast, overlaps, and closest points: of all worlds at once."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.collide.shapes import ShapeBoxes, Shapes, whole_group
+from dc_kernels.model.arrays import to_numpy
+from dc_kernels.model.checks import check_values, numeric
+from dc_kernels.model.dtypes import numpy_spec
+from dc_kernels.model.fields import MODEL
+from dc_kernels.model.shapes import MAX_VERTICES, convex_polygon, points
+from dc_kernels.neighbors.search import Neighbors
+from dc_kernels.queries.fields import CHUNK, HIT, LANES, PROBE, QUERY, TREE
+from dc_kernels.runtime.backends import bind, host_threads, kernel_file, make_kernels, on_numpy
+from dc_kernels.runtime.capture import refuse_recording
+from dc_kernels.runtime.inputs import check_count, check_index, check_not_negative
+from dc_kernels.runtime.interop import InPlace
+
+READ = ("shape_start", "shape_body", "shape_type", "shape_radius", "shape_category", "vertex_start", "vertices")
+SLICE = 2**18  # queries between which an interrupt arrives: some tenths of a second
+POINT = np.zeros((1, 2))
+BOX = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+MAX_FOUND = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What rays or shapes met first, an element for each."""
+
+    shape: np.ndarray
+    """Shapes, numbered over all worlds, (n,) int32; -1 where nothing was met."""
+    fraction: np.ndarray
+    """Part of the translation up to the hit, (n,) [1]: 0 for an overlap from the start, 1 where nothing was met."""
+    point: np.ndarray
+    """Points of the hits, (n, 2) [m]; where nothing was met, or from the start, the position of ray or shape there."""
+    normal: np.ndarray
+    """Unit normals out of what was met, (n, 2); zero where nothing was met, or from the start."""
+
+
+@dataclass(frozen=True)
+class Closest:
+    """The closest shapes, an element for each point."""
+
+    shape: np.ndarray
+    """Shapes, numbered over all worlds, (n,) int32; -1 where none is near enough."""
+    distance: np.ndarray
+    """Distance of the surface, negative for a point within, (n,) [m]; the largest one allowed where there is none."""
+    point: np.ndarray
+    """Points of the surfaces, (n, 2) [m]; the point itself where there is none."""
+    normal: np.ndarray
+    """Unit normals of the surfaces there, (n, 2); zero where there is none."""
+
+
+class Queries(InPlace):
+    """Asks where the shapes of all worlds are: rays, moving shapes, points and boxes, closest points.
+
+        queries = dc.Queries(sim)
+        hits = queries.cast_rays([(0.0, 5.0), (1.0, 5.0)], (0.0, -10.0))
+        sim.run(10, 0.01)
+        queries.update()  # asks about the bodies as they are now
+
+    Answers are those of all shapes tested one by one, found by a tree of boxes of each world (see
+    ``_warp/queries/queries.py``): up to rounding, and of several that are equally near the shape of the least index.
+    A chain's segments are met from both sides. Queries take turns with steps of the simulation only as far as its
+    owner sees to it.
+    """
+
+    def __init__(
+        self,
+        shapes: Any,
+        position: Any = None,
+        angle: Any = None,
+        *,
+        threads: int = 1,
+        backend: str | None = None,
+    ) -> None:
+        """Make the tree.
+
+        Args:
+            shapes: a ``Simulation`` on the CPU; or a model, or arrays by name (see ``collide.shapes.Shapes``).
+            position: centres of mass of the bodies, (bodies, 2), kept and read by ``update`` [m]; None: those of
+                the simulation.
+            angle: of the bodies, (bodies,), as position [rad].
+            threads: threads that worlds and queries are shared among; the answers do not depend on it.
+            backend: "warp", or "numpy" for the oracle, which tests each shape; None: that of the model.
+
+        Raises:
+            ValueError, TypeError: naming the argument, the index and the limit.
+        """
+        model = getattr(shapes, "model", shapes)
+        if hasattr(shapes, "state"):
+            if position is not None or angle is not None:
+                raise ValueError("position and angle are those of the simulation; leave them out")
+            position, angle = shapes.state.position, shapes.state.angle
+        elif position is None or angle is None:
+            name = "position" if position is None else "angle"
+            raise ValueError(f"{name} is missing; give that of the bodies, or a Simulation")
+        self.shapes = Shapes(model, backend)
+        self.backend, self.dtype = self.shapes.backend, self.shapes.dtype
+        kernel_file(self.backend, "queries.queries")  # says which backends have them
+        self.threads = host_threads(self.backend, check_count("threads", threads))
+        self._boxes = ShapeBoxes(model, position, angle, threads=threads, backend=self.backend)
+        self._position, self._angle = position, angle
+        arrays = self.shapes.arrays
+        nodes = node_starts(np.diff(arrays["shape_start"]))
+        shapes_count, bodies = len(arrays["shape_type"]), self.shapes.bodies
+        sizes = {
+            "world+1": len(nodes),
+            "number": int(nodes[-1]) * 4 * LANES,
+            "child": int(nodes[-1]) * LANES,
+            "body": bodies,
+        }
+        self._tree = _allocate(TREE, sizes, self.dtype)
+        self._tree["node_start"][:] = nodes
+        self._scratch = np.zeros(2 * shapes_count, np.int64)
+        self._model = {name: arrays.get(name, np.full(shapes_count, 2**32 - 1, np.uint32)) for name in READ}
+        self.update()
+
+    @property
+    def lengths(self) -> Mapping[str, int]:
+        """How many it works on, by noun."""
+        return {"shape": len(self._model["shape_type"]), "world": self.shapes.worlds}
+
+    def update(self) -> None:
+        """Take the bodies as they are now; queries ask about them until the next update."""
+        refuse_recording("Queries.update", "it works on the host, too")
+        self._tree["place"][:] = to_numpy(self._position)
+        angle = to_numpy(self._angle)
+        np.stack([np.cos(angle), np.sin(angle)], axis=1, out=self._tree["rotation"])
+        self._boxes()
+        boxes = {name: to_numpy(getattr(self._boxes, name)) for name in ("lower", "upper")}
+        self._launch("build_tree", self.shapes.worlds, boxes=boxes, scratch=self._scratch, tree=self._tree)
+
+    def cast_rays(
+        self, origin: Any, translation: Any, *, world: Any = None, mask: Any = None, skip_body: Any = None
+    ) -> Hits:
+        """What rays from an origin along a translation meet first.
+
+        Args:
+            origin: where each begins, (n, 2) [m].
+            translation: to where each ends, (n, 2), or one for all, (2,) [m].
+            world: of each, (n,), or one for all; None where there is one world.
+            mask: a shape counts if its category and this have a bit in common, (n,), or one for all; None: each counts.
+            skip_body: body, numbered over all worlds, whose shapes do not count, (n,), or one for all; -1: none.
+
+        Raises:
+            ValueError, TypeError: naming the argument, the index and the limit.
+        """
+        return self._cast(POINT, 0.0, translation, self._asked("origin", origin, world, mask, skip_body))
+
+    def cast_shape(
+        self,
+        position: Any,
+        translation: Any,
+        *,
+        angle: Any = None,
+        vertices: Any = None,
+        radius: float = 0.0,
+        world: Any = None,
+        mask: Any = None,
+        skip_body: Any = None,
+    ) -> Hits:
+        """What a convex shape that moves along a translation, without turning, meets first.
+
+        Args:
+            position: where it begins, (n, 2) [m].
+            translation: to where it moves, (n, 2), or one for all, (2,) [m].
+            angle: that it is turned by, (n,), or one for all; None: 0 [rad].
+            vertices: of the shape, relative to its position, (1 to 8, 2): a convex polygon, or the two ends of a
+                capsule; None: the centre of a disc [m].
+            radius: by which the shape is rounded, that of a disc [m].
+            world, mask, skip_body: as for ``cast_rays``.
+
+        Raises:
+            ValueError, TypeError: naming the argument, the index and the limit.
+        """
+        corners, radius = _probe(vertices, radius)
+        query = self._asked("position", position, world, mask, skip_body) | self._turned(angle, len(position))
+        return self._cast(corners, radius, translation, query)
+
+    def overlap_points(self, points: Any, *, world: Any = None, mask: Any = None, skip_body: Any = None) -> Neighbors:
+        """The shapes that points lie in, or on: ``index[start[i]:start[i + 1]]`` those of point i, ascending.
+
+        Args:
+            points: (n, 2) [m].
+            world, mask, skip_body: as for ``cast_rays``.
+
+        Raises:
+            ValueError, TypeError: naming the argument, the index and the limit.
+            OverflowError: for more than 2^31 - 1 of them in all.
+        """
+        return self._overlaps(POINT, 0.0, self._asked("points", points, world, mask, skip_body))
+
+    def overlap_boxes(
+        self, lower: Any, upper: Any, *, world: Any = None, mask: Any = None, skip_body: Any = None
+    ) -> Neighbors:
+        """The shapes that overlap or touch boxes along the axes, as ``overlap_points`` gives them.
+
+        Args:
+            lower, upper: corners, (n, 2) [m].
+            world, mask, skip_body: as for ``cast_rays``.
+
+        Raises:
+            ValueError, TypeError: naming the argument, the index and the limit.
+            OverflowError: for more than 2^31 - 1 of them in all.
+        """
+        query = self._asked("lower", lower, world, mask, skip_body)
+        low = query["place"]
+        high = check_values("upper", upper, low.shape, self.dtype)
+        bad = np.argwhere(high < low)
+        if len(bad):
+            i, k = (int(n) for n in bad[0])
+            raise ValueError(f"upper[{i}, {k}] is {high[i, k]}; it must be >= lower[{i}, {k}] = {low[i, k]}")
+        half = high / 2 - low / 2
+        return self._overlaps(BOX, 0.0, {**query, "place": low + half, "scale": half})
+
+    def overlap_shape(
+        self,
+        position: Any,
+        *,
+        angle: Any = None,
+        vertices: Any = None,
+        radius: float = 0.0,
+        world: Any = None,
+        mask: Any = None,
+        skip_body: Any = None,
+    ) -> Neighbors:
+        """The shapes that a convex shape overlaps or touches at each position, as ``overlap_points`` gives them.
+
+        Args:
+            position, angle, vertices, radius, world, mask, skip_body: as for ``cast_shape``.
+
+        Raises:
+            ValueError, TypeError: naming the argument, the index and the limit.
+            OverflowError: for more than 2^31 - 1 of them in all.
+        """
+        corners, radius = _probe(vertices, radius)
+        query = self._asked("position", position, world, mask, skip_body) | self._turned(angle, len(position))
+        return self._overlaps(corners, radius, query)
+
+    def closest_points(
+        self,
+        points: Any,
+        *,
+        max_distance: Any = None,
+        world: Any = None,
+        mask: Any = None,
+        skip_body: Any = None,
+    ) -> Closest:
+        """The closest shape of each point, by the signed distance of its surface.
+
+        Args:
+            points: (n, 2) [m].
+            max_distance: beyond which no shape counts, (n,), or one for all; None: none is too far [m].
+            world, mask, skip_body: as for ``cast_rays``.
+
+        Raises:
+            ValueError, TypeError: naming the argument, the index and the limit.
+        """
+        query = self._asked("points", points, world, mask, skip_body)
+        largest = float(np.sqrt(np.finfo(self.dtype).max)) / 4
+        most = self._each("max_distance", largest if max_distance is None else max_distance, len(query["place"]))
+        bad = np.flatnonzero((most < 0) | (most > largest))
+        if len(bad):
+            i = int(bad[0])
+            raise ValueError(f"max_distance[{i}] is {most[i]}; it must lie in [0, {largest:g}]")
+        hit = self._answer("find_closest", POINT, 0.0, {**query, "most": most})
+        return Closest(hit["shape"], hit["fraction"], hit["point"], hit["normal"])
+
+    def _asked(self, name: str, place: Any, world: Any, mask: Any, skip_body: Any) -> dict[str, np.ndarray]:
+        """What all queries have: where, which world, what counts."""
+        refuse_recording("a query", "its answers are arrays of their own")
+        place = numeric(name, place, "numbers of shape (n, 2)")
+        if place.ndim != 2 or place.shape[1] != 2:
+            raise ValueError(f"{name} has shape {place.shape}; it must be (n, 2)")
+        place = check_values(name, place, place.shape, self.dtype)
+        n, query = len(place), {"place": place}
+        if world is not None:
+            query["world"] = check_index("world", self._each("world", world, n, np.int32), self.shapes.worlds)
+        elif self.shapes.worlds != 1:
+            raise ValueError(f"world is missing; there are {self.shapes.worlds}")
+        if mask is not None:
+            query["mask"] = self._each("mask", mask, n, np.uint32)
+        if skip_body is not None:
+            query["skip"] = self._each("skip_body", skip_body, n, np.int32)
+            check_index("skip_body", query["skip"] + 1, self.shapes.bodies + 1)
+        return query
+
+    def _each(self, name: str, values: Any, n: int, dtype: Any = None, inner: tuple[int, ...] = ()) -> np.ndarray:
+        """A value for each query, of one for each or of one for all."""
+        dtype = self.dtype if dtype is None else np.dtype(dtype)
+        given = numeric(name, values, f"numbers of shape {(n, *inner)} or {inner}", "buif")
+        if given.shape == inner:
+            return np.ascontiguousarray(np.broadcast_to(check_values(name, given, inner, dtype), (n, *inner)))
+        return check_values(name, given, (n, *inner), dtype)
+
+    def _turned(self, angle: Any, n: int) -> dict[str, np.ndarray]:
+        """Cosine and sine of the angles of shapes that are asked with."""
+        if angle is None:
+            return {}
+        angles = self._each("angle", angle, n)
+        return {"rotation": np.stack([np.cos(angles), np.sin(angles)], axis=1)}
+
+    def _cast(self, corners: np.ndarray, radius: float, translation: Any, query: dict[str, np.ndarray]) -> Hits:
+        query["translation"] = self._each("translation", translation, len(query["place"]), inner=(2,))
+        return Hits(**self._answer("cast_shapes", corners, radius, query))
+
+    def _answer(self, name: str, corners: np.ndarray, radius: float, query: dict[str, np.ndarray]) -> dict[str, Any]:
+        """Arrays of hits."""
+        hit = _allocate(HIT, {"query": len(query["place"])}, self.dtype)
+        self._ask(name, corners, radius, query, hit=hit)
+        return hit
+
+    def _overlaps(self, corners: np.ndarray, radius: float, query: dict[str, np.ndarray]) -> Neighbors:
+        """Lists of shapes: counted first, then stored."""
+        n = len(query["place"])
+        count, start = np.zeros(n, np.int64), np.zeros(n + 1, np.int64)
+        index = np.zeros(0, np.int32)
+        self._ask("find_overlaps", corners, radius, query, list_start=start, list_count=count, index=index)
+        np.cumsum(count, out=start[1:])
+        if start[-1] > MAX_FOUND:
+            raise OverflowError(f"{start[-1]} shapes overlap in all; there must be at most {MAX_FOUND}")
+        index = np.empty(int(start[-1]), np.int32)
+        if len(index):
+            self._ask("find_overlaps", corners, radius, query, list_start=start, list_count=count, index=index)
+        shapes = max(len(self._model["shape_type"]), 1)
+        order = np.repeat(np.arange(n, dtype=np.int64) * shapes, count) + index
+        order.sort()  # in the tree's order until here
+        return Neighbors(start, (order % shapes).astype(np.int32))
+
+    def _ask(self, name: str, corners: np.ndarray, radius: float, query: dict[str, np.ndarray], **values: Any) -> None:
+        """Launch a kernel of queries, some at a time."""
+        n = len(query["place"])
+        for first in range(0, n, SLICE):
+            part = slice(first, first + SLICE)
+            given = {key: array[part] for key, array in query.items()}
+            count = len(given["place"])
+            out = {
+                key: {field: array[part] for field, array in value.items()}
+                if key == "hit"
+                else value[part]
+                if key in ("list_start", "list_count")
+                else value
+                for key, value in values.items()
+            }
+            probe = {"corner": corners.astype(self.dtype), "radius": radius}
+            chunks = -(-count // CHUNK)
+            self._launch(name, chunks, queries=count, tree=self._tree, probe=probe, query=given, **out)
+
+    def _launch(self, name: str, count: int, **values: Any) -> None:
+        """Launch a kernel with so many threads."""
+        if not count:
+            return
+        dtype, values = self.dtype, {"model": self._model, **values}
+        tables = {"model": MODEL, "tree": TREE, "probe": PROBE, "query": QUERY, "hit": HIT}
+        if on_numpy(self.backend):
+            kernel = make_kernels(self.backend, "queries.queries", dtype.name)[name]
+            groups = {
+                key: whole_group(key, dtype, tables[key], value, self.backend)
+                for key, value in values.items()
+                if key in tables
+            }
+            boxes = {"boxes": None} if "boxes" in values else {}
+            bind(kernel, count, {**values, **groups, **boxes, "world_offset": 0}, "cpu")()
+            return
+        empty = _nothing(dtype)
+        query = {"query": {**empty, **values["query"]}} if "query" in values else {}
+        _calls(self.backend, dtype.name, name)({**values, **query}, count, self.threads)
+
+
+def node_starts(shapes: np.ndarray) -> np.ndarray:
+    """First node of each world's tree, and the number of nodes, (W + 1,), for so many shapes in each.
+
+    Args:
+        shapes: of each world, (W,).
+    """
+    left, nodes = shapes.astype(np.int64), np.zeros(len(shapes), np.int64)
+    while True:
+        left = -(-left // LANES)
+        nodes += left
+        if (left <= 1).all():
+            break
+        left[left <= 1] = 0
+    return np.concatenate([[0], np.cumsum(nodes)]).astype(np.int32)
+
+
+def _probe(vertices: Any, radius: Any) -> tuple[np.ndarray, float]:
+    """Corners, counter-clockwise, and radius of a shape that is asked with."""
+    radius = check_not_negative("radius", radius)
+    if vertices is None:
+        return POINT, radius
+    corners = points(vertices, "vertices", 1, MAX_VERTICES)
+    return (convex_polygon(corners) if len(corners) > 2 else corners), radius
+
+
+def _allocate(table: Mapping[str, Any], sizes: Mapping[str, int], dtype: np.dtype) -> dict[str, np.ndarray]:
+    """Arrays of zeros of the fields of a table that have these axes."""
+    found = {}
+    for name, field in table.items():
+        scalar, inner = numpy_spec(field, dtype)
+        found[name] = np.zeros((*(sizes[axis] for axis in field.axes), *inner), scalar)
+    return found
+
+
+@functools.cache
+def _nothing(dtype: np.dtype) -> dict[str, np.ndarray]:
+    """Fields of queries that say nothing."""
+    return _allocate(QUERY, {"query": 0}, dtype)
+
+
+@functools.cache
+def _calls(backend: str, dtype: str, name: str) -> Any:
+    from dc_kernels.runtime.launches import Calls
+
+    return Calls(make_kernels(backend, "queries.queries", dtype)[name])
