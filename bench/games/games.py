@@ -65,6 +65,7 @@ def measure(quick: bool, *names: str, config: str = "default,sweeps_10") -> dict
         for name in chosen:
             timing.progress(name)
             found[name] = measure_row(ROWS[name], configs, peer, ROUNDS_QUICK if quick else ROUNDS)
+            timing.progress(", ".join(f"{key} {of['ms']:.3g} ms" for key, of in found[name]["engines"].items()))
     finally:
         if peer:
             peer.close()

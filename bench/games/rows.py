@@ -15,6 +15,8 @@ from bench import cases, timing
 from bench.games.engines import Handed
 from pipeline import scenes
 
+SETTLE = 300
+"""Further steps of what is to be at rest, at the default settings, from no impulses, as the engines begin."""
 STATE = ("position", "angle", "velocity", "angular_velocity")
 FOLDER = Path(tempfile.gettempdir()) / "deep-contact-games"
 """Where bodies at rest are kept, as letting them fall takes longer than all that is timed."""
@@ -28,7 +30,8 @@ class Row:
     scene: scenes.Scene
     worlds: int = 1
     fall: int = 0
-    """Steps that ours takes, of at most ``cases.SWEEPS`` sweeps, before the bodies are handed over."""
+    """Steps of at most ``cases.SWEEPS`` sweeps that ours takes before the bodies are handed over; ``SETTLE`` more
+    follow where they are to be at rest."""
     copies: int = 1
     """How many of the piles stand side by side in the world."""
     rest: int = 100
@@ -58,10 +61,10 @@ ROWS: Mapping[str, Row] = {
     ),
     "settled_discs_1000": Row("1 000 discs at rest", scenes.Thesis(bodies=1_000), fall=2_000, steps=50),
     "settled_discs_10000": Row(
-        "10 000 discs at rest", scenes.Thesis(bodies=10_000), fall=650, steps=20, large=True
+        "10 000 discs at rest", scenes.Thesis(bodies=10_000), fall=800, steps=20, large=True
     ),
     "settled_discs_100000": Row(
-        "100 000 discs at rest", scenes.Thesis(bodies=10_000), fall=650, copies=10, rest=40, steps=5, large=True
+        "100 000 discs at rest", scenes.Thesis(bodies=10_000), fall=800, copies=10, rest=40, steps=5, large=True
     ),
     "impact_discs_1000": Row(
         "1 000 discs fall onto each other",
@@ -89,7 +92,7 @@ ROWS: Mapping[str, Row] = {
     "ten_boxes_run": Row("10 boxes, `run`", scenes.Stack(), rest=200, steps=1_000),
     "ten_boxes_step": Row("10 boxes, `step`", scenes.Stack(), rest=200, steps=1_000, stepwise=True),
     "asleep_10000": Row(
-        "10 000 discs asleep", scenes.Thesis(bodies=10_000), fall=650, rest=200, asleep=True, large=True
+        "10 000 discs asleep", scenes.Thesis(bodies=10_000), fall=800, rest=200, asleep=True, large=True
     ),
 }  # fmt: skip
 
@@ -107,7 +110,7 @@ def hand_over(row: Row) -> Handed:
 
 def fallen(row: Row) -> dict[str, np.ndarray]:
     """Fields of the state by name after the steps of ``fall``, from ``FOLDER`` if they were taken there before."""
-    what = f"{row.scene!r} {row.worlds} {row.fall} {cases.DT} {cases.SWEEPS}"
+    what = f"{row.scene!r} {row.worlds} {row.fall} {SETTLE * row.still} {cases.DT} {cases.SWEEPS}"
     path = FOLDER / f"{hashlib.sha256(what.encode()).hexdigest()[:16]}.npz"
     if path.exists():
         with np.load(path) as found:
@@ -115,6 +118,10 @@ def fallen(row: Row) -> dict[str, np.ndarray]:
     timing.progress(f"{row.title}: {row.fall} steps before the bodies are handed over")
     sim = cases.simulation(row.scene, row.worlds, config=dc.SolverConfig(max_sweeps=cases.SWEEPS))
     sim.run(row.fall, cases.DT)
+    if row.still:
+        sim.reset(state=sim.state.copy())
+        sim.config = dc.SolverConfig()
+        sim.run(SETTLE, cases.DT)
     values = {name: sim.state.numpy(name).copy() for name in STATE}
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bench.__main__ import NAMES, load
-from bench.pages import backends, learning, solving, speed, transfer
+from bench.pages import backends, games, learning, solving, speed, transfer
 from bench.pages.markdown import Record, figure, paragraphs, table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -19,6 +19,7 @@ BEGIN, END = "<!-- figures: python -m bench.run --pages -->", "<!-- end of figur
 # bench: title of its section, what makes it
 SECTIONS = {
     "worlds": ("Thesis worlds", speed.worlds),
+    "games": ("Scenes of games", games.games),
     "sweep": ("One sweep", speed.sweep),
     "scaling": ("Everything but the solve", speed.scaling),
     "protocol": ("The thesis protocol", learning.protocol),

@@ -70,6 +70,21 @@ def test_a_bench_without_a_section_shows_its_keys(records):
     assert "`python -m bench house --quick`" in text and "| `longest_module` | 7 005 |" in text
 
 
+def test_scenes_of_games_are_shown(records):
+    values = {"ms": 0.5, "overlap_mean_mm": 0.25, "overlap_max_mm": 1.0, "over_peer": 0.75, "shares": {"predict": 1.0}}
+    engines = {"default": values, "peer": {"ms": 2.0, "overlap_mean_mm": 4.0, "overlap_max_mm": 8.0, "shares": {}}}
+    record = {
+        "scenes": {"tumbler_2000": {**values, "engines": engines}},
+        "configs": ["default"],
+        "engines": {"default": "deep-contact, default", "peer": "another engine"},
+    }
+    text = page.section({"bench": "games", "quick": True, "machine": records["worlds"]["machine"], **record})
+    assert "of deep-contact, default; another engine." in text.replace("\n", " ")
+    assert "| 2 000 boxes in a drum | 0.5 | 2 | 0.75 |" in text
+    assert "| 2 000 boxes in a drum: mean overlap [mm] | 0.25 | 4 |" in text and "creep [mm/s] |" not in text
+    assert "| 2 000 boxes in a drum | `predict` 100% |" in text
+
+
 def test_overheads_are_shown(records):
     times = {f"{name}_us_1_body": 2.5 for name in ("step", "run", "graph", "pymunk")}
     times |= {f"threads{threads}_us_{worlds * discs}": float(threads) for threads in (1, 2) for worlds, discs in SIZES}
