@@ -33,6 +33,7 @@ MODULES = {
     "stability": "stability.stability",
     "faults": "faults.faults",
     "games": "games.games",
+    "sleep": "speed.sleep",
     "house": "house",
 }
 NAMES = tuple(MODULES)

@@ -61,7 +61,7 @@ def explain(sim: Simulation) -> str:
         lines.append(f"solver: PGS in colour order, {LANES} rows side by side in SIMD lanes")
     else:
         lines.append("solver: PGS in colour order, scalar rows")
-    stages = [name for phase in PHASES for name in of_phase(phase, config.corrects_positions)]
+    stages = [name for phase in PHASES for name in of_phase(phase, config.corrects_positions, config.sleep)]
     lines.append(f"stages of a step: {', '.join(stages)}")
     light = f" and {config.relative_tolerance:g} of what a typical weight gives in a step" * (config.stop == "change")
     lines.append(
@@ -77,6 +77,14 @@ def explain(sim: Simulation) -> str:
     serial = int((sim.contacts.numpy("color") == SERIAL_COLOR).sum())
     if serial:
         lines.append(f"serial colour: {counted(serial, 'contact')} swept one by one (a body has more than 63)")
+    if config.sleep:
+        sleeping, dormant = sim.sleepers.numpy("sleeping"), sim.sleepers.numpy("dormant")
+        lines.append(
+            f"sleep: {int(sleeping.sum())} of {counted(int((body_type == BodyType.DYNAMIC).sum()), 'dynamic body')} "
+            f"asleep, in {counted(int((sleeping > 0).sum()), 'world')}, of which {int(dormant.sum())} pass over a step"
+        )
+    else:
+        lines.append("sleep: no body falls asleep (SolverConfig.sleep is off)")
     if not config.history:
         lines.append("history of sweeps: not kept")
     lines += [f"world {w}: frozen ({why})" for w, why in _frozen(sim)]

@@ -50,6 +50,10 @@ class Phases:
         """Launches of a phase over worlds from ``first`` on."""
         raise NotImplementedError
 
+    def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
+        """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
+        raise NotImplementedError
+
     def _phase_rounds(self, phase: Any) -> list[Rounds]:
         """A phase, or the whole "step", over each shard; bound when first wanted."""
         if phase not in self._rounds:
@@ -71,7 +75,8 @@ class Phases:
             sweeps = (changed or {}).get("max_sweeps", self._config.max_sweeps)
         if "advance" in phases and self._config.corrects_positions:
             sweeps = max(sweeps, self._config.position_iterations)
-        return self._shards.rounds(bind, watch, together, sweeps=sweeps)
+        once = int(self._config.sleep and phases[0] == "collide")  # what a user wrote is looked for once in a call
+        return self._shards.rounds(bind, watch, together, sweeps=sweeps, once=once)
 
     def _take(self, phase: Phase, rounds: list[Rounds] | None = None) -> bool:
         """Run a phase in all worlds, or record it; whether one ran out of room."""

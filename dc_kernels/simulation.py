@@ -25,6 +25,7 @@ from dc_kernels.runtime.inputs import check_maybe_callable, check_whole
 from dc_kernels.runtime.sequences import Rounds, Watch
 from dc_kernels.runtime.stepping import shards_of
 from dc_kernels.runtime.threads import GPU_CALLS, OneCaller, uninterrupted
+from dc_kernels.sleep.sleepers import Sleepers
 from dc_kernels.solve.integrate import Motion
 from dc_kernels.solve.rows import only_centred_discs, variant_of
 from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration, check_solve, settings_of_solve
@@ -69,6 +70,7 @@ class Simulation(Driven):
     cache: Cache
     rows: Rows
     stats: SolveStats
+    sleepers: Sleepers
     calls: OneCaller
 
     def __init__(
@@ -123,8 +125,8 @@ class Simulation(Driven):
         self._shards = shards_of(self.backend, model.world_count, model.body_count, threads)
         self.threads = threads
         self.specialize = options.specialize
-        self._choose_kernels()
         self._config = options.config or SolverConfig()
+        self._choose_kernels(self._config)
         # on a CPU a shard of the host solves world after world; threads of the backend's own share one shard
         shards = self._shards.parts
         self._in_turn = schedule == "world" and self.device == "cpu" and shards == len(self._shards.ranges)
@@ -155,17 +157,17 @@ class Simulation(Driven):
         """Number of worlds and bodies, and worlds that do not advance."""
         return describe(self)
 
-    def _choose_kernels(self) -> None:
-        """Take the kernels that the model needs."""
+    def _choose_kernels(self, config: SolverConfig) -> None:
+        """Take the kernels that the model and the settings need."""
         self.only_discs = only_centred_discs(self.model)
         only_discs = self.only_discs and self.specialize
         self.variant = variant_of(self.model, only_discs)
-        self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, only_discs)
+        self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, only_discs, config.sleep)
 
     def adapt_to_model(self, stale: bool) -> None:
         """Take the kernels and the coefficients of a model that has changed; ``stale``: graphs are to be made anew."""
         variant, kernels = self.variant, self.kernels
-        self._choose_kernels()
+        self._choose_kernels(self._config)
         if variant != self.variant:
             self.storage.solver.use(self.variant, self.storage.contact_room, self._config)
         stale |= kernels != self.kernels or self._binding.stale
@@ -199,9 +201,14 @@ class Simulation(Driven):
     def _phase_launches(
         self, phase: Phase, first: int, count: int, changed: Mapping[str, Any] | None = None
     ) -> list[Launch]:
-        if phase == "solve":
-            return SCHEDULES[self.schedule](self, first, count, changed or {})
-        return [self.bind(name, first, count) for name in of_phase(phase, self._config.corrects_positions)]
+        config = self._config
+        names = of_phase(phase, config.corrects_positions, config.sleep)
+        if phase != "solve":
+            return [self.bind(name, first, count) for name in names]
+        launches = SCHEDULES[self.schedule](self, first, count, changed or {})
+        ends = (names[:1], names[-1:]) if config.sleep else ((), ())
+        begin, end = ([self.bind(name, first, count) for name in some] for some in ends)
+        return [*begin, *launches, *end]
 
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
         """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
@@ -224,6 +231,9 @@ class Simulation(Driven):
         refuse_recording("a change of config", "make it before")
         with self.calls:
             with uninterrupted():
+                if config.sleep != self._config.sleep:
+                    self._choose_kernels(config)
+                    self._binding.kernels = self.kernels
                 self.storage.adapt(config)
                 self._config = config
                 self._bind_all()

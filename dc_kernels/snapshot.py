@@ -7,6 +7,7 @@ keep every bit, so a run that goes on from a snapshot on the same device equals 
 
 A step that was not finished, in a world that froze or after an OverflowError, leaves its contacts in ``contacts``,
 while the next step starts from those of the last finished one. Only then the group ``cache`` holds the latter.
+Where bodies may sleep, the group ``sleepers`` says which do, and holds their contacts.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from dc_kernels.measure import contact_slots
 from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig
 from dc_kernels.model.dtypes import float_dtype, numpy_spec
-from dc_kernels.model.fields import CACHE, CONTACTS, Field
+from dc_kernels.model.fields import CACHE, CONTACTS, SLEEPERS, Field
 from dc_kernels.model.room import used_slots
 from dc_kernels.model.rules import BrokenRule
 from dc_kernels.model.settings import WrongType, check_choice, shown
@@ -42,6 +43,7 @@ Made = TypeVar("Made", bound="Simulation")
 SCHEMA = "deep-contact snapshot"
 SCHEMA_VERSION = 1
 CACHED = "cached contact"
+KEPT = "sleeping contact"
 _AXES = ("world", "body", "shape", "vertex", "joint", "contact")
 
 
@@ -103,7 +105,8 @@ def load(
         header = _Header(file, label)
         tables = {"model": Model.table, "state": State.table, "joints": Joints.table, "contacts": CONTACTS}
         values = {name: _read(file, label, name, table, header) for name, table in tables.items()}
-        cache = _read(file, label, "cache", CACHE, header.cached()) if "cache" in file else None
+        cache = _read(file, label, "cache", CACHE, header.counting(CACHED)) if "cache" in file else None
+        sleepers = _read(file, label, "sleepers", SLEEPERS, header.counting(KEPT)) if "sleepers" in file else None
     contacts = values["contacts"]
     del contacts["contact_start"]  # the simulation reserves its slots itself
     count, contact_dt = contacts.pop("contact_count"), contacts.pop("contact_dt")
@@ -134,6 +137,9 @@ def load(
         if cache is not None:
             group = "cache"
             sim.storage.restore_cache(cache["count"], cached, contact_dt, cache["joint_impulse"])
+        group = "sleepers"
+        if sleepers is not None and sim.config.sleep:
+            sim.restore_sleepers(sleepers)
     except ValueError as error:
         raise ValueError(f"{where}{group}/{error}") from error
     return sim
@@ -159,10 +165,15 @@ def _write(file: Any, sim: Simulation) -> None:
     slots, _ = contact_slots(sim.contacts)
     cached = used_slots(sim.contacts.numpy("contact_start"), sim.cache.numpy("count"))
     sizes = {**model.sizes, "joint": model.joint_count, "contact": len(slots), CACHED: len(cached)}
+    used = {"cache": cached}
     groups = {"model": model, "state": sim.state, "joints": sim.joints, "contacts": sim.contacts}
     if _unfinished(sim, slots, cached):
         groups["cache"] = sim.cache
-    names = (*_AXES, CACHED) if "cache" in groups else _AXES
+    if sim.config.sleep:
+        groups["sleepers"] = sim.sleepers
+        used["sleepers"] = used_slots(sim.contacts.numpy("contact_start"), sim.sleepers.numpy("count"))
+        sizes[KEPT] = len(used["sleepers"])
+    names = [*_AXES, *(name for name, group in ((CACHED, "cache"), (KEPT, "sleepers")) if group in groups)]
     file.create_group("sizes").attrs.update({name: sizes[name] for name in names})
     file.create_group("config").attrs.update(sim.config.to_dict())
     for name, group in groups.items():
@@ -170,7 +181,7 @@ def _write(file: Any, sim: Simulation) -> None:
         for field in group.table.values():
             values = group.numpy(field.name)
             if field.per == "contact":
-                values = values[cached if name == "cache" else slots]
+                values = values[used.get(name, slots)]
             # a checksum finds damage that HDF5 would not notice
             dataset = folder.create_dataset(field.name, data=values, fletcher32=True if values.size else None)
             dataset.attrs.update({"unit": field.unit, "meaning": field.meaning, "axis": field.per})
@@ -215,7 +226,7 @@ class _Header:
                 raise WrongType(f"device is {shown(self.device)}; it must be a str")
             sizes = {name: int(value) for name, value in file["sizes"].attrs.items()}
             self.sizes = {name: sizes[name] for name in _AXES}
-            self._cached = sizes.get(CACHED)
+            self._counts = {name: sizes.get(name) for name in (CACHED, KEPT)}
         except KeyError as error:
             raise ValueError(f"{path}: an attribute is missing: {error}") from error
         except (TypeError, ValueError) as error:
@@ -227,16 +238,17 @@ class _Header:
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: config: {error}") from error
 
-    def cached(self) -> _Header:
-        """The header of the group ``cache``, which has contacts of its own.
+    def counting(self, name: str) -> _Header:
+        """The header of a group that has contacts of its own, as many as the size of that name.
 
         Raises:
             ValueError: when it does not say how many.
         """
-        if self._cached is None:
-            raise ValueError(f"{self.path}: an attribute is missing: {CACHED!r}")
+        count = self._counts[name]
+        if count is None:
+            raise ValueError(f"{self.path}: an attribute is missing: {name!r}")
         other = copy.copy(self)
-        other.sizes = {**self.sizes, "contact": self._cached}
+        other.sizes = {**self.sizes, "contact": count}
         return other
 
 

@@ -6,6 +6,7 @@ check that every kernel takes the groups that its stage names.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 from dc_kernels.runtime.backends import make_kernels
@@ -87,6 +88,43 @@ STEP = (
 )  # fmt: skip
 """The stages of a step in order. With schedule "color", ``solve_world`` is cut at the colours (``solve.schedules``)."""
 
+SLEEP = (
+    Stage(
+        "collide", "notice_writes", "sleep.wake", (), ("model", "state", "joints", "contacts", "sleepers"),
+        ("sleepers",), "what a user wrote to sleepers, or to what they touch, rouses them", "but once in a call",
+    ),
+    Stage(
+        "collide", "enter_worlds", "sleep.wake", (), ("state", "sleepers"), ("state", "stats"),
+        "the stages of a phase pass over worlds in which nothing is awake",
+    ),
+    Stage(
+        "collide", "mark_sleepers", "sleep.wake", (), ("model", "state", "joints", "motion", "pairs", "sleepers"),
+        ("motion", "sleepers"), "what is roused wakes; the narrowphase passes over pairs of sleepers",
+        "a world without sleepers",
+    ),
+    Stage(
+        "collide", "wake_touched", "sleep.wake", (),
+        ("model", "state", "joints", "motion", "pairs", "contacts", "sleepers"), ("state", "motion", "sleepers"),
+        "what something touches that moves wakes", "a world without sleepers",
+    ),
+    Stage(
+        "collide", "admit_worlds", "sleep.wake", (), ("state", "contacts", "rows", "sleepers"),
+        ("state", "contacts", "rows", "sleepers"), "room for the contacts of sleepers", "a world without sleepers",
+    ),
+    Stage(
+        "collide", "leave_worlds", "sleep.wake", (), ("state",), ("state",), "the end of a phase",
+    ),
+    Stage(
+        "advance", "show_sleepers", "sleep.fall", (), ("state", "motion", "contacts", "sleepers"),
+        ("contacts", "sleepers"), "contacts of sleepers among those of the step", "a world without sleepers",
+    ),
+    Stage(
+        "advance", "rest", "sleep.fall", (), ("model", "state", "joints", "motion", "contacts", "sleepers"),
+        ("state", "sleepers"), "islands that have come to rest fall asleep",
+    ),
+)  # fmt: skip
+"""What ``SolverConfig.sleep`` adds to the stages, by the phase in which each is first (see ``of_phase``)."""
+
 ORDER: dict[str, tuple[tuple[Phase, ...], str]] = {
     "solve": (
         ("collide", "solve"),
@@ -118,16 +156,29 @@ class Turn:
             raise ValueError(wrong)
 
 
-def of_phase(phase: Phase, position_correction: bool = True) -> list[str]:
-    """Kernels of a phase in order; without the position phase where the settings want none."""
+def of_phase(phase: Phase, position_correction: bool = True, sleep: bool = False) -> list[str]:
+    """Kernels of a phase in order; without the position phase, and those of sleep, where the settings want none.
+
+    Where bodies may sleep, ``solve`` is the part between what these give for it first and last.
+    """
     names = [stage.kernel for stage in STEP if stage.phase == phase]
-    return names if position_correction else [name for name in names if name != "correct_positions"]
+    if not position_correction:
+        names = [name for name in names if name != "correct_positions"]
+    if not sleep:
+        return names
+    if phase == "collide":
+        found = names.index("narrowphase")
+        begin = ["notice_writes", "enter_worlds", *names[:found], "mark_sleepers", "narrowphase", "wake_touched"]
+        return [*begin, "narrowphase", "admit_worlds", *names[found + 1 :], "leave_worlds"]
+    if phase == "solve":
+        return ["enter_worlds", *names, "leave_worlds"]
+    return ["enter_worlds", *names[:-1], "show_sleepers", names[-1], "rest"]
 
 
-def markdown() -> str:
-    """The stages as a table for people."""
+def markdown(stages: Sequence[Stage] = STEP) -> str:
+    """Stages as a table for people."""
     rows = ["| phase | kernel | file | reads | writes | what it does | left out |", "| --- " * 7 + "|"]
-    for stage in STEP:
+    for stage in stages:
         groups = [", ".join(f"`{name}`" for name in names) for names in (stage.reads, stage.writes)]
         place = f"`{stage.file.replace('.', '/')}.py`"
         cells = (stage.phase, f"`{stage.kernel}`", place, *groups, stage.does, stage.skipped)
@@ -135,7 +186,7 @@ def markdown() -> str:
     return "\n".join(rows)
 
 
-def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool) -> dict[str, Any]:
+def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool, sleep: bool = False) -> dict[str, Any]:
     """All kernels of a simulation by name.
 
     Args:
@@ -143,9 +194,13 @@ def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool) -> di
         dtype: "float32" or "float64".
         variant: layout of solver rows, a key of ``rows.COLUMNS``.
         only_discs: whether all that moves are discs about their centre of mass.
+        sleep: whether bodies may sleep.
+
+    Raises:
+        ValueError: where a backend has not got the kernels, naming those that have.
     """
     options = {"variant": variant, "only_discs": only_discs}
     table: dict[str, Any] = {}
-    for file, names in {stage.file: stage.options for stage in STEP}.items():
+    for file, names in {stage.file: stage.options for stage in (*STEP, *(SLEEP if sleep else ()))}.items():
         table.update(make_kernels(backend, file, dtype, *(options[name] for name in names)))
     return table

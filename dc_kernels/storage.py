@@ -13,6 +13,7 @@ from dc_kernels.model.arrays import ArrayGroup, Joints, Model
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.fields import CACHE
 from dc_kernels.model.validate.arrays import Layout, check_field
+from dc_kernels.sleep.sleepers import SleepStorage, check_sleepers
 from dc_kernels.solve.integrate import Integrator, typical_weight
 from dc_kernels.solve.storage import SolverStorage
 
@@ -21,7 +22,7 @@ class Storage:
     """All stages of a simulation; what each holds, and the room that it has.
 
     Attributes:
-        broadphase, narrowphase, solver, integrator: the stages.
+        broadphase, narrowphase, solver, integrator, sleep: the stages.
         changes: how often the model was changed so that launches are to be made anew.
     """
 
@@ -39,6 +40,7 @@ class Storage:
         self.changes = 0
         self.broadphase = CandidatePairs.of_model(model, float(room["pairs"]))
         self.narrowphase = StepContacts(model, float(room["contacts"]))
+        self.sleep = SleepStorage(model, self.narrowphase.contacts, config.sleep)
         self.integrator = Integrator(model, int(room["shards"]), config.method, typical_weight(model))
         self.solver = SolverStorage(
             model,
@@ -58,6 +60,7 @@ class Storage:
             "cache": self.narrowphase.cache,
             "rows": self.solver.rows,
             "stats": self.solver.stats,
+            "sleepers": self.sleep.sleepers,
         }
 
     def adopt(self, groups: Mapping[str, Any], slots: Mapping[str, np.ndarray]) -> None:
@@ -66,6 +69,7 @@ class Storage:
         self.narrowphase.adopt(groups["contacts"], groups["cache"], slots["contacts"])
         self.solver.adopt(groups["rows"], groups["stats"], slots["blocks"])
         self.integrator.adopt(groups["motion"])
+        self.sleep.adopt(groups["sleepers"])
 
     @property
     def version(self) -> int:
@@ -73,7 +77,8 @@ class Storage:
         # every call of ``Images`` asks for it, and the table of groups would take a microsecond
         found, solver = self.narrowphase, self.solver
         taken = self.changes + self.integrator.motion.version + self.broadphase.pairs.version + solver.rows.version
-        return taken + found.contacts.version + found.cache.version + solver.stats.version
+        taken += found.contacts.version + found.cache.version + solver.stats.version
+        return taken + self.sleep.sleepers.version
 
     @property
     def contact_room(self) -> np.ndarray:
@@ -83,6 +88,7 @@ class Storage:
     def adapt(self, config: SolverConfig) -> None:
         """Allocate what a new configuration needs."""
         self.solver.keep_history(config)
+        self.sleep.allow(config.sleep, self.narrowphase.contacts)
         self.provide(config)
 
     def provide(self, config: SolverConfig) -> bool:
@@ -103,7 +109,7 @@ class Storage:
         self._relayout(config)
 
     def _relayout(self, config: SolverConfig) -> None:
-        self.narrowphase.relayout()
+        self.narrowphase.relayout(self.sleep.groups())
         self.broadphase.relayout()
         self.solver.relayout(self.contact_room, config)
 
@@ -120,7 +126,30 @@ class Storage:
         if (given.counts > self.contact_room).any():
             self.narrowphase.room.slots = np.maximum(self.contact_room, given.counts)
             self._relayout(config)
+        self.sleep.forget(None, self.model.numpy("body_start"))
         self.narrowphase.restore(given, self.joints.numpy("joint_impulse"))
+
+    def restore_sleepers(self, arrays: Mapping[str, np.ndarray], flags: np.ndarray, config: SolverConfig) -> bool:
+        """Let bodies sleep as ``arrays`` of an earlier run say (see ``sleep.sleepers.check_sleepers``).
+
+        Args:
+            arrays: fields of ``model.fields.SLEEPERS`` by name, contacts packed world after world.
+            flags: of the worlds.
+            config: settings of the solver.
+
+        Returns:
+            Whether their contacts needed more room.
+
+        Raises:
+            ValueError: naming array, index, value and limit.
+        """
+        count = check_sleepers(arrays, self.model, flags)
+        more = bool((count > self.contact_room).any())
+        if more:
+            self.narrowphase.room.slots = np.maximum(self.contact_room, count)
+            self._relayout(config)
+        self.sleep.restore(arrays, self.narrowphase.contacts.numpy("contact_start"))
+        return more
 
     def restore_cache(
         self, count: np.ndarray, arrays: Mapping[str, np.ndarray], contact_dt: np.ndarray, joint_impulse: np.ndarray

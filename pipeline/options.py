@@ -33,6 +33,8 @@ class SolverOptions(Settings):
     """Least number of sweeps of a solve [1]."""
     position_correction: Literal["ngs", "baumgarte", "none"] = DEFAULT.position_correction
     """How overlaps are mended: in a phase of its own after the velocities, by a velocity bias, or not at all."""
+    sleep: bool = DEFAULT.sleep
+    """Let bodies fall asleep that have come to rest with all that they touch."""
 
     def config(self, history: bool = False) -> dc.SolverConfig:
         """Make the settings of the kernels; with ``history`` they keep the impulse change of every sweep."""

@@ -119,7 +119,7 @@ class Ours:
         """Launch each stage by itself; a step that outgrows its room is taken by ``run`` and does not count."""
         sim = self.sim
         sim.run(1, DT)
-        names = [name for phase in PHASES for name in of_phase(phase, sim.config.corrects_positions)]
+        names = [name for phase in PHASES for name in of_phase(phase, sim.config.corrects_positions, sim.config.sleep)]
         launches = [sim.bind(name, 0, self.worlds) for name in names]
         total = dict.fromkeys(names, 0.0)
         for _ in range(steps):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.util
 import statistics
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -79,7 +80,7 @@ def _installed(name: str) -> bool:
 def engines_of(row: Row, handed: Handed, configs: Sequence[str], peer: program.Program | None) -> dict[str, Engine]:
     """Make the engines of a row by name."""
     made: dict[str, Engine] = {
-        name: Ours(handed, CONFIGS[name](), stepwise=row.stepwise) for name in configs if not row.asleep
+        name: Ours(handed, replace(CONFIGS[name](), sleep=row.asleep), stepwise=row.stepwise) for name in configs
     }
     worlds = min(row.peer_worlds or row.worlds, row.worlds)
     made |= {name: Peer(name, handed, worlds) for name in PEERS if _installed(name) and not row.asleep}

@@ -47,7 +47,7 @@ class Row:
     stepwise: bool = False
     """Ours by ``step`` instead of ``run``."""
     asleep: bool = False
-    """The engines that can let bodies sleep, which all of these do."""
+    """Ours and the peer that a program drives let bodies sleep, which all of these do."""
     large: bool = False
     """Left out of the quick form unless it is named."""
     peer_worlds: int | None = None

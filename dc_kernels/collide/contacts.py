@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,10 +64,10 @@ class FoundContacts:
         """The groups with a slot for each contact, and the field that holds the number of those of each world."""
         return [(self.contacts, "contact_count")]
 
-    def relayout(self) -> None:
-        """Allocate the room anew and move the contacts to their new places."""
+    def relayout(self, further: Sequence[tuple[ArrayGroup, str]] = ()) -> None:
+        """Allocate the room anew and move the contacts, also those of ``further`` groups, to their new places."""
         old, new = self.contacts.numpy("contact_start").copy(), self.room.starts()
-        for group, count in self.groups():
+        for group, count in [*self.groups(), *further]:
             before = group.renew(contact=self.room.total)
             for name, field in group.table.items():
                 if field.per == "contact":

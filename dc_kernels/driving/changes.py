@@ -208,6 +208,7 @@ def _take_up(sim: Simulation, changed: Mapping[str, np.ndarray], given: Arrays) 
         sim.storage.integrator.weigh(sim.model)
     if "joint_impulse" in given:
         sim.cache.fill("joint_impulse", given["joint_impulse"])
+    sim.storage.sleep.forget(np.flatnonzero(worlds(changed)), sim.model.numpy("body_start"))
     sim.adapt_to_model(stale=bool(worlds((*PAIRED, *COLORED)).any()))
 
 

@@ -14,10 +14,12 @@ from dc_kernels.driving import changes
 from dc_kernels.driving.copies import Parts, from_parts, parts_of
 from dc_kernels.driving.reset import Reset, check_rows, write_rows
 from dc_kernels.model.arrays import Joints, Model, State
+from dc_kernels.model.enums import Rest
 from dc_kernels.phases import Phases
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_worlds
 from dc_kernels.runtime.threads import OneCaller, uninterrupted
+from dc_kernels.sleep.sleepers import Sleepers, asleep, mark
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -29,6 +31,7 @@ class Driven(Phases):
     model: Model
     joints: Joints
     built: State
+    sleepers: Sleepers
     calls: OneCaller
     _reset: Reset | None
 
@@ -151,6 +154,59 @@ class Driven(Phases):
         """
         refuse_recording("change_model", "it writes at once")
         changes.change(self, values)  # type: ignore[arg-type]
+
+    @property
+    def asleep(self) -> np.ndarray:
+        """Bodies that sleep, bool (bodies,); none where the settings let none sleep (``SolverConfig.sleep``)."""
+        return asleep(self.model, self.sleepers)
+
+    def sleep(self, bodies: Any = None) -> None:
+        """Let bodies sleep from now on, with velocities of zero, until something disturbs them.
+
+        A body that touches one which is awake wakes in the next step, so let whole piles sleep. Scenes may begin so.
+
+        Args:
+            bodies: a mask, (bodies,) bool, or indices, (k,); None: all. Only dynamic bodies sleep.
+
+        Raises:
+            TypeError, ValueError: naming the index and the limit; where the settings let none sleep; in the middle of a
+                step.
+            RuntimeError: within ``wp.ScopedCapture``.
+        """
+        self._let(bodies, Rest.FALLING)
+
+    def wake(self, bodies: Any = None) -> None:
+        """Wake bodies in the next step, with all that sleeps and touches them; they rest anew before they sleep again.
+
+        What is written to the state, the model, its joints or its gravity wakes by itself whom it concerns.
+
+        Args:
+            bodies: a mask, (bodies,) bool, or indices, (k,); None: all.
+
+        Raises:
+            TypeError, ValueError, RuntimeError: see ``sleep``.
+        """
+        self._let(bodies, Rest.ROUSED)
+
+    def restore_sleepers(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Let bodies sleep as in an earlier run (see ``Storage.restore_sleepers``)."""
+        with self.calls, uninterrupted():
+            if self.storage.restore_sleepers(arrays, self._flags, self._config):
+                self._bind_all()
+
+    def _let(self, bodies: Any, rest: Rest) -> None:
+        refuse_recording("a change of who sleeps", "it is made at once")
+        with self.calls:
+            chosen = check_worlds("bodies", bodies, self.model.body_count)
+            if not self._config.sleep:
+                raise ValueError("SolverConfig.sleep is False; no body of this simulation sleeps")
+            if self._turn.ran != "advance":
+                raise ValueError("a change of who sleeps in the middle of a step: finish it with solve() and advance()")
+            with uninterrupted():
+                mark(self.model, self.sleepers, chosen, rest)
+                if rest == Rest.FALLING:
+                    for shard in self._shards.ranges:
+                        self.bind("lay_down", *shard)()
 
     def save(self, path: str | os.PathLike[str] | BinaryIO) -> None:
         """Write a snapshot to continue from, bit for bit, to a path or a binary file (see ``snapshot.save``)."""

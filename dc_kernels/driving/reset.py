@@ -26,6 +26,7 @@ EMPTIED = {
     "cache": ("count", "joint_impulse"),
     "pairs": ("count", "valid"),
     "state": ("flags",),
+    "sleepers": ("asleep", "rest_time", "sleeping", "dormant", "waited", "count"),
 }
 """Fields that are zero before the first step, by group."""
 
@@ -64,7 +65,12 @@ class Reset:
         static = model.numpy("body_type") == BodyType.STATIC
         moved = built.numpy("velocity").any(axis=1) | (built.numpy("angular_velocity") != 0)
         self._frozen = np.flatnonzero(static & moved)
-        self._emptied = [self._rows(groups[group], name) for group, names in EMPTIED.items() for name in names]
+        self._emptied = [
+            self._rows(groups[group], name)
+            for group, names in EMPTIED.items()
+            for name in names
+            if groups[group].sizes.get("world", 1)  # no sleepers where none may sleep
+        ]
 
     def _rows(self, group: ArrayGroup, name: str) -> _Rows:
         array, axis = to_numpy(group.array(name)), group.table[name].per

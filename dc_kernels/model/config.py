@@ -114,6 +114,14 @@ class SolverConfig(Settings):
     restitution_threshold: NotNegative = 0.32
     """Approach speed below which a contact does not bounce unless it is elastic: that of a fall from a twentieth of the
     length scale, 1 m/s for 1 m on Earth [sqrt(gravity length_scale)]."""
+    sleep: bool = False
+    """Whether bodies fall asleep that have come to rest with all that they touch, until something disturbs them."""
+    sleep_speed: NotNegative = 0.01
+    """A body below this speed, of its centre and of the rim of a disc of typical size that turns as it does, comes to
+    rest: 3 cm/s for 1 m on Earth [sqrt(gravity length_scale)]."""
+    sleep_time: Positive = 1.6
+    """An island all of whose bodies have been so slow for this long falls asleep: 0.5 s for 1 m on Earth; never where
+    there is no gravity [sqrt(length_scale / gravity)]."""
     history: bool = False
     """Whether to keep the largest impulse change of every sweep (``SolveStats.history``)."""
 
@@ -151,7 +159,7 @@ class SolverConfig(Settings):
         values.update({name: codes[getattr(self, name)] for name, codes in CHOICES.items()})
         # a float32 kernel argument holds no product of inf and 0
         values["relative_tolerance"] = min(self.relative_tolerance, 1e30)
-        values["history"] = int(self.history)
+        values |= {"history": int(self.history), "sleep": int(self.sleep)}
         values["slack"] = SLACK * self.slop
         return values
 
@@ -183,5 +191,18 @@ def _config_table() -> dict[str, Field]:
 
 check_config = checker(SolverConfig)
 """Returns settings of a solver, or raises a TypeError with the name."""
+
+
+def check_awake(config: SolverConfig) -> SolverConfig:
+    """Return settings of what cannot let bodies sleep.
+
+    Raises:
+        ValueError: for settings that want it to.
+    """
+    if config.sleep:
+        raise ValueError("SolverConfig.sleep is True; only a Simulation lets bodies sleep")
+    return config
+
+
 CONFIG = _config_table()
 """Fields of the struct of settings that kernels take, by the names that ``SolverConfig`` has for them."""

@@ -31,6 +31,16 @@ class Flag(IntFlag):
     ROW_OVERFLOW = 4  # more blocks of solver rows than reserved
     NONFINITE = 8  # a velocity or position became NaN or inf: the world keeps its last finite state
     INVALID = 16  # arrays from outside that a stage was given are out of range: it did nothing
+    ASLEEP = 32  # within a phase only: its stages pass over the world, as all in it sleeps
+
+
+class Rest(IntEnum):
+    """Whether a body sleeps (``fields.SLEEPERS``); bodies that are not dynamic do not."""
+
+    AWAKE = 0
+    ASLEEP = 1  # no stage moves it
+    ROUSED = 2  # wakes in the next step, with all that it touches; or it is not dynamic and was put elsewhere
+    FALLING = 3  # falls asleep: no step is begun with it
 
 
 class Element(IntEnum):

@@ -16,7 +16,7 @@ import functools
 from dataclasses import dataclass, replace
 from typing import Any
 
-from dc_kernels.model.enums import BodyType, Flag, ShapeType
+from dc_kernels.model.enums import BodyType, Flag, Rest, ShapeType
 from dc_kernels.model.rules import (
     COUNT,
     FINITE,
@@ -273,6 +273,26 @@ ITERATION = field_table(
     ("products", "world", "vec8", "(N s)^2", "scalar products of the least squares of an update"),
 )
 
+# Bodies that sleep, and the contacts between them; all axes are empty where nothing may sleep (collide/sleep.py).
+SLEEPERS = field_table(
+    ("asleep", "body", "int32", "1", "Rest", Code(Rest)),
+    ("rest_time", "body", "real", "s", "for how long it has been slow enough to sleep", NOT_NEGATIVE),
+    ("position", "body", "vec2", "m", "of a body that sleeps or is not dynamic, as last seen"),
+    ("angle", "body", "real", "rad", "of a body that sleeps or is not dynamic, as last seen"),
+    ("force", "body", "vec2", "N", "of a body that sleeps, as last seen"),
+    ("torque", "body", "real", "N m", "of a body that sleeps, as last seen"),
+    ("parent", "body", "int32", "1", "a body of its island; itself at the root"),
+    ("island_time", "body", "real", "s", "at the root: least of the island's rest times, negative if it may not sleep"),
+    ("anchor_a", "joint", "vec2", "m", "anchor at A, as last seen where a body sleeps"),
+    ("anchor_b", "joint", "vec2", "m", "anchor at B, as last seen where a body sleeps"),
+    ("length", "joint", "real", "m", "length, as last seen where a body sleeps", NOT_NEGATIVE),
+    ("gravity", "world", "vec2", "m/s^2", "as last seen where a body sleeps"),
+    ("sleeping", "world", "int32", "1", "bodies that sleep", COUNT),
+    ("dormant", "world", "int32", "1", "1: nothing in the world moves, and its stages are passed over", Number(0, 1)),
+    ("waited", "world", "int32", "1", "steps since islands were last looked for", COUNT),
+    ("count", "world", "int32", "1", "contacts of bodies that sleep, from contact_start of the contacts on", COUNT),
+) | {field.name: field for field in CONTACTS.values() if field.per == "contact"}
+
 # What one launch over worlds is given beside the groups.
 LAUNCH = field_table(
     ("world_offset", "launch", "int32", "1", "first world of the launch"),
@@ -332,5 +352,6 @@ GROUPS = {
     "rows": ROWS,
     "motion": MOTION,
     "stats": STATS,
+    "sleepers": SLEEPERS,
 }
 """Tables by the name that a group of arrays has as attribute of a simulation and as argument of a kernel."""

@@ -87,6 +87,7 @@ class Rounds:
         halt: np.ndarray,
         *,
         sweeps: int = 0,
+        once: int = 0,
     ) -> None:
         """Bind what is launched.
 
@@ -98,7 +99,9 @@ class Rounds:
             peak: an int32 for each kind of room, raised to the most that a world used after any round.
             halt: of int32, of which the first is set when a flag says so, and looked at before each round.
             sweeps: over all bodies, that a round may make.
+            once: launches at the beginning that only the first of the rounds taken in one call makes.
         """
+        self._once = once
         self.launches, self.watch, self.peak, self.halt, self.sweeps = list(launches), watch, peak, halt, sweeps
         self._worlds = slice(first, first + count)
         self._done = aligned_zeros((CACHE_LINE,), np.dtype(np.int64))
@@ -114,6 +117,7 @@ class Rounds:
             {
                 "launches": table,
                 "count": len(self.launches),
+                "once": once,
                 "rounds": 1,
                 "first": first,
                 "worlds": count,
@@ -140,10 +144,10 @@ class Rounds:
                 self._bound_to = rounds
             self._run.launch_now()
             return
-        for _ in range(rounds):
+        for i in range(rounds):
             if self.halt[0]:
                 break
-            for launch in self.launches:
+            for launch in self.launches[self._once if i else 0 :]:
                 launch()
             self._done[0] += 1
             for k, used in enumerate(self.watch.used):

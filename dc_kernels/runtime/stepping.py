@@ -61,7 +61,13 @@ class Shards:
         return max(min(AT_ONCE, SWEPT // max(rounds.sweeps, 1)) // self.bodies, 1)
 
     def rounds(
-        self, bind: Callable[[int, int], Sequence[Launch]], watch: Watch, together: bool, *, sweeps: int = 0
+        self,
+        bind: Callable[[int, int], Sequence[Launch]],
+        watch: Watch,
+        together: bool,
+        *,
+        sweeps: int = 0,
+        once: int = 0,
     ) -> list[Rounds]:
         """Rounds of each shard, and if there are several of all shards as one.
 
@@ -70,6 +76,7 @@ class Shards:
             watch: what is looked at after each round.
             together: whether a shard that halts halts the others too.
             sweeps: over all bodies, that a round may make.
+            once: launches at the beginning of ``bind``'s that only the first of the rounds taken in one call makes.
         """
         shared = aligned_zeros((CACHE_LINE,), INT)
         found = [
@@ -80,13 +87,16 @@ class Shards:
                 peak,
                 shared if together else aligned_zeros((CACHE_LINE,), INT),
                 sweeps=sweeps,
+                once=once,
             )
             for shard, peak in zip(self.ranges, self.peak)
         ]
         if len(found) > 1:
-            launches = [launch for shard in found for launch in shard.launches]
+            launches = [launch for shard in found for launch in shard.launches[:once]]
+            launches += [launch for shard in found for launch in shard.launches[once:]]
             worlds = sum(count for _, count in self.ranges)
-            found.append(Rounds(launches, 0, worlds, watch, self.peak[-1], shared, sweeps=sweeps))
+            once *= len(self.ranges)
+            found.append(Rounds(launches, 0, worlds, watch, self.peak[-1], shared, sweeps=sweeps, once=once))
         return found
 
     def run(self, rounds: Sequence[Rounds], count: int | Sequence[int]) -> bool:
@@ -267,7 +277,13 @@ class PoolShards(Shards):
         self._goal: list[int] = []
 
     def rounds(
-        self, bind: Callable[[int, int], Sequence[Launch]], watch: Watch, together: bool, *, sweeps: int = 0
+        self,
+        bind: Callable[[int, int], Sequence[Launch]],
+        watch: Watch,
+        together: bool,
+        *,
+        sweeps: int = 0,
+        once: int = 0,
     ) -> list[Rounds]:
         """Rounds of all worlds: those of a whole step as one kernel."""
         launches = bind(*self.ranges[0])
@@ -275,7 +291,7 @@ class PoolShards(Shards):
             return [self._whole(launches, self._starts, watch, self.peak[:-1], sweeps)]
         for launch in launches:
             getattr(launch, "prepare", bool)()
-        return super().rounds(lambda *_: launches, watch, together, sweeps=sweeps)
+        return super().rounds(lambda *_: launches, watch, together, sweeps=sweeps, once=once)
 
     def run(self, rounds: Sequence[Rounds], count: int | Sequence[int]) -> bool:
         """Take rounds until none is left or one halts (see ``Shards.run``)."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from dc_kernels.binding import Binding
 from dc_kernels.model.arrays import ArrayGroup, Contacts, Joints, Model, State
-from dc_kernels.model.config import SimulationOptions, SolverConfig, check_config
+from dc_kernels.model.config import SimulationOptions, SolverConfig, check_awake, check_config
 from dc_kernels.runtime.backends import Launch, bind, check_backend, make_kernels
 from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recording
 from dc_kernels.runtime.inputs import check_layout, check_truth
@@ -164,7 +164,7 @@ class ContactSolver(InPlace):
             ValueError: naming argument, index and limit.
         """
         options = SimulationOptions(config, threads, schedule)
-        discs, config = check_truth("discs", discs), options.config or SolverConfig()
+        discs, config = check_truth("discs", discs), check_awake(options.config or SolverConfig())
         refuse_lacking(point, arm_a, arm_b, position, angle, joints)
         contacts = len(check_layout("body_a", body_a, (None,), np.dtype(np.int32)))
         self.dtype, self.device = check_layout("normal", normal, (contacts, 2)).dtype, "cpu"
@@ -263,7 +263,7 @@ class ContactSolver(InPlace):
 
     @config.setter
     def config(self, config: SolverConfig) -> None:
-        config = check_config("config", config)
+        config = check_awake(check_config("config", config))
         refuse_recording("a change of config", "make it before")
         with self.calls:
             self._config = config

@@ -100,6 +100,10 @@ class Recipe(Settings):
         options, solver = self.options, self.solver
         if solver.history:
             raise ValueError("solver.history is True; a data set does not keep the history")
+        if solver.sleep:
+            raise ValueError(
+                "solver.sleep is True; a data set holds the solves of all contacts, and sleepers have none"
+            )
         if options.label_tolerance > solver.tolerance:
             raise ValueError(
                 f"label_tolerance is {options.label_tolerance}; it must not exceed solver.tolerance {solver.tolerance}"

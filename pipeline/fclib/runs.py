@@ -81,6 +81,8 @@ def export(
         ValueError: for an option out of its range, or a pattern that gives one name to several problems.
         OSError: a file cannot be written; those before it are whole.
     """
+    if solver.sleep:
+        raise ValueError("sleep is True; the contacts of what sleeps are in no problem")
     steps = options.steps()
     for world in options.world:
         if not 0 <= world < run.worlds:

@@ -152,7 +152,9 @@ def test_a_scene_is_measured(monkeypatch, falling, tmp_path):
     assert len(list(tmp_path.glob("*.npz"))) == 1  # both piles have fallen alike
     for name, row in values["scenes"].items():
         assert row["engines"]["peer"]["ms"] == pytest.approx(1e3 * (0.75 if name == "created" else 0.5) / 2)
-        if name != "asleep":
+        if name == "asleep":
+            assert row["ms"] > 0.0 and "over_peer" in row
+        else:
             assert row["ms"] == row["engines"]["sweeps_10"]["ms"] > 0.0
             assert {"over_peer", "overlap_mean_mm"} <= row.keys()
             assert sum(row["shares"].values()) == pytest.approx(1.0)

@@ -20,7 +20,7 @@ from dc_kernels.model.enums import CAPACITY_FLAGS, Flag
 from dc_kernels.model.fields import GROUPS, LAUNCH, MOTION, STATE
 from dc_kernels.runtime.backends import argument_names, bind
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR
-from dc_kernels.stages import STEP, kernel_table
+from dc_kernels.stages import SLEEP, STEP, kernel_table
 from tests.parity.scenes import bounce, boxes, crowd, discs, frozen, kinematic, mixed, pendulum, simulation, worlds
 
 DT = 0.01
@@ -29,7 +29,7 @@ DT = 0.01
 KERNEL_BOUND = {"float64": 1e-10, "float32": 1e-4}
 RUN_BOUND = 1e-9
 # what a kernel leaves there is its own business
-SCRATCH = {"bucket", "cell", "sorted_shape", "temp_a", "temp_b", "color_mask"}
+SCRATCH = {"bucket", "cell", "sorted_shape", "temp_a", "temp_b", "color_mask", "parent", "island_time"}
 
 
 # ---------------------------------------------------------------------- tables
@@ -39,16 +39,16 @@ SCRATCH = {"bucket", "cell", "sorted_shape", "temp_a", "temp_b", "color_mask"}
 @pytest.mark.parametrize("variant", list(COLUMNS))
 @pytest.mark.parametrize("only_discs", [False, True])
 def test_backends_have_the_same_kernels(dtype: str, variant: str, only_discs: bool) -> None:
-    warp = kernel_table("warp", dtype, variant, only_discs)
-    oracle = kernel_table("numpy", dtype, variant, only_discs)
+    warp = kernel_table("warp", dtype, variant, only_discs, sleep=True)
+    oracle = kernel_table("numpy", dtype, variant, only_discs, sleep=True)
     assert list(warp) == list(oracle)
     for name in warp:
         assert argument_names(warp[name]) == argument_names(oracle[name]), name
 
 
 def test_kernels_take_what_their_stages_name() -> None:
-    table = kernel_table("numpy", "float32", "general", False)
-    for stage in STEP:
+    table = kernel_table("numpy", "float32", "general", False, sleep=True)
+    for stage in (*STEP, *SLEEP):
         wanted = {*stage.reads, *stage.writes}
         assert set(argument_names(table[stage.kernel])) & set(GROUPS) == wanted, stage.kernel
 
@@ -75,7 +75,7 @@ class Pair:
     def __init__(self, sim: dc.Simulation) -> None:
         self.sim = sim
         self.bound = KERNEL_BOUND[sim.dtype.name]
-        self.oracle = kernel_table("numpy", sim.dtype.name, sim.variant, sim.only_discs)
+        self.oracle = kernel_table("numpy", sim.dtype.name, sim.variant, sim.only_discs, sim.config.sleep)
 
     def run(self, name: str, dim: int | tuple[int, int] | None = None, **more: Any) -> None:
         """Launch a kernel of both backends on equal arrays and compare all of them; Warp's results remain."""
@@ -84,7 +84,7 @@ class Pair:
         used = [key for key in argument_names(self.oracle[name]) if key in GROUPS]
         copies = {key: self.copied(key) for key in used}
         numbers = {key: numbers_of(values[key], table) for key, table in (("config", CONFIG), ("launch", LAUNCH))}
-        written = {group for stage in STEP if stage.kernel == name for group in stage.writes}
+        written = {group for stage in (*STEP, *SLEEP) if stage.kernel == name for group in stage.writes}
         unwritten = {key: self.copied(key) for key in used if written and key not in written}
         bind(self.oracle[name], dim, {**more, **numbers, **copies}, "cpu")()
         bind(self.sim.kernels[name], dim, values, "cpu")()

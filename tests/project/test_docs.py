@@ -116,7 +116,13 @@ def check_driving(scope: dict) -> None:
     assert found == pytest.approx([1, 2, 2, 2], rel=0.1)  # both discs on the floor; one on the frozen one
 
 
+def check_sleep(scope: dict) -> None:
+    sim = scope["sim"]
+    assert sim.asleep.sum() == 4 and sim.state.numpy("time")[0] == pytest.approx(1.01)
+
+
 CHECKS = {
+    "docs/sleep.md": check_sleep,
     "docs/driving.md": check_driving,
     "docs/data.md": check_data,
     "README.md": check_readme,
@@ -301,6 +307,10 @@ def test_every_option_is_known_to_the_help(helps):
 
 def test_the_table_of_stages_is_that_of_the_code():
     assert stages.markdown() in (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+
+
+def test_the_table_of_what_sleep_adds_is_that_of_the_code():
+    assert stages.markdown(stages.SLEEP) in (ROOT / "docs" / "sleep.md").read_text(encoding="utf-8")
 
 
 def test_the_table_of_backends_is_that_of_the_code():

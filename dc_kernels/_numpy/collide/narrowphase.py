@@ -137,9 +137,11 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
         found = []
         for pair in range(pairs.start[w], pairs.start[w] + pairs.count[w]):
             a, b = int(pairs.shape_a[pair]), int(pairs.shape_b[pair])
-            m = manifold(a, b)
             ba, bb = model.shape_body[a], model.shape_body[b]
             va, vb = motion.predicted[ba], motion.predicted[bb]
+            if min(va[3], vb[3]) < 0 and max(va[3], vb[3]) <= 0:
+                continue  # asleep, both or beside what does not move (sleep/wake.py)
+            m = manifold(a, b)
             shapes = (a - int(model.shape_start[w])) << KEY_SHAPE_BITS | (b - int(model.shape_start[w]))
             for point, g, feature in m.points:
                 to_a, to_b = point - state.position[ba], point - state.position[bb]

@@ -116,6 +116,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
             xb = state.position[bb]
             va = motion.predicted[ba]
             vb = motion.predicted[bb]
+            if wp.min(va[3], vb[3]) < real(0.0) and wp.max(va[3], vb[3]) <= real(0.0):
+                continue  # asleep, both or beside what does not move (sleep/wake.py)
             kind_a = model.shape_type[a]
             kind_b = model.shape_type[b]
             ra = model.shape_radius[a]

@@ -13,10 +13,10 @@ import warp as wp
 #if !defined(__CUDA_ARCH__)
 struct Launch { void (*kernel)(void*, void*); void* bounds; void* arguments; };
 const Launch* launch = (const Launch*)launches.data;
-for (int i = 0; i < count; ++i) launch[i].kernel(launch[i].bounds, launch[i].arguments);
+for (int i = first; i < count; ++i) launch[i].kernel(launch[i].bounds, launch[i].arguments);
 #endif
 """)
-def launch_all(launches: wp.array(dtype=wp.uint64), count: wp.int32): ...
+def launch_all(launches: wp.array(dtype=wp.uint64), first: wp.int32, count: wp.int32): ...
 
 
 @wp.func_native("""
@@ -50,12 +50,13 @@ def kernels() -> dict[str, Any]:
     @wp.kernel(module=module, enable_backward=False)
     def run_launches(launches: wp.array(dtype=wp.uint64), count: int):
         """Each launch once."""
-        launch_all(launches, count)
+        launch_all(launches, 0, count)
 
     @wp.kernel(module=module, enable_backward=False)
     def repeat_launches(
         launches: wp.array(dtype=wp.uint64),
         count: int,
+        once: int,
         rounds: int,
         first: int,
         worlds: int,
@@ -69,12 +70,13 @@ def kernels() -> dict[str, Any]:
     ):
         """Rounds of all launches, until a world's flags hold a bit of ``stop_at``: that halts whoever shares ``halt``.
 
-        ``used`` holds the address of an int32 for each world, for several kinds of room; ``peak`` is raised to the most
-        that a world used of each kind after any round, and ``done`` by the rounds taken.
+        The first ``once`` launches are made in the first round only. ``used`` holds the address of an int32 for each
+        world, for several kinds of room; ``peak`` is raised to the most that a world used of each kind after any round,
+        and ``done`` by the rounds taken.
         """
         taken = int(0)
         while taken < rounds and read_shared(halt) == 0:
-            launch_all(launches, count)
+            launch_all(launches, wp.where(taken == 0, 0, once), count)
             taken += 1
             full = int(0)
             for w in range(first, first + worlds):

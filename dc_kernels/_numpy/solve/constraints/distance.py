@@ -19,6 +19,8 @@ def make_distance_row(j: int, w: int, config: Any, model: Any, state: Any, motio
     dt = motion.step_dt[w]
     limit = config.max_correction * model.length_scale[w]
     a, b = joints.joint_body_a[j], joints.joint_body_b[j]
+    if min(motion.predicted[a, 3], motion.predicted[b, 3]) < 0:  # asleep: it does nothing, and keeps its impulse
+        return PackedRow(a, b, np.zeros(2), np.zeros(6), np.zeros(6), 0.0, 0.0, 0.0, 0.0, 0.0, -np.inf, 0.0)
     ra = rotate(rotation(state.angle[a]), joints.joint_anchor_a[j])
     rb = rotate(rotation(state.angle[b]), joints.joint_anchor_b[j])
     d = (state.position[b] + rb) - (state.position[a] + ra)

@@ -42,7 +42,9 @@ while (next < i1) {
     const Vector rA = values_at(radius, a), rB = values_at(radius, b), radii = rA + rB;
     const Vector x = xB - xA, y = yB - yA, vx = B.x - A.x, vy = B.y - A.y, squared = x * x + y * y;
     const Vector far = radii + reach + step * (magnitude(vx) + magnitude(vy));
-    const auto near = ~(squared > far * far);
+    // else asleep, both or beside what does not move (sleep/wake.py)
+    const auto awake = (smaller(A.m, B.m) >= 0) | (larger(A.m, B.m) > 0);
+    const auto near = awake & ~(squared > far * far);
     if (!any(near)) continue;
     const Vector length = root(squared);
     const auto apart = length > (Real)EPSILON * radii;

@@ -23,6 +23,17 @@ def distance_row(dtype: str, variant: str) -> Any:
     minus_infinity = real(float("-inf"))
 
     @wp.func(module=module)
+    def asleep(a: int, b: int, model: t.Model):
+        """The row of a joint that sleeps: without a normal it does nothing, and keeps its impulse."""
+        row = Row()
+        row.body_a = a
+        row.body_b = b
+        row.inv_inertia_a = model.inv_inertia[a]
+        row.inv_inertia_b = model.inv_inertia[b]
+        row.least = minus_infinity
+        return row
+
+    @wp.func(module=module)
     def make_distance_row(
         j: int,
         w: int,
@@ -44,6 +55,8 @@ def distance_row(dtype: str, variant: str) -> Any:
         b = joints.joint_body_b[j]
         va = motion.predicted[a]
         vb = motion.predicted[b]
+        if wp.min(va[3], vb[3]) < real(0.0):
+            return asleep(a, b, model)
         ra = rotate(wp.cos(state.angle[a]), wp.sin(state.angle[a]), joints.joint_anchor_a[j])
         rb = rotate(wp.cos(state.angle[b]), wp.sin(state.angle[b]), joints.joint_anchor_b[j])
         d = (state.position[b] + rb) - (state.position[a] + ra)

@@ -1,0 +1,183 @@
+"""What sleep saves, what it costs where nothing sleeps, and what is different after it.
+
+The scenes are piles that have come to rest, as in the bench ``games``. Alternatives are stepped in turn.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import statistics
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+import dc_kernels as dc
+from bench import timing
+from bench.cases import DT
+from bench.games.engines import Handed
+from bench.games.rows import ROWS, hand_over
+
+SUMMARY = "steps of piles asleep, asleep in half, and awake with sleep allowed; what waking changes [us, mm]"
+KEYS = ("asleep_us", "asleep_step_us", "awake_slowdown", "half_share", "wake_difference", "hit_difference")
+THREADS = 1
+
+SCENES = ("settled_discs_10000", "settled_mixed_1000", "pyramid_1275", "boxes_1024_worlds")
+QUICK = ("settled_discs_1000", "settled_mixed_1000", "pyramid_1275", "boxes_64_worlds")
+SETTLE = 300  # steps by which all of a scene has come to rest; what has not is let sleep by a call
+ROUNDS, ROUNDS_QUICK = 15, 7
+ASLEEP_STEPS = 1_000  # timed together
+AFTER = 50  # steps after which what woke is compared with what never slept
+SPEED = 5.0  # of the ball shot into a pile [m/s]
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Values of each scene, and the worst of all."""
+    found = {}
+    for name in QUICK if quick else SCENES:
+        timing.progress(name)
+        found[name] = measure_scene(name, ROUNDS_QUICK if quick else ROUNDS)
+
+    def worst(key: str) -> float:
+        return max(values[key] for values in found.values())
+
+    return {**{key: worst(key) for key in KEYS}, "scenes": found}
+
+
+def measure_scene(name: str, rounds: int) -> dict[str, Any]:
+    """Values of one scene of the bench ``games``."""
+    handed = hand_over(ROWS[name])
+    config = dc.SolverConfig()
+    asleep = simulation(handed, dataclasses.replace(config, sleep=True))
+    asleep.run(SETTLE, DT)
+    by_itself = float(asleep.asleep.sum() / max(dynamic(asleep).sum(), 1))
+    asleep.sleep()
+    spent = timing.interleave(
+        {"run": lambda: asleep.run(ASLEEP_STEPS, DT), "step": steps(asleep, ASLEEP_STEPS)}, rounds
+    )
+    values: dict[str, Any] = {"bodies": int(dynamic(asleep).sum()), "asleep_by_itself": by_itself}
+    for key, way in (("asleep_us", "run"), ("asleep_step_us", "step")):
+        values[key] = 1e6 * statistics.median(spent[way]) / ASLEEP_STEPS
+    values |= measure_awake(handed, config, rounds)
+    values |= differences(handed, config)
+    return values
+
+
+def simulation(handed: Handed, config: dc.SolverConfig) -> dc.Simulation:
+    """A simulation of the bodies of a scene at rest."""
+    sim = dc.Simulation(*handed.fresh(), config=config)
+    sim.warmup()
+    return sim
+
+
+def dynamic(sim: dc.Simulation) -> np.ndarray:
+    """Bodies that are dynamic, bool (bodies,)."""
+    return np.asarray(sim.model.numpy("body_type") == dc.BodyType.DYNAMIC)
+
+
+def steps(sim: dc.Simulation, count: int) -> Callable[[], None]:
+    """Steps one by one, as a game takes them."""
+
+    def take() -> None:
+        for _ in range(count):
+            sim.step(DT)
+
+    return take
+
+
+def measure_awake(handed: Handed, config: dc.SolverConfig, rounds: int) -> dict[str, float]:
+    """A step with all awake, with and without sleep, and one with half of the bodies asleep, over one without sleep.
+
+    Where all are awake they rest, are timed, and their islands are looked for, but none sleeps: in each world another
+    body than those of the pile flies, and what touches a moving kinematic body stays awake, here all static ones.
+    """
+    awake = dataclasses.replace(config, sleep=True)
+    sims = {"off": simulation(handed, config), "on": simulation(handed, awake)}
+    for sim in sims.values():
+        static = sim.model.numpy("body_type") == dc.BodyType.STATIC
+        sim.change_model(body_type=np.where(static, dc.BodyType.KINEMATIC, sim.model.numpy("body_type")))
+        sim.state.numpy("velocity")[static, 0] = 1e-12
+        sim.run(SETTLE, DT)
+    if sims["on"].asleep.any():
+        raise RuntimeError("bodies of the scene sleep that should not")
+    half = simulation(handed, dataclasses.replace(awake, sleep_time=1e6))
+    half.run(SETTLE, DT)
+    sims["half"] = half
+    count = 5
+    ratios: dict[str, list[float]] = {"on": [], "half": []}
+    for _ in range(rounds):
+        lower(half)
+        spent = {key: timing.seconds(lambda sim=sim: sim.run(count, DT)) for key, sim in sims.items()}  # type: ignore[misc]
+        for key, found in ratios.items():
+            found.append(spent[key] / spent["off"])
+    return {
+        "awake_slowdown": statistics.median(ratios["on"]),
+        "half_share": statistics.median(ratios["half"]),
+        "half_asleep": float(half.asleep.sum() / dynamic(half).sum()),
+    }
+
+
+def lower(sim: dc.Simulation) -> None:
+    """Let the half of the bodies sleep that lie to the left; what touches the others wakes with what it touches."""
+    bodies, position = dynamic(sim), sim.state.numpy("position")
+    world = np.repeat(np.arange(sim.model.world_count), np.diff(sim.model.numpy("body_start")))
+    if sim.model.world_count > 1:
+        sim.sleep(np.flatnonzero(bodies & (world % 2 == 0)))
+    else:
+        sim.sleep(np.flatnonzero(bodies & (position[:, 0] < np.median(position[bodies, 0]))))
+
+
+def differences(handed: Handed, config: dc.SolverConfig) -> dict[str, float]:
+    """Distances [mm] between bodies that slept and those of a simulation that never did, in the mean and at most.
+
+    ``wake_difference`` is the largest, some steps after all were woken; ``hit_difference`` the mean, as long after the
+    topmost body of each world was thrown onto the others.
+    """
+    sims = [simulation(handed, config), simulation(handed, dataclasses.replace(config, sleep=True))]
+    found = {}
+    for key in ("wake_difference", "hit_difference"):
+        for sim in sims:
+            sim.reset()
+            sim.run(SETTLE, DT)
+        still, slept = sims
+        for name in ("position", "angle", "velocity", "angular_velocity"):
+            slept.state.assign(name, still.state.numpy(name))  # from the same places: piles creep
+        slept.sleep()
+        slept.run(SETTLE, DT)
+        for sim in sims:
+            if key == "hit_difference":
+                throw(sim)
+            elif sim is slept:
+                sim.wake()
+            sim.run(AFTER, DT)
+        gone = np.linalg.norm(still.state.numpy("position") - slept.state.numpy("position"), axis=1)[dynamic(still)]
+        found[key] = 1e3 * float(gone.max() if key == "wake_difference" else gone.mean())
+    return found
+
+
+def throw(sim: dc.Simulation) -> None:
+    """Throw the topmost dynamic body of each world down."""
+    height = np.where(dynamic(sim), sim.state.numpy("position")[:, 1], -np.inf)
+    start = sim.model.numpy("body_start")
+    for first, last in itertools.pairwise(start):
+        sim.state.numpy("velocity")[first + height[first:last].argmax()] = (0.0, -SPEED)
+
+
+def report(values: dict[str, Any]) -> str:
+    """A table for people."""
+    rows = [
+        (
+            name,
+            f"{found['bodies']}",
+            f"{found['asleep_us']:.2f}",
+            f"{found['asleep_step_us']:.1f}",
+            f"{found['awake_slowdown']:.3f}",
+            f"{found['half_share']:.2f}",
+            f"{found['wake_difference']:.4f}",
+            f"{found['hit_difference']:.4f}",
+        )
+        for name, found in values["scenes"].items()
+    ]
+    head = ("scene", "bodies", "asleep: run [us]", "step() [us]", "awake, on over off", "half asleep over awake")
+    return timing.table((*head, "woken [mm]", "hit [mm]"), rows)

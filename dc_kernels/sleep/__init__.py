@@ -1,0 +1,1 @@
+"""Bodies that have come to rest, which no stage looks at until something disturbs them."""

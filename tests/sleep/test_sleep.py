@@ -1,0 +1,473 @@
+"""Bodies at rest fall asleep, keep every bit while they sleep, and wake by whatever disturbs them."""
+
+import dataclasses
+import io
+import pickle
+
+import numpy as np
+import pytest
+
+import dc_kernels as dc
+from dc_kernels.stages import SLEEP, of_phase
+from tests.parity.test_parity import Pair
+
+DT = 0.01
+SLEEP_CONFIG = dc.SolverConfig(sleep=True, sleep_time=0.3)
+FLOOR, SHELF, PLATFORM, ON_SHELF, ON_PLATFORM, LINKED, STACK = 0, 1, 2, (3, 4), (5, 6), (7, 8), (9, 10, 11)
+ALL = (*ON_SHELF, *ON_PLATFORM, *LINKED, *STACK)
+
+
+def yard(builder, shift=0.0):
+    """A floor with two linked discs and three boxes, and towers of two on a static shelf and a kinematic platform."""
+    builder.add_world()
+    builder.add_box(builder.add_body(type=dc.BodyType.STATIC), 20.0, 0.5, center=(0.0, -0.5))
+    builder.add_box(builder.add_body((-6.0, 2.0), type=dc.BodyType.STATIC), 1.0, 0.25)
+    builder.add_box(builder.add_body((6.0, 2.0), type=dc.BodyType.KINEMATIC), 1.0, 0.25)
+    for x in (-6.0, 6.0):
+        for k in range(2):
+            builder.add_box(builder.add_body((x + 0.1 * k, 2.75 + k)), 0.5, 0.5)
+    discs = builder.add_discs([(-2.0, 0.5), (-0.7, 0.5)], 0.5)
+    builder.add_distance_joint(discs[0], discs[1])
+    for x, y in ((2.0, 0.5), (3.1, 0.5), (2.5 + shift, 1.5)):
+        builder.add_box(builder.add_body((x, y)), 0.5, 0.5)
+
+
+def simulation(worlds=1, config=SLEEP_CONFIG, backend="warp", dtype="float32", **options):
+    builder = dc.ModelBuilder()
+    for w in range(worlds):
+        yard(builder, 0.1 * w)
+    return dc.Simulation(*builder.finalize(dtype, backend=backend), config=config, **options)
+
+
+def asleep_in(sim):
+    """The bodies that sleep."""
+    return set(np.flatnonzero(sim.asleep).tolist())
+
+
+@pytest.fixture(scope="module")
+def at_rest():
+    """A yard in which all sleep, to be cloned."""
+    sim = simulation()
+    sim.run(100, DT)
+    assert asleep_in(sim) == set(ALL)
+    return sim
+
+
+def state_bits(sim, bodies=slice(None)):
+    names = ("position", "angle", "velocity", "angular_velocity")
+    return {name: sim.state.numpy(name)[bodies].tobytes() for name in names}
+
+
+def contacts_of(sim, bodies=None):
+    """Contacts of some bodies by key: impulse, colour, age and place."""
+    slots, _ = dc.contact_slots(sim.contacts)
+    table = {name: sim.contacts.numpy(name)[slots] for name in ("key", "body_a", "body_b", "impulse", "color", "gap")}
+    return {
+        int(key): (impulse.tobytes(), int(color), float(gap))
+        for key, a, b, impulse, color, gap in zip(*table.values())
+        if bodies is None or a in bodies or b in bodies
+    }
+
+
+def test_what_rests_falls_asleep_and_keeps_every_bit(at_rest):
+    sim = at_rest.clone()
+    before, contacts, time = state_bits(sim), contacts_of(sim), sim.state.numpy("time")[0]
+    ages = sim.contacts.numpy("age").tobytes()
+    sim.run(300, DT)
+    sim.step(DT)
+    assert state_bits(sim) == before
+    assert contacts_of(sim) == contacts
+    assert sim.contacts.numpy("age").tobytes() == ages
+    assert not sim.state.numpy("velocity").any()
+    assert sim.state.numpy("time")[0] == pytest.approx(time + 301 * DT)
+    assert sim.stats.numpy("sweeps")[0] == 0
+    assert not sim.state.numpy("flags").any() and not sim.running.any()
+    weight = 9.81 * sim.model.numpy("mass")
+    np.testing.assert_allclose(dc.net_contact_forces(sim).force[list(ALL), 1], weight[list(ALL)], rtol=2e-3)
+    assert "sleep: 9 of 9 dynamic bodies asleep, in 1 world, of which 1 pass over a step" in sim.explain()
+
+
+def test_phases_of_a_dormant_world_do_nothing(at_rest):
+    sim = at_rest.clone()
+    before, contacts = state_bits(sim), contacts_of(sim)
+    for _ in range(2):
+        sim.collide(DT)
+        sim.solve(pause=3)
+        assert not sim.running.any()
+        sim.resume()
+        sim.advance()
+    assert state_bits(sim) == before
+    assert contacts_of(sim) == contacts
+
+
+def test_nothing_is_reserved_or_launched_where_none_may_sleep():
+    sim = simulation(config=dc.SolverConfig())
+    sim.run(3, DT)
+    assert sim.sleepers.nbytes() == 0
+    assert not sim.asleep.any()
+    assert not {stage.kernel for stage in SLEEP} & set(sim.kernels)
+    assert "sleep: no body falls asleep" in sim.explain()
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_while_all_are_awake_bits_are_those_without_sleep(dtype):
+    one, two = (simulation(dtype=dtype, config=dc.SolverConfig(sleep=sleep)) for sleep in (True, False))
+    for sim in (one, two):
+        sim.state.numpy("velocity")[list(STACK)] = (1.0, 2.0)
+        sim.run(40, DT)
+    assert not one.asleep.any()
+    assert state_bits(one) == state_bits(two)
+    assert contacts_of(one) == contacts_of(two)
+
+
+def write(name, body, value):
+    def act(sim):
+        sim.state.numpy(name)[body] = value
+
+    return act
+
+
+def write_gravity(sim):
+    sim.model.numpy("gravity")[0] = (0.0, -5.0)
+
+
+def write_joint(sim):
+    sim.joints.assign("joint_length", [1.29])
+
+
+EVERY, LINK = set(ALL), set(LINKED)
+CAUSES = {
+    "velocity": (write("velocity", STACK[0], (0.0, 0.5)), set(STACK)),
+    "spin": (write("angular_velocity", STACK[2], 0.5), set(STACK)),
+    "position": (write("position", STACK[2], (2.5, 1.6)), set(STACK)),
+    "angle": (write("angle", ON_SHELF[1], 0.01), set(ON_SHELF)),
+    "force": (write("force", LINKED[1], (0.1, 0.0)), LINK),
+    "torque": (write("torque", LINKED[0], 0.1), LINK),
+    "gravity": (write_gravity, EVERY),
+    "joint": (write_joint, LINK),
+    "static support": (write("position", SHELF, (-6.0, 1.0)), set(ON_SHELF)),
+    "kinematic support": (write("velocity", PLATFORM, (0.0, -1.0)), set(ON_PLATFORM)),
+    "moved kinematic support": (write("position", PLATFORM, (9.0, 4.0)), set(ON_PLATFORM)),
+    "what comes to touch": (write("position", SHELF, (-2.0, 1.24)), {*ON_SHELF, *LINK}),
+    "call": (lambda sim: sim.wake([STACK[1]]), set(STACK)),
+    "call for all": (lambda sim: sim.wake(), EVERY),
+    "model": (lambda sim: sim.change_model(shape_friction=0.3), EVERY),
+    "settings": (lambda sim: setattr(sim, "config", dataclasses.replace(sim.config, sleep=False)), EVERY),
+    "reset": (lambda sim: sim.reset(), EVERY),
+}
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_who_wakes(at_rest, cause):
+    sim = at_rest.clone()
+    disturb, wakes = CAUSES[cause]
+    before = state_bits(sim, sorted(EVERY - wakes))
+    disturb(sim)
+    sim.step(DT)
+    assert asleep_in(sim) == EVERY - wakes
+    sim.run(5, DT)
+    assert asleep_in(sim) == EVERY - wakes
+    assert state_bits(sim, sorted(EVERY - wakes)) == before
+    keys = sim.contacts.numpy("key")[: sim.contacts.numpy("contact_count")[0]]
+    assert (np.diff(keys) > 0).all()
+
+
+def test_an_equal_force_written_again_wakes_nobody():
+    sim = simulation()
+    sim.state.numpy("force")[STACK[2]] = (0.0, -1.0)
+    sim.run(100, DT)
+    assert asleep_in(sim) == EVERY
+    sim.state.assign("force", sim.state.numpy("force").copy())
+    sim.step(DT)
+    assert asleep_in(sim) == EVERY
+
+
+def test_a_tower_whose_support_is_removed_falls(at_rest):
+    sim = at_rest.clone()
+    sim.state.numpy("position")[SHELF] = (-6.0, -5.0)
+    sim.run(40, DT)
+    assert (sim.state.numpy("position")[list(ON_SHELF), 1] < (2.4, 3.4)).all()
+    sim.run(200, DT)
+    assert asleep_in(sim) == EVERY
+    np.testing.assert_allclose(sim.state.numpy("position")[list(ON_SHELF), 1], (0.5, 1.5), atol=0.01)
+
+
+def test_a_moving_platform_keeps_what_it_carries_awake():
+    sim = simulation()
+    sim.state.numpy("velocity")[PLATFORM] = (0.0, 0.005)
+    sim.run(120, DT)
+    assert asleep_in(sim) == EVERY - set(ON_PLATFORM)
+    sim.state.numpy("velocity")[PLATFORM] = 0.0
+    sim.run(60, DT)
+    assert asleep_in(sim) == EVERY
+    assert sim.sleepers.numpy("dormant")[0] == 1
+
+
+def shot(sim, steps):
+    """The linked discs slide fast into the stack."""
+    sim.state.numpy("velocity")[list(LINKED)] = (8.0, 0.0)
+    sim.run(steps, DT)
+    return sim
+
+
+def test_what_is_hit_wakes_and_the_rest_sleeps_on(at_rest):
+    sim = at_rest.clone()
+    others = sorted({*ON_SHELF, *ON_PLATFORM})
+    before, kept = state_bits(sim, others), contacts_of(sim, others)
+    shot(sim, 15)
+    assert asleep_in(sim) == EVERY - LINK
+    sim.run(60, DT)
+    assert asleep_in(sim) == set(others)
+    assert np.abs(sim.state.numpy("velocity")[list(STACK)]).max() > 0.1
+    assert state_bits(sim, others) == before
+    assert contacts_of(sim, others) == kept
+
+
+def test_a_woken_pile_goes_on_as_if_it_had_not_slept():
+    """The difference is what it crept by meanwhile."""
+    sims = simulation(), simulation(config=dataclasses.replace(SLEEP_CONFIG, sleep=False))
+    for sim in sims:
+        sim.run(150, DT)
+        shot(sim, 60)
+    one, two = (sim.state.numpy("position") for sim in sims)
+    assert sims[0].asleep.sum() == 4
+    assert np.abs(one - two).max() < 2e-3
+
+
+def test_contacts_of_the_woken_keep_impulse_colour_and_age(at_rest):
+    sim = at_rest.clone()
+    before = {name: sim.contacts.numpy(name).copy() for name in ("key", "impulse", "color", "age")}
+    count = sim.contacts.numpy("contact_count")[0]
+    sim.wake()
+    sim.collide(DT)
+    assert sim.contacts.numpy("contact_count")[0] == count
+    for name, values in before.items():
+        now = sim.contacts.numpy(name)[:count]
+        assert np.array_equal(now, values[:count] + (name == "age")), name
+    sim.solve()
+    assert sim.stats.numpy("sweeps")[0] == sim.config.min_sweeps  # the start is the solution
+    sim.advance()
+    assert np.abs(sim.state.numpy("velocity")).max() < 1e-3
+
+
+def test_impulses_follow_the_time_step(at_rest):
+    """A world that is awake in part takes steps of another length: impulses of its sleepers are those of that step."""
+    sim = at_rest.clone()
+    others = [*ON_SHELF, *ON_PLATFORM]
+    before = dc.net_contact_forces(sim).force[others]
+    sim.state.numpy("velocity")[list(STACK)] = (0.0, 3.0)
+    sim.run(4, 0.5 * DT)
+    assert {*others} <= asleep_in(sim)
+    np.testing.assert_allclose(dc.net_contact_forces(sim).force[others], before, rtol=1e-5, atol=1e-4)
+
+
+def test_energy_does_not_rise(at_rest):
+    sim = at_rest.clone()
+
+    def energy():
+        state, model = sim.state, sim.model
+        kinetic = 0.5 * (model.numpy("mass") * (state.numpy("velocity") ** 2).sum(axis=1)).sum()
+        return kinetic + 9.81 * (model.numpy("mass") * state.numpy("position")[:, 1])[list(ALL)].sum()
+
+    before = energy()
+    sim.wake()
+    for _ in range(60):
+        sim.step(DT)
+        assert energy() < before + 1e-3
+    assert asleep_in(sim) == EVERY
+
+
+def through_file(sim):
+    file = io.BytesIO()
+    sim.save(file)
+    file.seek(0)
+    return dc.Simulation.load(file)
+
+
+WAYS = {"clone": dc.Simulation.clone, "pickle": lambda sim: pickle.loads(pickle.dumps(sim)), "file": through_file}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("written", [False, True])
+def test_a_copy_of_a_world_that_sleeps_in_part_goes_on_with_its_bits(at_rest, way, written):
+    sim = shot(at_rest.clone(), 10)
+    if written:  # and not noticed yet
+        sim.state.numpy("velocity")[ON_SHELF[1]] = (1.0, 0.0)
+    other = WAYS[way](sim)
+    assert asleep_in(other) == asleep_in(sim)
+    for steps in (1, 5, 100):
+        sim.run(steps, DT)
+        other.run(steps, DT)
+        assert state_bits(sim) == state_bits(other)
+        assert contacts_of(sim) == contacts_of(other)
+        assert asleep_in(sim) == asleep_in(other)
+
+
+def test_sleepers_of_a_file_are_held_to_their_rules(at_rest):
+    h5py = pytest.importorskip("h5py")
+    sim = shot(at_rest.clone(), 10)
+    file = io.BytesIO()
+    sim.save(file)
+    for name, at, value, wrong in (
+        ("asleep", 3, 9, "one of"),
+        ("sleeping", 0, 3, "the bodies of the world that sleep"),
+        ("dormant", 0, 1, "0 where a dynamic body is awake"),
+        ("body_a", 0, 10**6, "a body of its world"),
+        ("count", 0, 2, "adds up to"),
+        ("rest_time", 0, -1.0, "finite and >= 0"),
+    ):
+        broken = io.BytesIO(file.getvalue())
+        with h5py.File(broken, "r+") as opened:
+            opened[f"sleepers/{name}"][at] = value
+        broken.seek(0)
+        with pytest.raises(ValueError, match=rf"dataset sleepers/{name}.*{wrong}"):
+            dc.Simulation.load(broken)
+
+
+def test_worlds_sleep_for_themselves_whatever_the_threads():
+    sims = [simulation(worlds=4, threads=threads) for threads in (1, 2)]
+    for sim in sims:
+        sim.run(100, DT)
+        velocity = sim.state.worlds("velocity")
+        velocity[1, list(LINKED)] = (8.0, 0.0)
+        velocity[3, STACK[2]] = (0.0, 5.0)
+        sim.run(60, DT)
+        assert sim.sleepers.numpy("dormant").tolist() == [1, 0, 1, 0]
+    assert state_bits(sims[0]) == state_bits(sims[1])
+    assert contacts_of(sims[0]) == contacts_of(sims[1])
+    alone = simulation()
+    alone.run(160, DT)
+    bodies = np.arange(alone.model.body_count)
+    assert state_bits(alone) == state_bits(sims[0], bodies)
+
+
+def test_many_steps_at_once_are_single_steps(at_rest):
+    one, two = at_rest.clone(), at_rest.clone()
+    shot(one, 120)
+    shot(two, 0)
+    for _ in range(120):
+        two.step(DT)
+    assert state_bits(one) == state_bits(two)
+    assert contacts_of(one) == contacts_of(two)
+
+
+def test_phases_are_steps_also_where_a_collision_is_repeated(at_rest):
+    one, two = at_rest.clone(), at_rest.clone()
+    shot(one, 60)
+    shot(two, 0)
+    for _ in range(60):
+        two.collide(DT)
+        two.collide(DT)
+        two.solve()
+        two.advance()
+    assert state_bits(one) == state_bits(two)
+
+
+def test_room_for_contacts_grows_with_those_of_sleepers():
+    sims = [simulation(contacts_per_body=room, pairs_per_shape=room) for room in (0.0, 10.0)]
+    for sim in sims:
+        sim.run(100, DT)
+        shot(sim, 60)
+    assert state_bits(sims[0]) == state_bits(sims[1])
+    assert contacts_of(sims[0]) == contacts_of(sims[1])
+
+
+def test_a_user_lets_a_scene_begin_asleep():
+    sim = simulation()
+    sim.sleep()
+    before = state_bits(sim)
+    sim.run(10, DT)
+    assert asleep_in(sim) == EVERY
+    assert state_bits(sim) == before
+    shot(sim, 60)
+    assert asleep_in(sim) == {*ON_SHELF, *ON_PLATFORM}
+    sim.wake([ON_SHELF[0]])
+    sim.sleep(np.isin(np.arange(sim.model.body_count), STACK))
+    assert not sim.state.numpy("velocity")[list(STACK)].any()
+    sim.step(DT)
+    assert not {*ON_SHELF} & asleep_in(sim)
+
+
+def test_half_of_what_is_linked_does_not_sleep(at_rest):
+    sim = at_rest.clone()
+    sim.wake()
+    sim.step(DT)
+    sim.sleep([LINKED[0], STACK[2]])
+    assert asleep_in(sim) == {LINKED[0], STACK[2]}
+    sim.step(DT)
+    assert not asleep_in(sim)
+
+
+def test_a_world_without_gravity_sleeps_only_if_told():
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, 0.0))
+    builder.add_discs([(0.0, 0.0), (3.0, 0.0)], 0.5)
+    sim = dc.Simulation(*builder.finalize(), config=SLEEP_CONFIG)
+    sim.run(100, DT)
+    assert not sim.asleep.any()
+    sim.sleep([0])
+    sim.state.numpy("velocity")[1] = (-1.0, 0.0)
+    sim.run(100, DT)
+    assert asleep_in(sim) == {0}
+    sim.run(150, DT)
+    np.testing.assert_allclose(sim.state.numpy("velocity").sum(axis=0), (-1.0, 0.0), atol=1e-5)
+    assert sim.state.numpy("velocity")[0, 0] < -0.1
+
+
+def test_what_is_asked_for_in_vain_is_refused(at_rest):
+    off = simulation(config=dc.SolverConfig())
+    for call in (off.sleep, off.wake):
+        with pytest.raises(ValueError, match=r"SolverConfig\.sleep is False"):
+            call()
+    sim = at_rest.clone()
+    with pytest.raises(ValueError, match=r"bodies\[1\] is 12; it must lie in \[0, 11\]"):
+        sim.wake([0, 12])
+    sim.collide(DT)
+    with pytest.raises(ValueError, match="in the middle of a step"):
+        sim.sleep()
+    with pytest.raises(ValueError, match=r"SolverConfig\.sleep_time"):
+        dc.SolverConfig(sleep_time=0.0)
+
+
+def test_backends_without_the_kernels_say_who_has_them():
+    builder = dc.ModelBuilder()
+    yard(builder)
+    arrays = builder.finalize(backend="taichi")
+    with pytest.raises(ValueError, match=r"no kernels of sleep\.wake; it must be one of \('warp', 'numpy'\)"):
+        dc.Simulation(*arrays, config=SLEEP_CONFIG)
+    sim = dc.Simulation(*arrays)
+    with pytest.raises(ValueError, match=r"no kernels of sleep\.wake"):
+        sim.config = SLEEP_CONFIG
+    assert not sim.config.sleep
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_kernels_agree_with_the_oracle(dtype):
+    sim = simulation(2, dataclasses.replace(SLEEP_CONFIG, acceleration="none"), dtype=dtype)
+    sim.run(4, DT)
+    assert not sim.asleep.any()
+    pair = Pair(sim)
+    sim.state.worlds("velocity")[1, list(LINKED)] = (8.0, 0.0)
+    for k in range(48):
+        if k == 40:
+            assert sim.sleepers.numpy("dormant").tolist() == [1, 0]
+            sim.state.numpy("position")[SHELF] += 0.01
+        sim.storage.integrator.set_time_step(DT)
+        for phase in ("collide", "solve", "advance"):
+            for name in of_phase(phase, sleep=True):
+                pair.run(name)
+    sleeping = sim.sleepers.numpy("sleeping")
+    assert sleeping[0] == 7 and 0 < sleeping[1] < 9
+
+
+def test_the_oracle_falls_asleep_and_wakes_alike():
+    sims = [
+        simulation(dtype="float64", backend=backend, config=dataclasses.replace(SLEEP_CONFIG, sleep_time=0.1))
+        for backend in ("warp", "numpy")
+    ]
+    for steps, expected in ((12, EVERY), (3, EVERY - LINK)):
+        for sim in sims:
+            sim.run(steps, 0.02)
+            assert asleep_in(sim) == expected
+            sim.state.numpy("velocity")[list(LINKED)] = (0.0, 1.0)
+    np.testing.assert_allclose(*(sim.state.numpy("position") for sim in sims), atol=1e-9)
