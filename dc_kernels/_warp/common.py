@@ -36,6 +36,11 @@ return 0;
 def is_set(address: wp.uint64) -> wp.int32: ...
 
 
+# an index from memory: without it each access by it would ask whether it counts from the end
+@wp.func_native("__builtin_assume(i >= 0); return i;")
+def from_start(i: wp.int32) -> wp.int32: ...
+
+
 @wp.func
 def cross(a: Any, b: Any):
     return a[0] * b[1] - a[1] * b[0]

@@ -16,7 +16,7 @@ from dc_kernels._warp.collide.manifold import manifold_functions
 from dc_kernels._warp.common import kernel_module, rotate, scalar_types
 
 FAST = wp.constant(0.1)  # way in a step over the distance of two discs, below which an arc is its tangent to 0.5 %
-HORIZON = wp.constant(1.25)  # steps to look ahead: what forces accelerate closes before its velocity says
+HORIZON = 1.25  # steps to look ahead: what forces accelerate closes before its velocity says
 
 
 @cache

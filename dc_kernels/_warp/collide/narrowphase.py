@@ -5,11 +5,11 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels._warp.collide.closing import closing_functions
+from dc_kernels._warp.collide.closing import HORIZON, closing_functions
 from dc_kernels._warp.collide.discs import disc_contacts
 from dc_kernels._warp.collide.manifold import manifold_functions
 from dc_kernels._warp.collide.support import support_functions
-from dc_kernels._warp.common import cross, kernel_module, rotate, rotate_back
+from dc_kernels._warp.common import cross, from_start, kernel_module, rotate, rotate_back
 from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.native import native_code
 from dc_kernels._warp.solve.lanes import has_lanes
@@ -55,6 +55,11 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     def store_contact(contacts: t.Contacts, i: wp.int32, contact: Contact): ...
 
     @wp.func(module=module)
+    def magnitude(v: vec2):
+        """Bound on the length of a vector."""
+        return wp.abs(v[0]) + wp.abs(v[1])
+
+    @wp.func(module=module)
     def velocity_at(ba: int, bb: int, arm_a: vec2, arm_b: vec2, state: t.State):
         """Velocity of a point of B against one of A, before the step's forces: what rests does not fall."""
         turning = vec2(-arm_b[1], arm_b[0]) * state.angular_velocity[bb]
@@ -95,6 +100,9 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         capacity = contacts.contact_start[w + 1] - start
         n = int(0)
         listed = int(0)
+        turned = int(-1)  # the body of cosine ca and sine sa: pairs of one first shape follow each other
+        ca = real(1.0)
+        sa = real(0.0)
         first_pair = pairs.start[w]
         last_pair = first_pair + pairs.count[w]
         next_pair = first_pair  # those before it are done
@@ -108,10 +116,10 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     n = ahead[1]
                     if pair < next_pair:
                         continue
-            a = pairs.shape_a[pair]
-            b = pairs.shape_b[pair]
-            ba = model.shape_body[a]
-            bb = model.shape_body[b]
+            a = from_start(pairs.shape_a[from_start(pair)])
+            b = from_start(pairs.shape_b[from_start(pair)])
+            ba = from_start(model.shape_body[a])
+            bb = from_start(model.shape_body[b])
             xa = state.position[ba]
             xb = state.position[bb]
             va = motion.predicted[ba]
@@ -124,6 +132,21 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
             rb = model.shape_radius[b]
             center_a = model.shape_center[a]
             center_b = model.shape_center[b]
+            if wp.static(not only_discs):
+                # nearly all candidates end here: too far apart even if they close at their full relative speed
+                d = xb - xa
+                bound_a = magnitude(center_a) + model.shape_extent[a]
+                bound_b = magnitude(center_b) + model.shape_extent[b]
+                way = wp.abs(vb[0] - va[0]) + wp.abs(vb[1] - va[1]) + wp.abs(va[2]) * bound_a + wp.abs(vb[2]) * bound_b
+                if (kind_a == DISC) != (kind_b == DISC):
+                    # a disc and a hull look ahead by the velocities before the forces, there and back; the disc's
+                    # centre is a point of both bodies
+                    spin = wp.abs(state.angular_velocity[ba]) + wp.abs(state.angular_velocity[bb])
+                    passing = magnitude(state.velocity[bb] - state.velocity[ba])
+                    way += real(2.0 * HORIZON) * (passing + spin * (magnitude(d) + bound_a + bound_b))
+                far = bound_a + bound_b + speculative + dt * way
+                if wp.dot(d, d) > far * far:
+                    continue
             m = Manifold()
             if kind_a == DISC and kind_b == DISC:
                 pa = xa
@@ -184,8 +207,10 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     within = speculative + dt * (wp.length(drift) + wp.abs(va[2]) * size_a + wp.abs(vb[2]) * size_b)
                     if wp.length(xb - xa) > size_a + size_b + within:
                         continue
-                    ca = wp.cos(state.angle[ba])
-                    sa = wp.sin(state.angle[ba])
+                    if ba != turned:
+                        turned = ba
+                        ca = wp.cos(state.angle[ba])
+                        sa = wp.sin(state.angle[ba])
                     cb = wp.cos(state.angle[bb])
                     sb = wp.sin(state.angle[bb])
                     c = ca * cb + sa * sb

@@ -114,3 +114,42 @@ auto edge_along = [&](const Core& hull, Point direction) {
     return best_lane(direction.x * normal.x + direction.y * normal.y, hull.count, (Real)0).edge;
 #endif
 };
+// Both separations of two hulls of four corners at once: four lanes for the edges of each.
+struct Bests {
+    Best of_one, of_two;
+};
+#if !defined(__CUDA_ARCH__)
+auto quad_separations = [&](const Core& one, const Core& two, const Pose& there, const Pose& back, REAL enough) {
+    const Vector ones = load((const Real*)one.corners), twos = load((const Real*)two.corners);
+    const Vector to_one = load((const Real*)one.normals), to_two = load((const Real*)two.normals);
+    auto halves = [&](REAL p, REAL q) { return Vector{p, p, p, p, q, q, q, q}; };
+#define EACH(p, q, k) __builtin_shufflevector(p, q, k, k + 2, k + 4, k + 6, k + 8, k + 10, k + 12, k + 14)
+#define BOTH(p, q, k) __builtin_shufflevector(p, q, k, k, k, k, k + 8, k + 8, k + 8, k + 8)
+    const Vector nx = EACH(to_one, to_two, 0), ny = EACH(to_one, to_two, 1);
+    const Vector s = halves(there.s, back.s), x = there.c * nx + s * ny, y = there.c * ny - s * nx;
+    auto along = [&](Vector px, Vector py) { return x * px + y * py; };
+    Vector low = along(BOTH(twos, ones, 0), BOTH(twos, ones, 1));
+    auto lower = [&](Vector distance) { low = distance < low ? distance : low; };
+    lower(along(BOTH(twos, ones, 2), BOTH(twos, ones, 3)));
+    lower(along(BOTH(twos, ones, 4), BOTH(twos, ones, 5)));
+    lower(along(BOTH(twos, ones, 6), BOTH(twos, ones, 7)));
+    const Vector atx = halves(there.at.x, back.at.x), aty = halves(there.at.y, back.at.y);
+    low = low - (nx * (EACH(ones, twos, 0) - atx) + ny * (EACH(ones, twos, 1) - aty));
+#undef EACH
+#undef BOTH
+    Vector other = __builtin_shufflevector(low, low, 2, 3, 0, 1, 6, 7, 4, 5);
+    Vector most = low < other ? other : low;
+    other = __builtin_shufflevector(most, most, 1, 0, 3, 2, 5, 4, 7, 6);
+    most = most < other ? other : most;
+    const unsigned equal = bits_of(low == most), open = bits_of(low >= enough);
+    auto first = [&](unsigned bits) { return bits ? __builtin_ctz(bits) : 0; };
+    return Bests{{most[0], first(equal & 15), __builtin_popcount(open & 15)},
+                 {most[4], first(equal >> 4), __builtin_popcount(open >> 4)}};
+};
+#endif
+auto separations = [&](const Core& one, const Core& two, const Pose& there, const Pose& back, REAL enough) {
+#if !defined(__CUDA_ARCH__)
+    if (one.count == 4 && two.count == 4) return quad_separations(one, two, there, back, enough);
+#endif
+    return Bests{separation(one, two, there, enough), separation(two, one, back, enough)};
+};

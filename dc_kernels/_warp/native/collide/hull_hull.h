@@ -9,7 +9,7 @@ struct Met {
 };
 auto larger_of = [](REAL p, REAL q) { return p > q ? p : q; };
 auto smaller_of = [](REAL p, REAL q) { return p < q ? p : q; };
-auto size_of = [](REAL p) { return p < 0 ? -p : p; };
+auto size_of = [](REAL p) { return wp::abs(p); };
 auto length_of = [&](Point p) { return wp::sqrt(dot(p, p)); };
 const Pose there = {frame.c, frame.s, {frame.x[0], frame.x[1]}};
 const Point x = turned_back(there, there.at);
@@ -130,10 +130,8 @@ auto catches = [&](Point normal, int nearest, int& face) {
 };
 
 wp::vec_t<11, REAL> result;
-const Best of_a = separation(core_a, core_b, there, touching);
-if (of_a.value > reach + radii) return result;
-const Best of_b = separation(core_b, core_a, back, touching);
-if (of_b.value > reach + radii) return result;
+const auto [of_a, of_b] = separations(core_a, core_b, there, back, touching);
+if (larger_of(of_a.value, of_b.value) > reach + radii) return result;
 bool beside = of_a.enough > 1 || of_b.enough > 1;
 if (of_a.value >= touching && of_b.value >= touching) {
     const Point facing = turned(there, core_b.normals[of_b.edge]);
