@@ -139,3 +139,28 @@ def test_the_projection_is_the_nearest_point_of_the_cone():
 def test_another_scalar_type_is_refused():
     with pytest.raises(ValueError, match=r"dtype is 'float16'; it must be one of \('float32', 'float64'\)"):
         dc.func.shapes("float16")
+
+
+def test_hulls_meet_alike_wherever_their_corners_lie():
+    rng = np.random.default_rng(3)
+    builder = dc.ModelBuilder()
+    builder.add_world(length_scale=1.0)
+    for i in range(40):
+        at = rng.uniform(-1.2, 1.2, 2) if i else np.zeros(2)
+        count = 4 if i % 2 else 3 + i % 6
+        angle = (np.arange(count) + rng.uniform(-0.3, 0.3, count)) * (2.0 * np.pi / count)
+        builder.add_polygon(builder.add_body(position=at), np.stack([np.cos(angle), np.sin(angle)], axis=1) * 0.5)
+    model, state, _ = builder.finalize()
+    results = []
+    for step in (1, 3):  # neighbours in memory, and every third of an array
+        arrays = []
+        for name in ("vertices", "vertex_normals"):
+            values = np.repeat(model.numpy(name), step, axis=0)
+            arrays.append(wp.array(values, dtype=wp.vec2, device="cpu")[::step])
+        found = wp.zeros(40, dtype=int), wp.zeros(40, dtype=wp.vec2), wp.zeros((40, 2), dtype=float)
+        shapes_of = [model.shape_radius, model.vertex_start, *arrays]
+        wp.launch(meet_boxes, 39, [state.position, state.angle, *shapes_of, *found], device="cpu")
+        results.append([array.numpy() for array in found])
+    for one, two in zip(*results, strict=True):
+        np.testing.assert_array_equal(one, two)
+    assert results[0][0].sum() > 20

@@ -253,3 +253,38 @@ def test_runs_agree(case: str) -> None:
         assert_close("history", to_numpy(two.stats.history), to_numpy(one.stats.history), RUN_BOUND)
         assert one.capacity() == two.capacity()
     assert seen > 3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_contact_of_fast_shapes_is_left_out(seed: int) -> None:
+    """The oracle looks at all pairs; Warp's kernel leaves those that are too far apart for their speeds."""
+
+    def scene(builder: dc.ModelBuilder) -> None:
+        draw = np.random.default_rng(seed)
+        builder.add_world(length_scale=1.0)
+        ground = builder.add_body(type=dc.BodyType.STATIC)
+        builder.add_chain(ground, [(-4.0, 0.4), (-1.0, 0.0), (1.0, 0.0), (4.0, -0.3)])
+        for i in range(40):
+            at = (0.45 * (i % 8 - 3.5), 0.4 + 0.45 * (i // 8))
+            speed, spin = 10.0 ** draw.uniform(-2.0, 1.5), 10.0 ** draw.uniform(-1.0, 1.7)
+            body = builder.add_body(at, draw.uniform(-3, 3), draw.normal(size=2) * speed, draw.normal() * spin)
+            off = draw.uniform(-0.05, 0.05, 2)
+            if i % 4 == 0:
+                builder.add_disc(body, 0.2, off)
+                builder.add_disc(body, 0.1, -2.0 * off)
+            elif i % 4 == 1:
+                builder.add_capsule(body, (-0.15, 0.0), (0.15, 0.05), 0.1)
+            else:
+                count = 4 if i % 4 == 2 else int(draw.integers(3, 9))
+                turn = (np.arange(count) + draw.uniform(-0.3, 0.3, count)) * (2.0 * np.pi / count)
+                builder.add_polygon(body, 0.25 * np.stack([np.cos(turn), np.sin(turn)], axis=1) + off)
+
+    one, two = (simulation(scene, "float64", backend, contacts_per_body=20) for backend in ("warp", "numpy"))
+    for dt in (1.0 / 60.0, 1.0 / 240.0):
+        for sim in (one, two):
+            sim.collide(dt)
+        count = int(one.contacts.numpy("contact_count")[0])
+        assert count == two.contacts.numpy("contact_count")[0]
+        assert count > 25
+        np.testing.assert_array_equal(one.contacts.numpy("key")[:count], two.contacts.numpy("key")[:count])
+        assert_close("gap", *(sim.contacts.numpy("gap")[:count] for sim in (two, one)), RUN_BOUND)
