@@ -190,7 +190,7 @@ class Simulation(Driven):
         self._reset = None
         # a view is kept: making one takes longer than a small world's kernels
         self._flags = self.state.numpy("flags")
-        used = (self.pairs.count, self.contacts.contact_count, self.rows.block_needed)
+        used = (self.pairs.near_count, self.contacts.contact_count, self.rows.block_needed)
         self._watch = Watch(self.state.flags, int(CAPACITY_FLAGS), used)
 
     @property

@@ -24,11 +24,16 @@ def contacts_of(sim, world=0):
     return table
 
 
-def pairs_of(sim, world=0):
+def pairs_of(sim, world=0, names=("shape_a", "shape_b"), count="count"):
     """The world's candidate pairs (n, 2), as shape indices of the model."""
     first = int(sim.pairs.numpy("start")[world])
-    last = first + int(sim.pairs.numpy("count")[world])
-    return np.stack([sim.pairs.numpy(name)[first:last] for name in ("shape_a", "shape_b")], axis=1)
+    last = first + int(sim.pairs.numpy(count)[world])
+    return np.stack([sim.pairs.numpy(name)[first:last] for name in names], axis=1)
+
+
+def kept_pairs_of(sim, world=0):
+    """The world's pairs whose boxes with margin overlap, (n, 2)."""
+    return pairs_of(sim, world, ("near_a", "near_b"), "near_count")
 
 
 def shapes_of_key(key):

@@ -1,4 +1,4 @@
-"""Broadphase: candidate pairs of boxes, kept while no box leaves its larger one, else found anew by sorted cells."""
+"""Broadphase: candidate pairs of boxes, kept until a box leaves its larger one; its pairs alone are then found anew."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class CandidatePairs:
 
     @property
     def used(self) -> np.ndarray:
-        """Pairs of each world at the last step, (W,)."""
+        """Candidate pairs of each world at the last step, (W,); its room is for those of boxes with margin."""
         return self.pairs.numpy("count")
 
     @property
@@ -104,8 +104,9 @@ class Broadphase(InPlace):
     Each world has room of its own: its pairs lie from ``pair_start[w]`` on, ``count[w]`` of them, sorted by (A, B).
     A is the box of the static body, else the one with the lower index. With a margin the pairs are those of boxes
     that are larger by it on each side; they are kept, at the cost of one look at each box, until a box leaves the
-    larger one that was made for it or a filter changes. So every pair of boxes that overlap is there, and beside them
-    some that are up to about two margins apart. Without a margin the pairs are exactly those that overlap.
+    larger one that was made for it: then it is given a new one, and its pairs alone are found anew (all are, where more
+    than half of the boxes have left, or a filter changes). So every pair of boxes that overlap is there, and beside
+    them some that are up to about two margins apart. Without a margin the pairs are exactly those that overlap.
 
     A call within ``wp.ScopedCapture`` becomes part of the graph, which cannot grow: after a replay ``check`` tells
     whether all pairs had room. A world that ran out of it has no pairs. Several Python threads may call one

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 import dc_kernels as dc
-from tests.geometry import contacts_of, core, hull_distance, pairs_of, simulate, tight_boxes
+from tests.geometry import contacts_of, core, hull_distance, kept_pairs_of, pairs_of, simulate, tight_boxes
 
 KINDS = (dc.BodyType.DYNAMIC, dc.BodyType.DYNAMIC, dc.BodyType.KINEMATIC, dc.BodyType.STATIC)
 
@@ -60,6 +60,18 @@ def box_pairs(sim, boxes, world, grow):
     return {(int(a), int(b)) for a, b in close if allowed(sim, a, b)}
 
 
+def sets_of(rows, static):
+    """Pairs as a set of (low, high) index: sorted, each once, A static or the lower index."""
+    pairs = [(int(a), int(b)) for a, b in rows]
+    assert pairs == sorted(set(pairs))
+    for a, b in pairs:
+        assert not static[b]
+        assert static[a] or a < b
+    found = {(min(pair), max(pair)) for pair in pairs}
+    assert len(found) == len(pairs)
+    return found
+
+
 def check_pairs(sim):
     """Everything the pair list promises, in every world; returns the number of pairs."""
     model = sim.model
@@ -68,18 +80,13 @@ def check_pairs(sim):
     static = model.numpy("body_type")[owner] == dc.BodyType.STATIC
     total = 0
     for w in range(model.world_count):
-        pairs = [(int(a), int(b)) for a, b in pairs_of(sim, w)]
-        assert pairs == sorted(set(pairs))
-        for a, b in pairs:
-            assert not static[b]
-            assert static[a] or a < b
-        found = {(min(pair), max(pair)) for pair in pairs}
-        assert len(found) == len(pairs)
+        found, kept = (sets_of(pairs(sim, w), static) for pairs in (pairs_of, kept_pairs_of))
         scale = float(model.numpy("length_scale")[w])
         assert found >= box_pairs(sim, boxes, w, sim.config.speculative * scale * (1 - 1e-5))
-        # and exactly the overlaps of the boxes with margin that it was made from
-        assert found == box_pairs(sim, sim.pairs.numpy("box"), w, 0.0)
-        total += len(pairs)
+        # and exactly the overlaps of what the shapes cover in the step, and of the boxes with margin that are kept
+        assert found == box_pairs(sim, sim.pairs.numpy("swept"), w, 0.0)
+        assert kept == box_pairs(sim, sim.pairs.numpy("box"), w, 0.0)
+        total += len(found)
     return total
 
 
@@ -230,7 +237,7 @@ def test_pairs_are_made_anew_when_a_long_box_turns():
     assert pairs_of(sim).tolist() == [[0, 1]]
     sim.state.numpy("angle")[3] = math.pi / 2
     sim.step(0.01)
-    assert [0, 3] in pairs_of(sim).tolist()
+    assert [0, 3] in kept_pairs_of(sim).tolist()
 
     sim = still_world()
     sim.state.numpy("position")[3] = (0.0, 6.51)
@@ -272,3 +279,79 @@ def test_the_list_holds_all_that_meets_within_the_step(seed, speed):
             sim.state.numpy("angle")[:] = start["angle"] + t * sim.state.numpy("angular_velocity")
             assert box_pairs(sim, tight_boxes(sim), 0, 0.0) <= listed
         sim.collide(dt)
+
+
+@settings(max_examples=12)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1.0, 100.0, 1e4]), st.sampled_from([0.0, 1e5]))
+def test_no_pair_is_lost_while_some_shapes_leave_their_boxes(seed, ratio, far):
+    """Step after step some bodies are moved, few or most, near or far: their pairs are found anew, the others kept."""
+    rng = np.random.default_rng(seed)
+    builder = dc.ModelBuilder()
+    for bodies in rng.integers(0, 35, 2):
+        sizes = (0.3 / math.sqrt(ratio), 0.31 * math.sqrt(ratio))
+        random_world(builder, rng, bodies, sizes, rng.uniform(0.5, 8), speed=rng.choice([0, 3, 300]), far=(far, -far))
+    sim = simulate(builder, rng.choice(["float32", "float64"]), pairs_per_shape=rng.choice([0.0, 4.0]))
+    bodies = sim.model.body_count
+    for _ in range(5):
+        sim.collide(0.01)
+        check_pairs(sim)
+        moved = rng.random(bodies) < rng.choice([0.03, 0.3, 0.9])
+        sim.state.numpy("position")[moved] += rng.uniform(-1, 1, (int(moved.sum()), 2)) * rng.choice([0.1, 1, 5])
+        sim.state.numpy("angle")[moved] += 0.5
+        if rng.random() < 0.3:
+            sim.solve()
+            sim.advance()
+            sim.change_model(shape_mask=rng.choice(np.array([1, 2, 3], np.uint32), sim.model.shape_count))
+    assert not sim.state.numpy("flags").any()
+
+
+def test_few_of_many_leave():
+    """More shapes than are compared one by one, so that a mend looks at cells, which few of the shapes are near."""
+    rng = np.random.default_rng(3)
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0, 0))
+    builder.add_discs(rng.uniform(-12, 12, (600, 2)), 0.25)
+    builder.add_discs(rng.uniform(-12, 12, (6, 2)), 2.0)
+    sim = simulate(builder)
+    for moved in (0, 1, 15, 40, 200, 300):
+        chosen = rng.choice(606, moved, replace=False)
+        sim.state.numpy("position")[chosen] = rng.uniform(-12, 12, (moved, 2))
+        before = sim.pairs.numpy("box").copy()
+        sim.collide(0.01)
+        assert check_pairs(sim) > 300
+        if 0 < moved < 300:
+            renewed = (sim.pairs.numpy("box") != before).any(axis=1)
+            assert 0 < renewed.sum() <= moved and renewed[chosen].sum() == renewed.sum()
+
+
+def test_a_body_that_is_not_finite_meets_nothing_until_it_is_again():
+    sim = still_world()
+    sim.collide(0.01)
+    assert pairs_of(sim).tolist() == [[0, 1]]
+    for bad in (np.nan, np.inf):
+        sim.state.numpy("position")[1, 0] = bad
+        sim.collide(0.01)
+        assert not (pairs_of(sim) == 1).any()
+    sim.state.numpy("position")[1] = (1.0, 0.0)
+    sim.collide(0.01)
+    assert pairs_of(sim).tolist() == [[0, 1]]
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_contacts_do_not_depend_on_when_pairs_were_found(dtype):
+    """A step that finds all pairs anew makes the contacts of one that has kept them: as after loading a snapshot."""
+
+    def fast_world():
+        rng = np.random.default_rng(5)
+        builder = dc.ModelBuilder()
+        random_world(builder, rng, 60, (0.1, 0.5), 4.0, speed=5.0)
+        return simulate(builder, dtype)
+
+    kept, fresh = fast_world(), fast_world()
+    for _ in range(60):
+        kept.step(0.01)
+        fresh.pairs.numpy("valid")[:] = 0
+        fresh.step(0.01)
+        assert contacts_of(kept)["key"].tobytes() == contacts_of(fresh)["key"].tobytes()
+        assert kept.state.numpy("position").tobytes() == fresh.state.numpy("position").tobytes()
+    assert kept.pairs.numpy("rebuilds")[0] < 60

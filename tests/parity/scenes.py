@@ -8,6 +8,29 @@ from typing import Any
 import numpy as np
 
 import dc_kernels as dc
+from dc_kernels.model.room import used_slots
+
+SCRATCH = {
+    "bucket",
+    "cell",
+    "sorted_shape",
+    "sorted_box",
+    "left",
+    "temp_a",
+    "temp_b",
+    "color_mask",
+    "parent",
+    "island_time",
+}
+"""Arrays that a kernel leaves in a state of its own."""
+COUNTED = {"shape_a": "count", "shape_b": "count", "near_a": "near_count", "near_b": "near_count"}
+
+
+def in_use(field: str, array: np.ndarray, pairs: Any) -> np.ndarray:
+    """What an array holds that says something: behind the last pair of each world there may be anything."""
+    if field not in COUNTED:
+        return array
+    return array[used_slots(pairs.numpy("start"), pairs.numpy(COUNTED[field]))]
 
 
 def add_ground(builder: dc.ModelBuilder, width: float = 6.0, wall: bool = True) -> None:

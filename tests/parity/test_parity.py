@@ -21,15 +21,26 @@ from dc_kernels.model.fields import GROUPS, LAUNCH, MOTION, STATE
 from dc_kernels.runtime.backends import argument_names, bind
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR
 from dc_kernels.stages import SLEEP, STEP, kernel_table
-from tests.parity.scenes import bounce, boxes, crowd, discs, frozen, kinematic, mixed, pendulum, simulation, worlds
+from tests.parity.scenes import (
+    SCRATCH,
+    bounce,
+    boxes,
+    crowd,
+    discs,
+    frozen,
+    in_use,
+    kinematic,
+    mixed,
+    pendulum,
+    simulation,
+    worlds,
+)
 
 DT = 0.01
 # Allowed difference, relative to the largest value of the array (1 if all are smaller): of one kernel, where a whole
 # solve counts as one, and of a run.
 KERNEL_BOUND = {"float64": 1e-10, "float32": 1e-4}
 RUN_BOUND = 1e-9
-# what a kernel leaves there is its own business
-SCRATCH = {"bucket", "cell", "sorted_shape", "temp_a", "temp_b", "color_mask", "parent", "island_time"}
 
 
 # ---------------------------------------------------------------------- tables
@@ -95,7 +106,9 @@ class Pair:
         for key in used:
             group = getattr(self.sim, key)
             for field in set(group.table) - SCRATCH:
-                got, want = getattr(copies[key], field), group.numpy(field)
+                got, want = (
+                    in_use(field, a, self.sim.pairs) for a in (getattr(copies[key], field), group.numpy(field))
+                )
                 for part in want.dtype.names or (None,):
                     assert_close(
                         f"{name}: {key}.{field} {part or ''}",

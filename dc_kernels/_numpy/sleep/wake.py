@@ -91,9 +91,9 @@ def leave_worlds(tid: int, launch: Any, state: Any) -> None:
 
 
 def wake_islands(w: int, model: Any, joints: Any, pairs: Any, sleepers: Any) -> None:
-    """Wake what is roused, and what sleeps and is joined to it by joints or candidate pairs, over any number."""
-    used = range(pairs.start[w], pairs.start[w] + pairs.count[w])
-    links = [(model.shape_body[pairs.shape_a[k]], model.shape_body[pairs.shape_b[k]]) for k in used]
+    """Wake what is roused, and what sleeps and is joined to it by joints or is near it, over any number."""
+    used = range(pairs.start[w], pairs.start[w] + pairs.near_count[w])
+    links = [(model.shape_body[pairs.near_a[k]], model.shape_body[pairs.near_b[k]]) for k in used]
     links += [(joints.joint_body_a[j], joints.joint_body_b[j]) for j in joints_of(w, model)]
     asleep = [b for b in bodies_of(w, model) if sleeps(b, model, sleepers)]
     both = (link for link in links if all(sleeps(body, model, sleepers) for body in link))

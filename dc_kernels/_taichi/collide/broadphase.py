@@ -3,7 +3,7 @@
 from functools import cache
 from typing import Any
 
-from dc_kernels._taichi.collide.pairs import DISC, pair_functions
+from dc_kernels._taichi.collide.pairs import DISC, overlaps, pair_functions
 from dc_kernels._taichi.groups import group_types, struct_type
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.runtime.kernels import kernel
@@ -11,9 +11,10 @@ from dc_kernels.collide.fields import BOXES
 from dc_kernels.model.enums import Flag
 
 INVALID = int(Flag.INVALID)
-PREDICT_STEPS = 8.0  # steps of motion a moving shape's box is stretched by; 2 to 16 cost the same
-FAST_STEPS = 24.0  # steps a box is stretched by where a step takes it beyond the speculative distance
+PREDICT_STEPS = 8.0  # steps of motion that a moving shape's box with margin is made for
+FAST_STEPS = 4.0  # where a step takes the shape beyond the speculative distance: longer boxes would meet too many
 REACH_GROWTH = 1.5  # a box made for a speculative distance this much larger outlives bodies speeding up
+MOST = 2  # where more than one in so many shapes has left its box, all are given a new one
 FINEST = 2.0**-29  # of the farthest coordinate: cells are counted in int32
 TINY = 1e-30
 MIX = 0x2545F4914F6CDD1D  # an odd number whose multiples spread over all bits (Vigna 2016)
@@ -49,6 +50,28 @@ def kernels(dtype: str) -> dict[str, Any]:
         x = state.position[body]
         return shape_box(shape, kind, center, c, s, x, model.vertex_start, model.vertices, model.shape_radius[shape])
 
+    @ti.func
+    def swept_box(shape, dt, steps, margin, model: t.Model, state: t.State, motion: t.Motion):
+        """What a shape covers that moves on for some steps, larger by a margin on each side.
+
+        The last of the steps counts as far as a gap may lie that it closes along its normal: such gaps end on the
+        circle whose diameter is the way of the step.
+        """
+        box = turned_box(shape, model, state)
+        v = motion.predicted[model.shape_body[shape]]
+        x = v[0] * dt
+        y = v[1] * dt
+        way = ti.sqrt(x * x + y * y)
+        before = steps - real(1.0)
+        arm = spin_arm(model.shape_type[shape], model.shape_center[shape], model.shape_extent[shape])
+        grow = margin + ti.min(ti.abs(v[2] * dt) * steps, 2.0) * arm
+        return vec4(
+            box[0] + 0.5 * (x - way) + ti.min(x * before, 0.0) - grow,
+            box[1] + 0.5 * (y - way) + ti.min(y * before, 0.0) - grow,
+            box[2] + 0.5 * (x + way) + ti.max(x * before, 0.0) + grow,
+            box[3] + 0.5 * (y + way) + ti.max(y * before, 0.0) + grow,
+        )
+
     @kernel
     def update_pairs(
         tid,
@@ -59,7 +82,11 @@ def kernels(dtype: str) -> dict[str, Any]:
         motion: t.Motion,
         pairs: t.Pairs,
     ):
-        """Rebuild a world's pairs if a shape, swept over the step, left its box; else keep them."""
+        """Candidate pairs of a world: those whose boxes, swept over the step, overlap.
+
+        They are taken from the pairs whose boxes with margin overlap, which are kept. Where a swept box has left its
+        box with margin, the shape is given a new one; all are, if most have left. All pairs are found anew then.
+        """
         w = tid + launch.world_offset
         if state.flags[w] == 0:
             first = model.shape_start[w]
@@ -68,41 +95,42 @@ def kernels(dtype: str) -> dict[str, Any]:
             # half the speculative distance on each side: a pair closer than it is found
             pad = 0.5 * motion.reach[w]
 
-            keep = pairs.valid[w]
-            at = first
-            while keep == 1 and at < last:
-                v = motion.predicted[model.shape_body[at]]
-                tight = turned_box(at, model, state)
-                arm = spin_arm(model.shape_type[at], model.shape_center[at], model.shape_extent[at])
-                grow = pad + ti.min(ti.abs(v[2] * dt), 2.0) * arm
+            left = 0
+            for at in range(first, last):
+                box = swept_box(at, dt, real(1.0), pad, model, state, motion)
+                pairs.swept[at] = box
                 outer = pairs.box[at]
-                if (
-                    tight[0] + ti.min(v[0] * dt, 0.0) - grow < outer[0]
-                    or tight[1] + ti.min(v[1] * dt, 0.0) - grow < outer[1]
-                    or tight[2] + ti.max(v[0] * dt, 0.0) + grow > outer[2]
-                    or tight[3] + ti.max(v[1] * dt, 0.0) + grow > outer[3]
-                ):
-                    keep = 0
-                at += 1
-            if keep != 1:
+                if not (box[0] >= outer[0] and box[1] >= outer[1] and box[2] <= outer[2] and box[3] <= outer[3]):
+                    pairs.left[first + left] = at
+                    left += 1
+            if pairs.valid[w] == 0 or left > (last - first) // MOST:
+                left = last - first
+                for at in range(first, last):
+                    pairs.left[at] = at
+            if pairs.valid[w] == 0 or left > 0:
                 margin = config.margin * model.length_scale[w] + REACH_GROWTH * pad
-                for shape in range(first, last):
+                for i in range(first, first + left):
+                    shape = pairs.left[i]
                     v = motion.predicted[model.shape_body[shape]]
-                    tight = turned_box(shape, model, state)
-                    arm = spin_arm(model.shape_type[shape], model.shape_center[shape], model.shape_extent[shape])
-                    ahead = dt * PREDICT_STEPS
+                    steps = real(PREDICT_STEPS)
                     if (v[0] * v[0] + v[1] * v[1]) * dt * dt > 1.1 * motion.reach[w] * motion.reach[w]:
-                        ahead = dt * FAST_STEPS
-                    grow = margin + ti.min(ti.abs(v[2]) * ahead, 2.0) * arm
-                    dx = v[0] * ahead
-                    dy = v[1] * ahead
-                    pairs.box[shape] = vec4(
-                        tight[0] + ti.min(dx, 0.0) - grow,
-                        tight[1] + ti.min(dy, 0.0) - grow,
-                        tight[2] + ti.max(dx, 0.0) + grow,
-                        tight[3] + ti.max(dy, 0.0) + grow,
-                    )
-                find_pairs(w, model.cell_size[w], model, state, pairs)
+                        steps = real(FAST_STEPS)
+                    pairs.box[shape] = swept_box(shape, dt, steps, margin, model, state, motion)
+                find_pairs(
+                    w, model.cell_size[w], model, state, pairs,
+                    pairs.near_a, pairs.near_b, pairs.near_count, pairs.shape_a, pairs.shape_b,
+                )  # fmt: skip
+            if state.flags[w] == 0:
+                start = pairs.start[w]
+                n = start
+                for i in range(start, start + pairs.near_count[w]):
+                    a = pairs.near_a[i]
+                    b = pairs.near_b[i]
+                    if overlaps(pairs.swept[a], pairs.swept[b]):
+                        pairs.shape_a[n] = a
+                        pairs.shape_b[n] = b
+                        n += 1
+                pairs.count[w] = n - start
 
     return {"update_pairs": update_pairs}
 
@@ -140,7 +168,7 @@ def box_kernels(dtype: str) -> dict[str, Any]:
         """
         w = tid + launch.world_offset
         state.flags[w] = 0
-        keep = pairs.valid[w]
+        left = 0
         filters = ti.i64(1)
         smallest = real(0.0)
         farthest = real(0.0)
@@ -157,8 +185,9 @@ def box_kernels(dtype: str) -> dict[str, Any]:
                 good = 0
             else:
                 outer = pairs.box[shape]
-                if low[0] < outer[0] or low[1] < outer[1] or high[0] > outer[2] or high[1] > outer[3]:
-                    keep = 0
+                if not (low[0] >= outer[0] and low[1] >= outer[1] and high[0] <= outer[2] and high[1] <= outer[3]):
+                    pairs.left[first + left] = shape
+                    left += 1
                 extent = ti.max(high[0] - low[0], high[1] - low[1])
                 if shape == first or extent < smallest:
                     smallest = extent
@@ -170,16 +199,23 @@ def box_kernels(dtype: str) -> dict[str, Any]:
             state.flags[w] = INVALID
             pairs.valid[w] = 0
             pairs.count[w] = 0
-        elif keep != 1 or filters != boxes.filters[w]:
+        elif left > 0 or pairs.valid[w] == 0 or filters != boxes.filters[w]:
+            last = model.shape_start[w + 1]
+            if pairs.valid[w] == 0 or filters != boxes.filters[w] or left > (last - first) // MOST:
+                left = last - first
+                for shape in range(first, last):
+                    pairs.left[shape] = shape
             boxes.filters[w] = filters
             margin = boxes.margin
-            for shape in range(first, model.shape_start[w + 1]):
+            for i in range(first, first + left):
+                shape = pairs.left[i]
                 low = boxes.lower[shape]
                 high = boxes.upper[shape]
                 pairs.box[shape] = vec4(low[0] - margin, low[1] - margin, high[0] + margin, high[1] + margin)
             size = ti.max(smallest + 2.0 * margin, (farthest + margin) * real(FINEST))
-            find_pairs(w, ti.max(size, real(TINY)), model, state, pairs)
-            if state.flags[w] != 0:
-                pairs.count[w] = 0
+            find_pairs(
+                w, ti.max(size, real(TINY)), model, state, pairs,
+                pairs.shape_a, pairs.shape_b, pairs.count, pairs.near_a, pairs.near_b,
+            )  # fmt: skip
 
     return {"bound_shapes": bound_shapes, "update_box_pairs": update_box_pairs}

@@ -115,36 +115,36 @@ def pair_functions(dtype: str) -> SimpleNamespace:
         )
 
     @ti.func
-    def emit(count, capacity, first, a, b, model: t.Model, pairs: t.Pairs):
+    def emit(count, capacity, first, a, b, model: t.Model, out_a: ti.template(), out_b: ti.template()):
         """Store a pair, A static or the lower index; counts on when full so that the host knows what is needed."""
         if count < capacity:
             lo = ti.min(a, b)
             hi = ti.max(a, b)
             if model.body_type[model.shape_body[hi]] == STATIC:
-                pairs.shape_a[first + count] = hi
-                pairs.shape_b[first + count] = lo
+                out_a[first + count] = hi
+                out_b[first + count] = lo
             else:
-                pairs.shape_a[first + count] = lo
-                pairs.shape_b[first + count] = hi
+                out_a[first + count] = lo
+                out_b[first + count] = hi
         return count + 1
 
     @ti.func
-    def sort_pairs(n, shapes, first_shape, first_pair, table, pairs: t.Pairs):
-        """Sort a world's pairs by shape A, and by shape B among those of one A."""
-        count_keys(n, shapes, first_shape, first_pair, table, pairs.bucket, pairs.shape_b)
-        move_pairs(
-            n, first_shape, first_pair, table, pairs.bucket, pairs.shape_b,
-            pairs.shape_a, pairs.shape_b, pairs.temp_a, pairs.temp_b,
-        )  # fmt: skip
-        count_keys(n, shapes, first_shape, first_pair, table, pairs.bucket, pairs.temp_a)
-        move_pairs(
-            n, first_shape, first_pair, table, pairs.bucket, pairs.temp_a,
-            pairs.temp_a, pairs.temp_b, pairs.shape_a, pairs.shape_b,
-        )  # fmt: skip
+    def find_pairs(
+        w,
+        size,
+        model: t.Model,
+        state: t.State,
+        pairs: t.Pairs,
+        near_a: ti.template(),
+        near_b: ti.template(),
+        near_count: ti.template(),
+        more_a: ti.template(),
+        more_b: ti.template(),
+    ):
+        """Pairs of a world's shapes whose boxes ``pairs.box`` overlap, sorted by (A, B), into ``near_a``, ``near_b``.
 
-    @ti.func
-    def find_pairs(w, size, model: t.Model, state: t.State, pairs: t.Pairs):
-        """Pairs of a world's shapes whose boxes ``pairs.box`` overlap; ``size``: side of the finest cells [m]."""
+        ``size``: side of the finest cells [m]; ``more_a`` and ``more_b`` are scratch.
+        """
         pairs.rebuilds[w] = pairs.rebuilds[w] + 1
         first = model.shape_start[w]
         last = model.shape_start[w + 1]
@@ -205,7 +205,7 @@ def pair_functions(dtype: str) -> SimpleNamespace:
                     other = large[i]
                     if level <= top or other > shape:
                         if overlaps(outer, pairs.box[other]) and may_collide(shape, other, model):
-                            n = emit(n, capacity, first_pair, shape, other, model, pairs)
+                            n = emit(n, capacity, first_pair, shape, other, model, more_a, more_b)
             # own level: the forward half of the 3 x 3 cells, so that each pair is met once
             cells = 5
             if level > top:
@@ -229,7 +229,7 @@ def pair_functions(dtype: str) -> SimpleNamespace:
                         if overlaps(outer, pairs.box[other]):
                             if pairs.cell[other, 0] == cx and pairs.cell[other, 1] == cy:
                                 if pairs.cell[other, 2] == level and may_collide(shape, other, model):
-                                    n = emit(n, capacity, first_pair, shape, other, model, pairs)
+                                    n = emit(n, capacity, first_pair, shape, other, model, more_a, more_b)
             # coarser levels: every cell whose shapes' boxes can reach this one
             above = ti.i64(0)
             if level <= top:
@@ -258,15 +258,22 @@ def pair_functions(dtype: str) -> SimpleNamespace:
                                 if pairs.cell[other, 0] == cx and pairs.cell[other, 1] == cy:
                                     if pairs.cell[other, 2] == upper and overlaps(outer, pairs.box[other]):
                                         if may_collide(shape, other, model):
-                                            n = emit(n, capacity, first_pair, shape, other, model, pairs)
+                                            n = emit(n, capacity, first_pair, shape, other, model, more_a, more_b)
                 above = above >> ti.i64(1)
         pairs.needed[w] = n
         if n > capacity:
             state.flags[w] = state.flags[w] | PAIR_OVERFLOW
             pairs.valid[w] = 0
+            near_count[w] = 0
         else:
-            sort_pairs(n, shapes, first, first_pair, table, pairs)
-            pairs.count[w] = n
+            # by shape B, then by shape A
+            count_keys(n, shapes, first, first_pair, table, pairs.bucket, more_b)
+            move_pairs(n, first, first_pair, table, pairs.bucket, more_b, more_a, more_b, pairs.temp_a, pairs.temp_b)
+            count_keys(n, shapes, first, first_pair, table, pairs.bucket, pairs.temp_a)
+            move_pairs(
+                n, first, first_pair, table, pairs.bucket, pairs.temp_a, pairs.temp_a, pairs.temp_b, near_a, near_b
+            )
+            near_count[w] = n
             pairs.valid[w] = 1
 
     return SimpleNamespace(shape_box=shape_box, find_pairs=find_pairs)

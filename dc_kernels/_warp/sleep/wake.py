@@ -43,15 +43,15 @@ def kernels(dtype: str) -> dict[str, Any]:
 
     @wp.func(module=module)
     def wake_islands(w: int, model: t.Model, joints: t.Joints, pairs: t.Pairs, sleepers: t.Sleepers):
-        """Wake what is roused, and what sleeps and is joined to it by joints or candidate pairs, over any number."""
+        """Wake what is roused, and what sleeps and is joined to it by joints or is near it, over any number."""
         first = model.body_start[w]
         last = model.body_start[w + 1]
         for b in range(first, last):
             sleepers.parent[b] = b
             sleepers.island_time[b] = real(0.0)
-        for pair in range(pairs.start[w], pairs.start[w] + pairs.count[w]):
-            a = model.shape_body[pairs.shape_a[pair]]
-            b = model.shape_body[pairs.shape_b[pair]]
+        for pair in range(pairs.start[w], pairs.start[w] + pairs.near_count[w]):
+            a = model.shape_body[pairs.near_a[pair]]
+            b = model.shape_body[pairs.near_b[pair]]
             if sleeps(a, model, sleepers) and sleeps(b, model, sleepers):
                 join(sleepers.parent, a, b)
         for j in range(model.joint_start[w], model.joint_start[w + 1]):
