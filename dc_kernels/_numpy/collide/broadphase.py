@@ -14,6 +14,7 @@ from dc_kernels.model.enums import BodyType, Flag, ShapeType
 
 PREDICT_STEPS = 8.0  # steps of motion that a moving shape's box with margin is made for
 FAST_STEPS = 4.0  # where a step takes the shape beyond the speculative distance: longer boxes would meet too many
+SOON = 0.5  # of the margin: what is as close to leaving its box when others do is given a new one, too
 MOST = 2  # where more than one in so many shapes has left its box, all are given a new one
 REACH_GROWTH = 1.5  # a box made for a speculative distance this much larger outlives bodies speeding up
 
@@ -69,7 +70,8 @@ def update_pairs(
     shapes = np.arange(model.shape_start[w], model.shape_start[w + 1])
     swept = np.array([swept_box(shape, 1.0, pad) for shape in shapes], pairs.box.dtype).reshape(-1, 4)
     pairs.swept[shapes] = swept
-    left = leavers(pairs.valid[w], swept, pairs.box[shapes])
+    spare = SOON * config.margin * model.length_scale[w]
+    left = leavers(pairs.valid[w], swept, pairs.box[shapes], spare)
     if left.any() or not pairs.valid[w]:
         for shape in shapes[left]:
             v = motion.predicted[model.shape_body[shape]]
@@ -127,9 +129,18 @@ def update_box_pairs(tid: int, launch: Any, model: Any, state: Any, boxes: Any, 
     find_pairs(w, model, state, pairs, pairs.shape_a, pairs.shape_b, pairs.count)
 
 
-def leavers(valid: bool, now: Array, box: Array) -> Array:
-    """Which shapes have left their box with margin, (n,) bool; all, if most have or pairs are not valid."""
-    left = ~((now[:, :2] >= box[:, :2]).all(axis=1) & (now[:, 2:] <= box[:, 2:]).all(axis=1))
+def leavers(valid: bool, now: Array, box: Array, spare: float = 0.0) -> Array:
+    """Which shapes have left their box with margin, (n,) bool; all, if most have or pairs are not valid.
+
+    Where there are some, those that come closer to the sides of theirs than ``spare`` count, too.
+    """
+
+    def outside(spare: float) -> Array:
+        return ~((now[:, :2] >= box[:, :2] + spare).all(axis=1) & (now[:, 2:] <= box[:, 2:] - spare).all(axis=1))
+
+    left = outside(0.0)
+    if left.any():
+        left = outside(spare)
     return left if valid and left.sum() <= len(box) // MOST else np.ones_like(left)
 
 

@@ -14,6 +14,7 @@ INVALID = int(Flag.INVALID)
 PREDICT_STEPS = 8.0  # steps of motion that a moving shape's box with margin is made for
 FAST_STEPS = 4.0  # where a step takes the shape beyond the speculative distance: longer boxes would meet too many
 REACH_GROWTH = 1.5  # a box made for a speculative distance this much larger outlives bodies speeding up
+SOON = 0.5  # of the margin: what is as close to leaving its box when others do is given a new one, too
 MOST = 2  # where more than one in so many shapes has left its box, all are given a new one
 FINEST = 2.0**-29  # of the farthest coordinate: cells are counted in int32
 TINY = 1e-30
@@ -101,8 +102,17 @@ def kernels(dtype: str) -> dict[str, Any]:
                 pairs.swept[at] = box
                 outer = pairs.box[at]
                 if not (box[0] >= outer[0] and box[1] >= outer[1] and box[2] <= outer[2] and box[3] <= outer[3]):
-                    pairs.left[first + left] = at
                     left += 1
+            if left > 0:
+                left = 0
+                spare = SOON * (config.margin * model.length_scale[w])
+                for at in range(first, last):
+                    box = pairs.swept[at]
+                    outer = pairs.box[at]
+                    low = box[0] >= outer[0] + spare and box[1] >= outer[1] + spare
+                    if not (low and -box[2] >= -outer[2] + spare and -box[3] >= -outer[3] + spare):
+                        pairs.left[first + left] = at
+                        left += 1
             if pairs.valid[w] == 0 or left > (last - first) // MOST:
                 left = last - first
                 for at in range(first, last):

@@ -15,6 +15,7 @@ INVALID = wp.constant(int(Flag.INVALID))
 PREDICT_STEPS = 8.0  # steps of motion that a moving shape's box with margin is made for
 FAST_STEPS = 4.0  # where a step takes the shape beyond the speculative distance: longer boxes would meet too many
 REACH_GROWTH = wp.constant(1.5)  # a box made for a speculative distance this much larger outlives bodies speeding up
+SOON = wp.constant(0.5)  # of the margin: what is as close to leaving its box when others do is given a new one, too
 MOST = wp.constant(2)  # where more than one in so many shapes has left its box, all are given a new one
 MIX = wp.constant(wp.int64(0x2545F4914F6CDD1D))  # an odd number whose multiples spread over all bits (Vigna 2016)
 
@@ -29,7 +30,9 @@ def kernels(dtype: str) -> dict[str, Any]:
     renew_pairs = pair_functions(dtype).renew_pairs
 
     @wp.func_native(code(dtype, "box_of", "swept", "sweep"))
-    def sweep(w: wp.int32, model: t.Model, state: t.State, motion: t.Motion, pairs: t.Pairs) -> wp.int32: ...
+    def sweep(
+        w: wp.int32, spare: real, model: t.Model, state: t.State, motion: t.Motion, pairs: t.Pairs
+    ) -> wp.int32: ...
 
     @wp.func_native(code(dtype, "box_of", "swept", "widen", PREDICT_STEPS=PREDICT_STEPS, FAST_STEPS=FAST_STEPS))
     def widen(
@@ -61,11 +64,12 @@ def kernels(dtype: str) -> dict[str, Any]:
         if state.flags[w] != 0:
             return
         shapes = model.shape_start[w + 1] - model.shape_start[w]
-        left = sweep(w, model, state, motion, pairs)
+        margin = config.margin * model.length_scale[w]
+        left = sweep(w, real(SOON) * margin, model, state, motion, pairs)
         if pairs.valid[w] == 0 or left > shapes // MOST:
             left = shapes
         if pairs.valid[w] == 0 or left > 0:
-            margin = config.margin * model.length_scale[w] + real(REACH_GROWTH) * real(0.5) * motion.reach[w]
+            margin += real(REACH_GROWTH) * real(0.5) * motion.reach[w]
             widen(w, left, margin, model, state, motion, pairs)
             renew_pairs(
                 w, left, model, state, pairs, pairs.near_a, pairs.near_b, pairs.near_count, pairs.shape_a, pairs.shape_b

@@ -1,5 +1,6 @@
-// Boxes of the shapes of world w, swept over the step, into pairs.swept; those that left their box with margin into
-// pairs.left, in the order of their index. Returns how many. Parameters: w, model, state, motion, pairs.
+// Boxes of the shapes of world w, swept over the step, into pairs.swept. Where one has left its box with margin, those
+// that have, and those that come closer to its sides than `spare`, into pairs.left, in the order of their index: what
+// would soon leave does so at once. Returns how many. Parameters: w, spare, model, state, motion, pairs.
 const int first = model.shape_start.data[w], last = model.shape_start.data[w + 1];
 const Real dt = motion.step_dt.data[w];
 // half the speculative distance on each side: a pair closer than it is found
@@ -11,7 +12,12 @@ int left = 0;
 for (int shape = first; shape < last; ++shape) {
     const Quad box = swept(box_of(shape, radius_of[shape]), velocity_of(shape), dt, 1, arm_of(shape), pad);
     store(boxes + shape, box);
-    leaver[left] = shape;
     left += !below(key(load(outer + shape)), key(box));
+}
+if (left == 0) return 0;
+left = 0;
+for (int shape = first; shape < last; ++shape) {
+    leaver[left] = shape;
+    left += !below(key(load(outer + shape)) + quad(spare, spare, spare, spare), key(load(boxes + shape)));
 }
 return left;
