@@ -60,6 +60,13 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         return wp.abs(v[0]) + wp.abs(v[1])
 
     @wp.func(module=module)
+    def center_at(x: vec2, angle: real, center: vec2):
+        """Where a point of a body is."""
+        if center[0] == real(0.0) and center[1] == real(0.0):
+            return x
+        return x + rotate(wp.cos(angle), wp.sin(angle), center)
+
+    @wp.func(module=module)
     def velocity_at(ba: int, bb: int, arm_a: vec2, arm_b: vec2, state: t.State):
         """Velocity of a point of B against one of A, before the step's forces: what rests does not fall."""
         turning = vec2(-arm_b[1], arm_b[0]) * state.angular_velocity[bb]
@@ -154,8 +161,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                 # nearly all candidates end here: too far apart even if they close at their full relative speed
                 far = ra + rb + speculative + dt * (wp.abs(vb[0] - va[0]) + wp.abs(vb[1] - va[1]))
                 if wp.static(not only_discs):
-                    pa = xa + rotate(wp.cos(state.angle[ba]), wp.sin(state.angle[ba]), center_a)
-                    pb = xb + rotate(wp.cos(state.angle[bb]), wp.sin(state.angle[bb]), center_b)
+                    pa = center_at(xa, state.angle[ba], center_a)
+                    pb = center_at(xb, state.angle[bb], center_b)
                     far += dt * (wp.abs(va[2]) * wp.length(center_a) + wp.abs(vb[2]) * wp.length(center_b))
                 d = pb - pa
                 if wp.dot(d, d) > far * far:
@@ -169,7 +176,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
             elif kind_a == DISC:
                 c = wp.cos(state.angle[bb])
                 s = wp.sin(state.angle[bb])
-                pa = xa + rotate(wp.cos(state.angle[ba]), wp.sin(state.angle[ba]), center_a)
+                pa = center_at(xa, state.angle[ba], center_a)
                 hull = hull_of(b, kind_b, rb, model.vertex_start)
                 toward.velocity = rotate_back(c, s, velocity_at(bb, ba, pa - xb, pa - xa, state))
                 local = rotate_back(c, s, pa - xb)
@@ -177,9 +184,13 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                 m.normal = -rotate(c, s, m.normal)
                 m.point0 = rotate(c, s, m.point0) + xb
             elif kind_b == DISC:
-                c = wp.cos(state.angle[ba])
-                s = wp.sin(state.angle[ba])
-                pb = xb + rotate(wp.cos(state.angle[bb]), wp.sin(state.angle[bb]), center_b)
+                if ba != turned:
+                    turned = ba
+                    ca = wp.cos(state.angle[ba])
+                    sa = wp.sin(state.angle[ba])
+                c = ca
+                s = sa
+                pb = center_at(xb, state.angle[bb], center_b)
                 hull = hull_of(a, kind_a, ra, model.vertex_start)
                 drift = velocity_at(ba, bb, pb - xa, pb - xb, state)
                 local = rotate_back(c, s, pb - xa)
