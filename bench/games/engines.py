@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -116,21 +117,20 @@ class Ours:
         return tuple(self.sim.state.numpy(name).astype(np.float64) for name in ("position", "angle"))  # type: ignore[return-value]
 
     def shares(self, steps: int) -> dict[str, float]:
-        """Launch each stage by itself; a step that outgrows its room is taken by ``run`` and does not count."""
+        """Launch each stage by itself and take medians; a step that outgrows its room is taken by ``run`` instead."""
         sim = self.sim
         sim.run(1, DT)
         names = [name for phase in PHASES for name in of_phase(phase, sim.config.corrects_positions, sim.config.sleep)]
         launches = [sim.bind(name, 0, self.worlds) for name in names]
-        total = dict.fromkeys(names, 0.0)
+        spent: list[list[float]] = []
         for _ in range(steps):
-            spent = [timing.seconds(launch) for launch in launches]
+            taken = [timing.seconds(launch) for launch in launches]
             if (sim.state.numpy("flags") & int(CAPACITY_FLAGS)).any():
                 sim.run(1, DT)
                 launches = [sim.bind(name, 0, self.worlds) for name in names]
                 continue
-            for name, seconds in zip(names, spent, strict=True):
-                total[name] += seconds
-        return _shares(total)
+            spent.append(taken)
+        return _shares({name: statistics.median(taken) for name, taken in zip(names, zip(*spent), strict=False)})
 
 
 class Peer:

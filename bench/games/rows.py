@@ -92,7 +92,8 @@ ROWS: Mapping[str, Row] = {
     "ten_boxes_run": Row("10 boxes, `run`", scenes.Stack(), rest=200, steps=1_000),
     "ten_boxes_step": Row("10 boxes, `step`", scenes.Stack(), rest=200, steps=1_000, stepwise=True),
     "asleep_10000": Row(
-        "10 000 discs asleep", scenes.Thesis(bodies=10_000), fall=800, rest=300, steps=200, asleep=True, large=True
+        "10 000 discs asleep, 100 in each world",
+        scenes.Thesis(), worlds=100, fall=300, rest=1_000, steps=200, asleep=True, large=True,
     ),
 }  # fmt: skip
 
