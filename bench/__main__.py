@@ -31,6 +31,7 @@ MODULES = {
     "error_time": "error_time.error_time",
     "fc2d": "error_time.fc2d",
     "stability": "stability.stability",
+    "presets": "stability.presets",
     "faults": "faults.faults",
     "games": "games.games",
     "sleep": "speed.sleep",

@@ -63,9 +63,13 @@ def explain(sim: Simulation) -> str:
         lines.append("solver: PGS in colour order, scalar rows")
     stages = [name for phase in PHASES for name in of_phase(phase, config.corrects_positions, config.sleep)]
     lines.append(f"stages of a step: {', '.join(stages)}")
-    light = f" and {config.relative_tolerance:g} of what a typical weight gives in a step" * (config.stop == "change")
+    stop, tolerance, relative = config.ends_at
+    light = f" and {relative:g} of what a typical weight gives in a step" * (stop != "residual")
+    ends = f"stop at {'residual' if stop == 'residual' else 'change'} < {tolerance:g}{light}"
+    if stop == "motion":
+        ends += f", or where a sweep moves few contacts by more than {config.motion_tolerance:g} slops a step"
     lines.append(
-        f"acceleration: {config.acceleration}; stop at {config.stop} < {config.tolerance:g}{light}, after at least "
+        f"acceleration: {config.acceleration}; {ends}, after at least "
         f"{config.min_sweeps} sweeps, or at {config.max_sweeps} sweeps; a world without rows is not swept"
     )
     if config.position_correction == "ngs":

@@ -175,7 +175,9 @@ def _write(file: Any, sim: Simulation) -> None:
         sizes[KEPT] = len(used["sleepers"])
     names = [*_AXES, *(name for name, group in ((CACHED, "cache"), (KEPT, "sleepers")) if group in groups)]
     file.create_group("sizes").attrs.update({name: sizes[name] for name in names})
-    file.create_group("config").attrs.update(sim.config.to_dict())
+    file.create_group("config").attrs.update(
+        {name: value for name, value in sim.config.to_dict().items() if value is not None}
+    )
     for name, group in groups.items():
         folder = file.create_group(name)
         for field in group.table.values():

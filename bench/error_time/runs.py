@@ -26,6 +26,7 @@ ERRORS = ("penetration", "penetration_max", "drift")
 displacement of a body in its last second, per second [m/s]."""
 SAMPLES = 4
 STEPS = (0.02, 0.005, 0.0025)  # time steps beside DT [s]
+PLAIN = {("acceleration", "none"): "plain", ("stop", "change"): "accurate"}  # words for settings
 SHORT = 0.5  # [s]: shorter runs are timed three times
 
 
@@ -47,7 +48,7 @@ class Run:
         parts = ["/".join(map(str, self.iterations))] if self.iterations else []
         named = {"acceleration": "{}", "max_sweeps": "{} sweeps", "tolerance": "to {:g}", "position_correction": "{}"}
         parts += [
-            "plain" if (name, value) == ("acceleration", "none") else named[name].format(value)
+            PLAIN.get((name, value)) or named[name].format(value)
             for name, value in self.changed.items()
             if not (name == "tolerance" and value == 0.0)
         ]
@@ -64,7 +65,7 @@ class Run:
 
 def runs(quick: bool) -> list[Run]:
     """One setting varied at a time, and number of sweeps or iterations with the time step; the default is first."""
-    found = [Run()]
+    found = [Run(), Run(changed={"stop": "change"})]
     found += [Run(changed={"tolerance": tolerance}) for tolerance in ((1e-2,) if quick else (1e-2, 1e-3, 1e-5))]
     found += [Run(changed={"max_sweeps": n, "tolerance": 0.0}) for n in ((10,) if quick else (3, 10, 30, 100))]
     if not quick:

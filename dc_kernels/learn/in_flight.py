@@ -260,7 +260,7 @@ class SolveReader:
         self._gathers: dict[int, tuple[np.ndarray, list[Fed]]] = {}
         given = {
             "accelerated": int(sim.config.acceleration != "none"),
-            "tolerance": sim.config.tolerance,
+            "tolerance": sim.config.ends_at[1],
             "cap": self.cap,
             "rate_spacing": RATE_NODES * self.grid.spacing,
             "limit": self.limit,

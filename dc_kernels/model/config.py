@@ -16,15 +16,17 @@ from dc_kernels.model.settings import (
     Positive,
     Settings,
     Whole,
+    check_choice,
     checker,
     field_types,
     plain_type,
+    required,
 )
 
 # how kernels know a choice of SolverConfig
 METHODS = {"pgs": 0, "jacobi": 1}
 ACCELERATIONS = {"none": 0, "sor": 1, "aitken": 2, "nncg": 3, "adaptive": 4}
-STOPS = {"change": 0, "residual": 1}
+STOPS = {"change": 0, "residual": 1, "motion": 2}
 STARTS = {"zero": 0, "cache": 1}
 POSITION_CORRECTIONS = {"none": 0, "ngs": 1, "baumgarte": 2}
 CHOICES = {
@@ -36,6 +38,22 @@ CHOICES = {
 }
 Room = Annotated[float, Limits(least=0.0, most=1e6)]
 Tolerance = Annotated[float, Limits(least=0.0, size=math.inf)]
+TOLERANCE = 1e-4  # [N s], or [1] of a residual, where none is given
+RELATIVE_TOLERANCE = 1.3e-3  # [1], where none is given
+PRESETS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "accurate": {"stop": "change"},
+    "fast": {"max_sweeps": 10},
+    "thesis": {
+        "stop": "change",
+        "acceleration": "none",
+        "min_sweeps": 1,
+        "slop": 5e-3,
+        "speculative": 0.0,
+        "speculative_max": 0.0,
+    },
+}
+"""Settings by the names of ``SolverConfig.preset``, where they are not the default."""
 SLACK = 0.05  # of the slop: within it two separating axes count as equal and the first body's is taken
 
 
@@ -60,18 +78,27 @@ class SolverConfig(Settings):
     min_sweeps: Whole = 10
     """Sweeps that a solve makes at least, if max_sweeps allows: what one step at rest leaves unsolved the next one
     takes up, so that piles lie still (up to 1e3 times less creep than with 1) and need fewer long solves [1]."""
-    tolerance: Tolerance = 1e-4
+    tolerance: Tolerance | None = None
     """A solve ends when a sweep changes no impulse by more than this [N s]; with stop "residual", when the residual is
-    not above it [1]."""
-    relative_tolerance: Tolerance = 1.3e-3
+    not above it [1]. None: 1e-4, and ``stop`` may end it before."""
+    relative_tolerance: Tolerance | None = None
     """Second bound on the impulse change, as a multiple of the impulse that the weight of a typical body gives in a
     step. A solve ends when both bounds hold, so that light bodies and short steps are solved as well; inf leaves the
-    tolerance alone to decide. With the default the tolerance of 1e-4 N s decides for the theses' discs [1]."""
-    stop: Literal["change", "residual"] = "change"
-    """What the tolerance is compared with: the largest impulse change of a sweep, or the residual, the natural map of
-    the contact problem relative to its size."""
+    tolerance alone to decide. None: 1.3e-3, with which the tolerance of 1e-4 N s decides for the theses' discs [1]."""
+    stop: Literal["change", "residual", "motion"] | None = None
+    """What ends a solve: "change", the largest impulse change of a sweep, at the tolerances; "residual", the natural
+    map of the contact problem relative to its size, at the tolerance; "motion", the change, or what a sweep still does
+    to the motion of the bodies (``motion_tolerance``), in worlds without joints. None: "change" where a
+    tolerance is given, else "motion"."""
+    motion_tolerance: NotNegative = 0.02
+    """With stop "motion" a sweep moves a contact that it changes the speed of, along the normal or the tangent, by more
+    than this many slops a step, and more where ``motion_share`` says so. A solve ends when a sweep moves at most one
+    contact in ten, and none by 50 times as much [slop/step]."""
+    motion_share: NotNegative = 0.05
+    """A change of speed counts as none, too, up to this share of what the contacts have changed the velocity of the
+    faster body by in the step, beyond 1.5 times what gravity does: impacts are solved to five per cent [1]."""
     residual_every: Count = 5
-    """Sweeps between two evaluations of the residual with stop "residual" [1]."""
+    """Sweeps between two looks at the residual, or at the motion [1]."""
     start: Literal["cache", "zero"] = "cache"
     """Start impulses of a step: those of the step before, or zero."""
     omega: Annotated[float, Limits(above=0.0, most=2.0)] = 1.4
@@ -125,6 +152,19 @@ class SolverConfig(Settings):
     history: bool = False
     """Whether to keep the largest impulse change of every sweep (``SolveStats.history``)."""
 
+    @classmethod
+    def preset(cls, name: str, **changed: Any) -> SolverConfig:
+        """Make the settings of a name, but for those that are ``changed``.
+
+        "default" is ``SolverConfig()``. "accurate" solves every step to an impulse change of 1e-4 N s, or 1.3e-3 of
+        what a typical weight gives in a step, with up to 1000 sweeps. "fast" makes at most 10 sweeps a step. "thesis"
+        is the protocol of the theses: plain sweeps to 1e-4 N s, contacts where surfaces touch, a slop of 5 mm.
+
+        Raises:
+            ValueError: for another name.
+        """
+        return cls(**{**PRESETS[check_choice("preset", name, PRESETS)], **changed})
+
     def check(self) -> None:
         """Raise a ``ValueError`` for settings that do not go together."""
         if self.aitken_period_max < self.aitken_period:
@@ -153,12 +193,21 @@ class SolverConfig(Settings):
         """
         return np.asarray(self.restitution_threshold * np.sqrt(np.hypot(gravity[:, 0], gravity[:, 1]) * length_scale))
 
+    @property
+    def ends_at(self) -> tuple[Literal["change", "residual", "motion"], float, float]:
+        """What ends a solve, ``tolerance`` and ``relative_tolerance``, with what None stands for."""
+        given = self.tolerance is not None or self.relative_tolerance is not None
+        stop = self.stop or ("change" if given else "motion")
+        tolerance = TOLERANCE if self.tolerance is None else self.tolerance
+        return stop, tolerance, RELATIVE_TOLERANCE if self.relative_tolerance is None else self.relative_tolerance
+
     def kernel_values(self) -> dict[str, Any]:
         """The settings as kernels take them: a choice is its number, and inf is a large one."""
-        values = {name: getattr(self, name) for name in CONFIG if hasattr(self, name)}
-        values.update({name: codes[getattr(self, name)] for name, codes in CHOICES.items()})
+        stop, tolerance, relative = self.ends_at
         # a float32 kernel argument holds no product of inf and 0
-        values["relative_tolerance"] = min(self.relative_tolerance, 1e30)
+        known = {"stop": stop, "tolerance": tolerance, "relative_tolerance": min(relative, 1e30)}
+        values = {name: getattr(self, name) for name in CONFIG if hasattr(self, name)} | known
+        values.update({name: codes[values[name]] for name, codes in CHOICES.items()})
         values |= {"history": int(self.history), "sleep": int(self.sleep)}
         values["slack"] = SLACK * self.slop
         return values
@@ -178,7 +227,10 @@ class SimulationOptions(Settings):
 
 
 def _config_table() -> dict[str, Field]:
-    kinds = {name: "real" if plain_type(hint) is float else "int32" for name, hint in field_types(SolverConfig).items()}
+    kinds = {
+        name: "real" if plain_type(required(hint)) is float else "int32"
+        for name, hint in field_types(SolverConfig).items()
+    }
     table = {name: Field(name, "launch", kind, "1", "") for name, kind in kinds.items()}
     for name, meaning in (
         ("slack", "overlap within which two separating axes count as equal [length_scale]"),

@@ -329,6 +329,8 @@ SPAN = field_table(
     ("past_at", "span", "int32", "1", "where its part of rows.past begins"),
     ("pause_at", "span", "int32", "1", "sweeps from which a pause is due"),
     ("bound", "span", "real", "N s", "what the stop is compared with"),
+    ("still", "span", "real", "m/s", "change of a contact's speed in a sweep that counts as none"),
+    ("fall", "span", "real", "m/s", "change of a velocity in the step that counts as none"),
 )
 
 # One row of the solver before it is packed: a contact with its friction, or a joint (solve/rows.py).

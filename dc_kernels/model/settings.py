@@ -176,6 +176,12 @@ def field_checks(settings: type) -> dict[str, Check]:
     return _FIELD_CHECKS[settings]
 
 
+def required(hint: Any) -> Any:
+    """Return an annotation without None, where it is one type or None."""
+    some = [member for member in typing.get_args(hint) if member is not type(None)]
+    return some[0] if len(some) == 1 and type(None) in typing.get_args(hint) else hint
+
+
 def plain_type(hint: Any) -> Any:
     """Return an annotation without its metadata: ``int`` of ``Annotated[int, ...]``."""
     return typing.get_args(hint)[0] if typing.get_origin(hint) is Annotated else hint

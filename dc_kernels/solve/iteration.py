@@ -13,6 +13,12 @@ RETREAT = 4.0  # times the least change: a solve that hits its cap beyond goes b
 # times the first change, or what would stop each row alone where that is more: an accelerated sweep that changes more
 # was led astray, by steps along which rows are nearly singular
 GROWTH = 100.0
+# stop "motion" (``SolverConfig.stop``): a sweep may still move one row in MOVING, but none FAR times as much as counts;
+# FALL: what gravity gives a body in a step, times this, is no impact. ASTRAY stands for more rows than there are
+MOVING = 10
+FAR = 50.0
+FALL = 1.5
+ASTRAY = 2**30
 
 
 class Stretch(IntEnum):

@@ -25,6 +25,8 @@ ITERATION = (
     "tolerance",
     "relative_tolerance",
     "stop",
+    "motion_tolerance",
+    "motion_share",
     "residual_every",
     "omega",
     "aitken_period",

@@ -22,7 +22,7 @@ class Generate(Common):
     scene: SceneOption = field(default_factory=Thesis)
     """What stands in the worlds; each scene has options of its own."""
     options: GenerateOptions = field(default_factory=GenerateOptions)
-    solver: SolverConfig = field(default_factory=SolverConfig)
+    solver: SolverConfig = field(default_factory=lambda: SolverConfig.preset("accurate"))
     config: Path | None = None
     """TOML file of options, with tables scene, ranges and solver: its values take the place of the defaults here."""
     out: Path = Path("out/data")

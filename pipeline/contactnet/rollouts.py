@@ -79,7 +79,7 @@ def record(model: Any, setting: Setting, seed: int, generator: np.random.Generat
     check_training_seeds(seed, setting.worlds)
     margins = THESES_SETTINGS if generator.random() < 2 / 3 else {}
     settings = {"acceleration": setting.acceleration, "max_sweeps": setting.max_sweeps, "min_sweeps": 1, **margins}
-    config = dc.SolverConfig(**settings)  # type: ignore[arg-type]
+    config = dc.SolverConfig.preset("accurate", **settings)  # type: ignore[arg-type]
     run = RunOptions(worlds=setting.worlds, seed=seed)
     sim = run.simulation(Thesis(bodies=setting.bodies), config)
     solve = LearnedSolve(sim, model, CallOptions())

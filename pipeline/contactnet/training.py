@@ -171,7 +171,7 @@ class ContactTraining:
         calls: list[Recorded] = []
         for setting in settings:
             if setting.bodies not in self.grids:
-                sim = RunOptions().simulation(Thesis(bodies=setting.bodies), dc.SolverConfig())
+                sim = RunOptions().simulation(Thesis(bodies=setting.bodies), dc.SolverConfig.preset("accurate"))
                 self.grids[setting.bodies] = grid_of(sim, options.spacing)
             kept = record(self.model, setting, seed, generator)
             seed += setting.worlds

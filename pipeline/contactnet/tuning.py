@@ -63,7 +63,8 @@ class Snapshot:
             ValueError: for held-out seeds.
         """
         check_training_seeds(seed, crowd.worlds)
-        config = dc.SolverConfig(
+        config = dc.SolverConfig.preset(
+            "accurate",
             acceleration=crowd.acceleration,  # type: ignore[arg-type]
             max_sweeps=crowd.max_sweeps,
             min_sweeps=1,

@@ -21,8 +21,8 @@ from pipeline.seeds import check_seeds
 
 IMAGE_CHANNELS = 6
 """Channels of stored images, those that ``dc.Images`` has by default [1]."""
-SOLVER = dc.SolverConfig(min_sweeps=1)
-"""Settings of the solver unless told otherwise: the sweeps of a state are those to its tolerance."""
+SOLVER = dc.SolverConfig.preset("accurate", min_sweeps=1)
+"""Settings of the solver unless told otherwise: states are solved, and their sweeps counted, to its tolerance."""
 DRAW_STREAM = 2
 """Number of the random stream of a world's seed that draws parameters; others place bodies and make random starts."""
 
@@ -104,9 +104,16 @@ class Recipe(Settings):
             raise ValueError(
                 "solver.sleep is True; a data set holds the solves of all contacts, and sleepers have none"
             )
-        if options.label_tolerance > solver.tolerance:
+        if solver.stop == "motion":
+            raise ValueError("solver.stop is 'motion'; a data set is solved to a tolerance: 'change' or 'residual'")
+        # said in full, so that the file does, too; without a stop the tolerance is the change's
+        _, tolerance, relative = solver.ends_at
+        stop = solver.stop or "change"
+        told = replace(solver, stop=stop, tolerance=tolerance, relative_tolerance=relative)
+        object.__setattr__(self, "solver", told)
+        if options.label_tolerance > tolerance:
             raise ValueError(
-                f"label_tolerance is {options.label_tolerance}; it must not exceed solver.tolerance {solver.tolerance}"
+                f"label_tolerance is {options.label_tolerance}; it must not exceed solver.tolerance {tolerance}"
             )
         known = [f.name for f in fields(self.scene) if isinstance(getattr(self.scene, f.name), int | float)]
         names = [name for name, _, _ in options.ranges]

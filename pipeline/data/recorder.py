@@ -147,7 +147,7 @@ class Recorder:
         self.sim = sim = dc.Simulation(model, state, joints, config=recipe.solver)
         self.recipe = recipe
         self.label_config = recipe.label_config
-        self.measure = "change" if recipe.solver.stop == "change" else "residual"
+        self.measure = recipe.solver.ends_at[0]
         self.flags = self.label_reached = 0
         self.kept: dict[str, list[np.ndarray]] = {}
         self.images: dc.Images | None = None
@@ -222,7 +222,7 @@ class Recorder:
         before = impulse.copy(), solved.copy()
         self.sim.solve(self.label_config)
         self._note("label_")
-        reached = self.sim.stats.numpy(self.measure) <= self.label_config.tolerance
+        reached = self.sim.stats.numpy(self.measure) <= self.label_config.ends_at[1]
         self._keep("step/label_reached", reached)
         self.label_reached += int(reached.sum())
         label = impulse.take(slots, 0)

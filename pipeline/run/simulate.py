@@ -73,7 +73,7 @@ def simulate(
         ImportError: naming the extra, without h5py, tqdm or matplotlib.
     """
     run, solver, output = run or RunOptions(), solver or SolverOptions(), output or Output()
-    options = {**asdict(run), **asdict(solver), **asdict(output), "out": str(output.out)}
+    options = {**asdict(run), **solver.named(), **asdict(output), "out": str(output.out)}
     config = {"scene": {"name": scene.name, **asdict(scene)}, "options": options}
     make = maker(output.start, run.seed)
     sim = run.simulation(scene, solver.config(output.history))

@@ -210,7 +210,7 @@ class LearnedSolve:
         contacts = self._read(worlds, begin)
         if begin:
             # where no contact would take a step beyond the tolerance, the first sweep is the last
-            needed = reader.scale[: len(worlds), Scale.STEP] * np.sqrt(contacts) >= self.sim.config.tolerance
+            needed = reader.scale[: len(worlds), Scale.STEP] * np.sqrt(contacts) >= self.sim.config.ends_at[1]
             if not needed.all():
                 asking = asking.copy()
                 asking[worlds[~needed]] = False

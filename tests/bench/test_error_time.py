@@ -140,7 +140,7 @@ def test_references_are_of_float64(states):
 def test_a_state_goes_on_where_it_was_recorded():
     case = error_time_scenes.Case("", scenes.Mixed(bodies=12), (150, 170))
     before, after = error_time_scenes.record(case)
-    sim = before.simulation()
+    sim = before.simulation(config=dc.SolverConfig.preset("accurate"))
     sim.run(20, DT)
     for name, values in after.bodies.items():
         np.testing.assert_array_equal(sim.state.numpy(name), values, err_msg=name)

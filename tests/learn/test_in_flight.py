@@ -51,7 +51,7 @@ class Linked(Scene):
 
 def simulation(scene: Scene, dtype: str = "float64", worlds: int = 3, run: dict | None = None, **config) -> Any:
     options = RunOptions(worlds=worlds, seed=3, dtype=dtype, **(run or {}))
-    return options.simulation(scene, dc.SolverConfig(**config))
+    return options.simulation(scene, dc.SolverConfig.preset("accurate", **config))
 
 
 def colliding(scene: Scene | None = None, dtype: str = "float64", steps: int = 100, **options) -> dc.Simulation:
@@ -121,7 +121,7 @@ def run_oracle(reader: SolveReader, kernel: str, begin: bool = False, **more: An
     values["settings"] = SimpleNamespace(
         begin=int(begin),
         accelerated=int(sim.config.acceleration != "none"),
-        tolerance=sim.config.tolerance,
+        tolerance=sim.config.ends_at[1],
         cap=reader.cap,
         rate_spacing=RATE_NODES * reader.grid.spacing,
         limit=reader.limit,

@@ -110,7 +110,7 @@ def test_schedules_give_the_same_bits(variant, dtype):
     assert min(sims[0].contacts.numpy("contact_count")) >= 2 * LANES
     for method, acceleration in METHODS:
         omega = 0.8 if method == "jacobi" else 1.4
-        for stop in ("change", "residual"):
+        for stop in ("change", "residual", "motion"):
             changes = {"method": method, "acceleration": acceleration, "omega": omega, "stop": stop}
             results = [solve_from(s, max_sweeps=60, tolerance=1e-4, history=True, **changes) for s in sims]
             for left, right in zip(*results):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import dc_kernels as dc
+from dc_kernels.solve.rows import COLUMNS, LANES
 from pipeline.scenes import Thesis
 
 DT = 0.01
@@ -49,7 +52,7 @@ def test_the_smaller_bound_ends_a_solve(schedule):
         sim.collide(DT)
         sim.contacts.numpy("impulse")[...] = 0.0
         sim.solve()
-        assert sim.stats.numpy("change")[0] < sim.config.relative_tolerance * weight * DT
+        assert sim.stats.numpy("change")[0] < sim.config.ends_at[2] * weight * DT
     few, many = (int(sim.stats.numpy("sweeps")[0]) for sim in sims)
     assert few < many < 5000
 
@@ -70,8 +73,8 @@ def test_weight_is_the_geometric_mean_of_what_moves():
 def test_the_theses_discs_are_solved_to_their_tolerance():
     """The relative bound lies above 1e-4 N s there, so not a bit changes."""
     bits = []
-    for relative in (dc.SolverConfig().relative_tolerance, float("inf")):
-        config = dc.SolverConfig(relative_tolerance=relative)
+    for relative in (None, float("inf")):
+        config = dc.SolverConfig.preset("accurate", relative_tolerance=relative)
         sim = dc.Simulation(*Thesis(bodies=30).build(2, 0).finalize(), config=config)
         sim.run(100, DT)
         bits.append(sim.state.numpy("position").tobytes())
@@ -94,3 +97,101 @@ def test_what_rests_lies_still():
         sim.run(900, DT)
         creep.append(drift(sim, 1.0, DT, 100))
     assert creep[1] < 0.05 * creep[0]
+
+
+def still(sim: dc.Simulation) -> tuple[int, int, bool]:
+    """Contacts that the last sweep moved, contacts that can move, and whether it moved one far, by the formula."""
+    config, columns = sim.config, COLUMNS[sim.variant]
+    block = sim.rows.numpy("color_block")
+    blocks = slice(int(block[0]), int(block[-1]))
+    column = sim.rows.numpy("column").reshape(-1, len(columns), LANES)[blocks].astype(np.float64)
+    change = np.abs(sim.rows.numpy("change").reshape(-1, 2, LANES)[blocks].astype(np.float64))
+    bodies = sim.rows.numpy("body").reshape(-1, 2, LANES)[blocks]
+    given = (sim.motion.numpy("solved") - sim.motion.numpy("predicted"))[:, :2].astype(np.float64)
+    gravity = float(np.hypot(*sim.model.numpy("gravity")[0]))
+    beyond = np.maximum(np.abs(given).max(axis=1)[bodies].max(axis=1) - 1.5 * gravity * DT, 0.0)
+    slop = config.slop * float(sim.model.numpy("length_scale")[0])
+    limit = config.motion_tolerance * slop / DT + config.motion_share * beyond
+    mass = column[:, [columns.index("en"), columns.index("et")]]
+    excess = np.divide(change, limit[:, None] * mass, out=np.zeros_like(change), where=mass > 0).max(axis=1)
+    return int((excess > 1.0).sum()), int((mass[:, 0] > 0).sum()), bool((excess > 50.0).any())
+
+
+@pytest.mark.parametrize("schedule", ["world", "color"])
+def test_motion_ends_a_solve_where_few_contacts_still_move(schedule):
+    """In steps of an impact: where a solve ends the criterion holds, and five sweeps before it did not."""
+    config = dc.SolverConfig(acceleration="none")
+    sim = dc.Simulation(*Thesis(bodies=60).build(1, 3).finalize("float64"), config=config, schedule=schedule)
+    sim.run(80, DT)
+    bound = min(1e-4, 1.3e-3 * float(sim.motion.numpy("weight")[0]) * DT)
+    looked = 0
+    for _ in range(12):
+        sim.collide(DT)
+        start = sim.contacts.numpy("impulse").copy()
+        sim.solve()
+        sweeps = int(sim.stats.numpy("sweeps")[0])
+        if 10 < sweeps < 1000 and sim.stats.numpy("change")[0] > bound:
+            moving, able, far = still(sim)
+            assert sweeps % 5 == 0 and 10 * moving <= able and not far
+            sim.contacts.numpy("impulse")[...] = start
+            sim.solve(replace(config, max_sweeps=sweeps - 5))
+            moving, able, far = still(sim)
+            assert 10 * moving > able or far
+            sim.contacts.numpy("impulse")[...] = start
+            sim.solve()
+            looked += 1
+        sim.advance()
+    assert looked > 5
+
+
+def test_what_ends_a_solve_is_what_was_asked_for():
+    """A tolerance that is given is kept to, and else a solve ends by motion."""
+    assert dc.SolverConfig().ends_at == ("motion", 1e-4, 1.3e-3)
+    assert dc.SolverConfig(tolerance=1e-4).ends_at == ("change", 1e-4, 1.3e-3)
+    assert dc.SolverConfig(relative_tolerance=1e-5).ends_at == ("change", 1e-4, 1e-5)
+    assert dc.SolverConfig(stop="residual").ends_at == ("residual", 1e-4, 1.3e-3)
+    assert dc.SolverConfig(stop="motion", tolerance=1e-8).ends_at == ("motion", 1e-8, 1.3e-3)
+
+
+def test_presets():
+    assert dc.SolverConfig.preset("default") == dc.SolverConfig()
+    assert dc.SolverConfig.preset("accurate").ends_at[0] == "change"
+    assert dc.SolverConfig.preset("fast", min_sweeps=3) == dc.SolverConfig(max_sweeps=10, min_sweeps=3)
+    thesis = dc.SolverConfig.preset("thesis")
+    assert (thesis.acceleration, thesis.slop, thesis.speculative_max, thesis.min_sweeps) == ("none", 5e-3, 0.0, 1)
+    with pytest.raises(ValueError, match="preset is 'best'"):
+        dc.SolverConfig.preset("best")
+
+
+def test_a_pile_overlaps_little_more_than_where_it_is_solved_to_the_tolerance():
+    """An impact of 300 discs of 1 m: by less than a tenth of the slop in the mean, in far fewer sweeps."""
+    found = {}
+    for preset in ("accurate", "default"):
+        sim = dc.Simulation(*Thesis(bodies=300).build(1, 5).finalize(), config=dc.SolverConfig.preset(preset))
+        overlaps, sweeps = [], 0
+        for _ in range(20):
+            sim.run(10, DT)
+            overlaps.append(float(dc.measure.overlap(sim, DT).mean[0]))
+            sweeps += int(sim.stats.numpy("sweeps")[0])
+        found[preset] = np.mean(overlaps), sweeps
+    assert found["default"][0] < found["accurate"][0] + 5e-4 / 10
+    assert found["default"][1] < 0.6 * found["accurate"][1]
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_a_world_with_joints_is_solved_to_the_tolerance(backend):
+    """What a joint lacks shows as stretch, so motion does not end its solve."""
+    sweeps = []
+    for stop in ("change", "motion"):
+        builder = dc.ModelBuilder()
+        builder.add_world(gravity=(0.0, -9.8))
+        bodies = [builder.add_body((0.0, 0.0), type=dc.BodyType.STATIC)]
+        for i in range(8):
+            bodies.append(builder.add_body((0.0, -float(i + 1))))
+            builder.add_disc(bodies[-1], 0.1, density=1.0 if i < 7 else 1000.0)
+            builder.add_distance_joint(bodies[-2], bodies[-1])
+        model, state, joints = builder.finalize(backend=backend)
+        sim = dc.Simulation(model, state, joints, config=dc.SolverConfig(stop=stop, acceleration="none"))
+        sim.step(DT)
+        sweeps.append(int(sim.stats.numpy("sweeps")[0]))
+    assert sweeps[0] == sweeps[1] > 50

@@ -6,7 +6,7 @@ from typing import Any
 
 from dc_kernels._numpy.solve.accelerate import METHODS, adaptive
 from dc_kernels._numpy.solve.row import by_lane
-from dc_kernels._numpy.solve.world import BY_RESIDUAL, JACOBI, World
+from dc_kernels._numpy.solve.world import BY_MOTION, BY_RESIDUAL, JACOBI, World
 from dc_kernels.model.config import ACCELERATIONS
 from dc_kernels.solve.iteration import BEST, GROWTH, NEVER, RETREAT, Stretch
 
@@ -49,6 +49,8 @@ def conclude_sweep(world: World, largest: Any) -> bool:
         converged = look and world.natural_map() < world.bound
     else:
         converged = largest < world.bound
+        if config.stop == BY_MOTION and it.sweeps % config.residual_every == 0:
+            converged = converged or world.is_still
     it.finished = int(last or converged)
     anew = bool(it.finished) and config.acceleration == ADAPTIVE and it.stretch_method == Stretch.MOMENTUM
     if config.acceleration != PLAIN and world.pause_at == NEVER:

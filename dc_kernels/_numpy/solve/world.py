@@ -11,12 +11,13 @@ import numpy as np
 from dc_kernels._numpy.common import Array
 from dc_kernels._numpy.solve.row import Row, by_lane, jacobi_row, natural_map_row, read_row, sweep_row
 from dc_kernels.model.config import ACCELERATIONS, METHODS, STOPS
-from dc_kernels.solve.iteration import NEVER, PAST
+from dc_kernels.solve.iteration import FALL, FAR, MOVING, NEVER, PAST
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES
 
 JACOBI = METHODS["jacobi"]
 SOR = ACCELERATIONS["sor"]
 BY_RESIDUAL = STOPS["residual"]
+BY_MOTION = STOPS["motion"]
 TINY = 1e-30
 
 
@@ -95,6 +96,27 @@ class World:
         config, w = self.config, self.w
         relative = config.relative_tolerance * self.motion.weight[w] * self.motion.step_dt[w]
         return min(config.tolerance, relative) if config.stop != BY_RESIDUAL and relative > 0 else config.tolerance
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the last sweep has moved at most one row in MOVING, and none far."""
+        config, motion, model, w = self.config, self.motion, self.model, self.w
+        if any(start[w + 1] > start[w] for start in (model.joint_start, self.rows.row_start)):
+            return False  # what a joint lacks shows as stretch: such a world is solved to the tolerances
+        real, dt = motion.step_dt.dtype.type, motion.step_dt[w]
+        still = real(config.motion_tolerance) * real(config.slop) * model.length_scale[w] / dt
+        fall = real(FALL) * np.sqrt(np.sum(model.gravity[w] ** 2)) * dt
+        given = np.abs(motion.solved[:, :2] - motion.predicted[:, :2]).max(axis=1)
+        moving = movable = 0
+        for row in self.own_rows:
+            mass = row.effective_mass
+            limit = still + real(config.motion_share) * max(max(given[row.a], given[row.b]) - fall, real(0))
+            moved = np.abs(by_lane(self.rows.change)[row.at])
+            if not (moved <= real(FAR) * (limit * mass)).all():
+                return False
+            moving += int(not (moved <= limit * mass).all())
+            movable += int(mass[0] > 0)
+        return MOVING * moving <= movable
 
     @property
     def omega(self) -> float:

@@ -10,7 +10,7 @@ from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.solve.accelerate import POSTPONED, accelerate_functions, adaptive
 from dc_kernels._taichi.solve.ranges import range_functions
-from dc_kernels._taichi.solve.world import ANEW, BY_RESIDUAL, JACOBI, world_functions
+from dc_kernels._taichi.solve.world import ANEW, BY_MOTION, BY_RESIDUAL, JACOBI, world_functions
 from dc_kernels.model.config import ACCELERATIONS
 from dc_kernels.solve.iteration import BEST, GROWTH, NEVER, RETREAT, Stretch
 
@@ -33,7 +33,8 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     forbid = adaptive.functions(dtype, variant).forbid
     ranges = range_functions(dtype)
     squares, copy = ranges.squares, ranges.copy
-    natural_map = world_functions(dtype, variant).natural_map
+    world = world_functions(dtype, variant)
+    natural_map, is_still = world.natural_map, world.is_still
 
     @ti.func
     def start(span, config: t.Config, it: ti.template()):
@@ -58,7 +59,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @ti.func
     def has_converged(span, change, sweeps, config: t.Config, motion: t.Motion, rows: t.Rows):
-        """1 where a sweep ends the solve: at the tolerance, by change or by residual, or at the cap."""
+        """1 where a sweep ends the solve: at the tolerance, by change, residual or motion, or at the cap."""
         done = 0
         if sweeps < config.min_sweeps:
             done = 0
@@ -68,6 +69,8 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
                     done = 1
         elif change < span.bound:
             done = 1
+        elif config.stop == BY_MOTION and sweeps % config.residual_every == 0:
+            done = is_still(span, config, motion, rows)
         if sweeps >= config.max_sweeps:
             done = 1
         return done

@@ -13,12 +13,13 @@ from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.solve.lanes import lane_functions
 from dc_kernels._taichi.solve.row import row_functions
 from dc_kernels.model.config import METHODS, STOPS
-from dc_kernels.solve.iteration import NEVER
+from dc_kernels.solve.iteration import ASTRAY, FALL, NEVER
 from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, SERIAL_COLOR
 
 ENDS = COLORS + 1
 JACOBI = METHODS["jacobi"]
 BY_RESIDUAL = STOPS["residual"]
+BY_MOTION = STOPS["motion"]
 TINY = 1e-30
 
 
@@ -44,7 +45,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     Span = t.Span
     row = row_functions(dtype, variant)
     sweep_row, jacobi_row, apply_row = row.sweep_row, row.jacobi_row, row.apply_row
-    natural_map_row = row.natural_map_row
+    natural_map_row, moving_row = row.natural_map_row, row.moving_row
     lanes = lane_functions(dtype, variant)
     sweep_lanes, apply_lanes = lanes.sweep, lanes.apply
     jointed, own = variant in JOINTED, variant == "rows"
@@ -75,6 +76,16 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         relative = config.relative_tolerance * motion.weight[w] * motion.step_dt[w]
         if config.stop != BY_RESIDUAL and relative > 0.0:
             span.bound = ti.min(config.tolerance, relative)
+        dt = motion.step_dt[w]
+        span.still = config.motion_tolerance * config.slop * model.length_scale[w] / dt
+        if ti.static(jointed):  # what a joint lacks shows as stretch: such a world is solved to the tolerances
+            if model.joint_start[w + 1] > model.joint_start[w]:
+                span.still = -1e18
+        if ti.static(own):
+            if rows.row_start[w + 1] > rows.row_start[w]:
+                span.still = -1e18
+        pull = model.gravity[w]
+        span.fall = FALL * ti.sqrt(pull[0] * pull[0] + pull[1] * pull[1]) * dt
         return span
 
     @ti.func
@@ -138,6 +149,16 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                     rows.impulse[i // LANES][i % LANES] = rows.row_impulse[k]
 
     @ti.func
+    def is_still(span, config: t.Config, motion: t.Motion, rows: t.Rows):
+        """1 where the last sweep has moved at most one row in MOVING, and none far: see ``SolverConfig.stop``."""
+        count = 0
+        for k in range(span.first * LANES, span.last * LANES):
+            if count < ASTRAY:
+                here = moving_row(k // LANES, k % LANES, rows, motion, span, config.motion_share)
+                count = ti.select(here == ASTRAY, here, count + here)
+        return ti.cast(count <= 0, ti.i32)
+
+    @ti.func
     def natural_map(span, bodies: ti.template(), rows: t.Rows):
         """Relative natural map of a world's rows [1]: how far its impulses are from a solution.
 
@@ -159,5 +180,6 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         sweep=sweep,
         follow=follow,
         load_impulses=load_impulses,
+        is_still=is_still,
         natural_map=natural_map,
     )

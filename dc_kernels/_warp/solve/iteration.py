@@ -21,6 +21,7 @@ MOMENTUM = wp.constant(int(Stretch.MOMENTUM))
 AT_BEST = wp.constant(BEST)
 NO_PAUSE = wp.constant(NEVER)
 BY_RESIDUAL = wp.constant(STOPS["residual"])
+BY_MOTION = wp.constant(STOPS["motion"])
 GOES_ON = wp.constant(0)  # what conclude_sweep returns
 ENDED = wp.constant(1)
 PAUSES = wp.constant(2)
@@ -37,7 +38,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     forbid = adaptive.functions(dtype, variant).forbid
     copy, squares = range_functions(dtype).copy, range_functions(dtype).squares
     world = world_functions(dtype, variant)
-    refresh, natural_map = world.refresh, world.natural_map
+    refresh, natural_map, is_still = world.refresh, world.natural_map, world.is_still
     huge = real(3e38)
 
     @wp.func(module=module)
@@ -68,7 +69,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @wp.func(module=module)
     def has_converged(span: t.Span, change: real, sweeps: int, config: t.Config, motion: t.Motion, rows: t.Rows):
-        """1 where a sweep ends the solve: at the tolerance, by change or by residual, or at the cap."""
+        """1 where a sweep ends the solve: by change, residual or motion, or at the cap."""
         done = int(0)
         if sweeps < config.min_sweeps:
             done = 0
@@ -78,6 +79,8 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
                     done = 1
         elif change < span.bound:
             done = 1
+        elif config.stop == BY_MOTION and sweeps % config.residual_every == 0:
+            done = is_still(span, config, motion, rows)
         if sweeps >= config.max_sweeps:
             done = 1
         return done

@@ -19,6 +19,7 @@ import warp as wp
 
 from dc_kernels._warp.common import scalar_types
 from dc_kernels._warp.native import native_code
+from dc_kernels.solve.iteration import ASTRAY, FAR, MOVING
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES
 
 
@@ -34,7 +35,7 @@ def row_macros(variant: str) -> dict[str, Any]:
 
 @cache
 def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
-    """``sweep``, ``apply``, ``push``, ``natural_map``, ``extrapolate`` over the blocks b0 .. b1 of a variant's rows.
+    """What is done to the blocks b0 .. b1 of a variant's rows, one function a header.
 
     ``extrapolate`` moves impulses on, and the velocities with them; ``move_on`` does so for the impulses alone, also on
     a GPU and where rows of a block share bodies.
@@ -105,6 +106,20 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         alpha: real,
     ): ...
 
+    @wp.func_native(code("bodies", "moving", ASTRAY=ASTRAY, FAR=FAR, MOVING=MOVING))
+    def moving(
+        columns: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        bodies: wp.array(dtype=vec4),
+        predicted: wp.array(dtype=vec4),
+        change: wp.array(dtype=real),
+        b0: wp.int32,
+        b1: wp.int32,
+        still: real,
+        share: real,
+        fall: real,
+    ) -> wp.int32: ...
+
     @wp.func_native(code("bodies", "row", "natural_map"))
     def natural_map(
         columns: wp.array(dtype=real),
@@ -116,7 +131,13 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
     ) -> real: ...
 
     return SimpleNamespace(
-        sweep=sweep, apply=apply, push=push, extrapolate=extrapolate, move_on=move_on, natural_map=natural_map
+        sweep=sweep,
+        apply=apply,
+        push=push,
+        extrapolate=extrapolate,
+        move_on=move_on,
+        natural_map=natural_map,
+        moving=moving,
     )
 
 

@@ -11,14 +11,17 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.laws import linear_speed, natural_map_squared, relative_speed
+from dc_kernels.solve.iteration import ASTRAY, FAR, MOVING
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES
 
 N_LANES = wp.constant(LANES)
+IN_ALL = wp.constant(MOVING)
+LED_ASTRAY = wp.constant(ASTRAY)
 
 
 @cache
 def row_functions(dtype: str, variant: str) -> SimpleNamespace:
-    """``sweep_row``, ``jacobi_row``, ``apply_row``, ``push_row`` and ``natural_map_row``: one row each.
+    """``sweep_row``, ``jacobi_row``, ``apply_row``, ``push_row``, ``moving_row`` and ``natural_map_row``: one row each.
 
     They are the oracle of the lanes, the serial colour, the colour schedule and the path on a GPU. Velocities
     ``bodies`` are those of ``motion`` that a sweep changes: solved ones, or displacements.
@@ -258,6 +261,33 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         return wp.abs(dn)
 
     @wp.func(module=module)
+    def moving_row(block: int, lane: int, rows: t.Rows, motion: t.Motion, span: t.Span, share: real):
+        """What a row adds to a world's ``moving``: MOVING where the last sweep moved it, less one where it can move.
+
+        ASTRAY where it moved it by FAR times as much.
+        """
+        r = block * width + lane
+        i = block * 2 * N_LANES + lane
+        a = rows.body[i]
+        b = rows.body[i + N_LANES]
+        va = motion.solved[a] - motion.predicted[a]
+        vb = motion.solved[b] - motion.predicted[b]
+        given = wp.max(wp.max(wp.abs(va[0]), wp.abs(va[1])), wp.max(wp.abs(vb[0]), wp.abs(vb[1])))
+        limit = span.still + share * wp.max(given - span.fall, real(0.0))
+        dn = wp.abs(rows.change[i])
+        dt = wp.abs(rows.change[i + N_LANES])
+        n = limit * rows.column[r + EN]
+        tangential = limit * rows.column[r + ET]
+        count = int(0)
+        if rows.column[r + EN] > real(0.0):
+            count = -1
+        if not (dn <= n and dt <= tangential):  # NaN is moved, and far
+            count += IN_ALL
+        if not (dn <= real(FAR) * n and dt <= real(FAR) * tangential):
+            count = LED_ASTRAY
+        return count
+
+    @wp.func(module=module)
     def natural_map_row(block: int, lane: int, rows: t.Rows, bodies: wp.array(dtype=vec4)):
         """Squared natural map of one row [(N s)^2]: impulse minus its projected step on the friction cone.
 
@@ -287,5 +317,6 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         jacobi_row=jacobi_row,
         apply_row=apply_row,
         push_row=push_row,
+        moving_row=moving_row,
         natural_map_row=natural_map_row,
     )

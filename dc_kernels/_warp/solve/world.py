@@ -11,7 +11,7 @@ from dc_kernels._warp.native import native_code
 from dc_kernels._warp.solve.lanes import has_lanes, lane_functions, row_macros
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels.model.config import METHODS, STOPS
-from dc_kernels.solve.iteration import NEVER
+from dc_kernels.solve.iteration import ASTRAY, FALL, NEVER
 from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, SERIAL_COLOR
 
 ENDS = wp.constant(COLORS + 1)
@@ -21,6 +21,7 @@ SERIAL = wp.constant(SERIAL_COLOR)
 JACOBI = wp.constant(METHODS["jacobi"])
 BY_RESIDUAL = wp.constant(STOPS["residual"])
 NO_PAUSE = wp.constant(NEVER)
+LED_ASTRAY = wp.constant(ASTRAY)
 
 
 @cache
@@ -32,12 +33,13 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     module = kernel_module("solver", dtype, variant)
     row = row_functions(dtype, variant)
     sweep_row, jacobi_row, apply_row = row.sweep_row, row.jacobi_row, row.apply_row
-    natural_map_row = row.natural_map_row
+    natural_map_row, moving_row = row.natural_map_row, row.moving_row
     lanes = lane_functions(dtype, variant)
     sweep_lanes, apply_lanes, natural_map_lanes = lanes.sweep, lanes.apply, lanes.natural_map
-    extrapolate_lanes, move_on = lanes.extrapolate, lanes.move_on
+    extrapolate_lanes, move_on, moving_lanes = lanes.extrapolate, lanes.move_on, lanes.moving
     jointed, own = variant in JOINTED, variant == "rows"
     tiny = real(1e-30)
+    never = real(-1e18)  # no change is as small
     columns = COLUMNS[variant]
     width = wp.constant(len(columns) * LANES)
     EN = wp.constant(columns.index("en") * LANES)
@@ -77,6 +79,15 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         relative = config.relative_tolerance * motion.weight[w] * motion.step_dt[w]
         if config.stop != BY_RESIDUAL and relative > real(0.0):
             span.bound = wp.min(config.tolerance, relative)
+        dt = motion.step_dt[w]
+        span.still = config.motion_tolerance * config.slop * model.length_scale[w] / dt
+        if wp.static(jointed):  # what a joint lacks shows as stretch: such a world is solved to the tolerances
+            if model.joint_start[w + 1] > model.joint_start[w]:
+                span.still = never
+        if wp.static(own):
+            if rows.row_start[w + 1] > rows.row_start[w]:
+                span.still = never
+        span.fall = real(FALL) * wp.length(model.gravity[w]) * dt
         return span
 
     @wp.func(module=module)
@@ -169,8 +180,34 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             total = total / scale
         return total
 
+    @wp.func(module=module)
+    def is_still(span: Span, config: t.Config, motion: t.Motion, rows: t.Rows):
+        """1 where the last sweep has moved at most one row in MOVING, and none far: see ``SolverConfig.stop``."""
+        share = config.motion_share
+        if has_lanes() == 1:  # nothing is written, so rows of the serial colour may stand side by side too
+            count = moving_lanes(
+                rows.column,
+                rows.body,
+                motion.solved,
+                motion.predicted,
+                rows.change,
+                span.first,
+                span.last,
+                span.still,
+                share,
+                span.fall,
+            )
+        else:
+            count = int(0)
+            for k in range(span.first * N_LANES, span.last * N_LANES):
+                if count < LED_ASTRAY:
+                    here = moving_row(k / N_LANES, k % N_LANES, rows, motion, span, share)
+                    count = wp.where(here == LED_ASTRAY, here, count + here)
+        return wp.where(count <= 0, 1, 0)
+
     return SimpleNamespace(
         span_of=span_of,
+        is_still=is_still,
         sweep=sweep,
         apply=apply,
         extrapolate=extrapolate,

@@ -702,7 +702,7 @@ def test_a_toml_file_is_a_recipe(tmp_path):
     path.write_text(TOML)
     recipe = load_recipe(path)
     assert recipe.scene == Mixed(bodies=5, radius=1.0) and recipe.solver == dc.SolverConfig(
-        max_sweeps=300, min_sweeps=1
+        max_sweeps=300, min_sweeps=1, stop="change", tolerance=1e-4, relative_tolerance=1.3e-3
     )
     options = GenerateOptions(worlds=3, steps=30, dt=0.02, grid_size=(4.0, 4.0), ranges=(("friction", 0.2, 0.8),))
     assert recipe.options == options
@@ -719,6 +719,7 @@ def test_a_toml_file_is_a_recipe(tmp_path):
         ("[scene]\nbodies = 8", r"scene.name is missing; it must say whose \('bodies',\) are"),
         ("[solver]\nmethod = 'newton'", "solver.method is 'newton'"),
         ("[solver]\nhistory = true", "solver.history is True"),
+        ("[solver]\nstop = 'motion'", "solver.stop is 'motion'"),
         ("[ranges]\nradius = 0.5", r"ranges.radius is 0.5; it must be \[low, high\]"),
         ("worlds = ", "recipe.toml"),
     ],

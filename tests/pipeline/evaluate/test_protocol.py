@@ -41,8 +41,7 @@ def test_protocol_compares_the_starts(runs):
 
 def test_protocol_is_its_worlds_own_closed_loop(runs):
     """Builtin equals plain stepping, and the error of None is the mean square of its own impulses."""
-    settings = {"acceleration": "none", "min_sweeps": 1, "slop": 5e-3, "speculative": 0.0, "speculative_max": 0.0}
-    config = dc.SolverConfig(**settings)
+    config = dc.SolverConfig.preset("thesis")
     sim = dc.Simulation(*Thesis(bodies=8).build(2, HELD_OUT_SEED).finalize(), config=config)
     sweeps, contacts = [], []
     for _ in range(SMALL.steps):

@@ -102,7 +102,7 @@ REFUSED = ("nan", "inf")
 
 
 def simulation(scene: Scene, acceleration: str = "none", worlds: int = 4, threads: int = 1, **config) -> dc.Simulation:
-    settings = dc.SolverConfig(**{"max_sweeps": 20_000, "acceleration": acceleration, **config})
+    settings = dc.SolverConfig.preset("accurate", **{"max_sweeps": 20_000, "acceleration": acceleration, **config})
     return RunOptions(worlds=worlds, seed=7, threads=threads).simulation(scene, settings)
 
 
@@ -152,7 +152,7 @@ def plain(scene: Scene, acceleration: str) -> Run:
 def test_every_solve_converges_at_a_bounded_cost(network, scene, acceleration):
     without = plain(scene, acceleration)
     run = Run(simulation(scene, acceleration), Stub(NETWORKS[network]))
-    tolerance = run.sim.config.tolerance
+    tolerance = run.sim.config.ends_at[1]
     for r in (run, without):
         assert r.sweeps.max() < r.sim.config.max_sweeps
         assert (r.change[r.sweeps > 0] < tolerance).all()
@@ -198,7 +198,7 @@ def test_every_solve_ends_at_the_same_answer(friction, network, acceleration):
         for name, call in (("network", solve.solve), ("plain", sim.solve)):
             sim.contacts.assign("impulse", start)
             call()
-            assert (sim.stats.numpy("change") < sim.config.tolerance).all()
+            assert (sim.stats.numpy("change") < sim.config.ends_at[1]).all()
             found = sim.motion.numpy("solved")[: len(solution), :3]
             errors[name].append(np.abs(found - solution).max())
             problem = ContactProblem.from_simulation(sim)
@@ -329,7 +329,7 @@ def test_threads_give_the_same_bits(network, acceleration):
 def test_room_may_grow_on_the_way():
     """The simulation makes its arrays anew when contacts outgrow them; the reader follows."""
     arrays = Thesis(bodies=12).build(2, 7).finalize()
-    config = dc.SolverConfig(acceleration="none", max_sweeps=20_000)
+    config = dc.SolverConfig.preset("accurate", acceleration="none", max_sweeps=20_000)
     small = Run(dc.Simulation(*arrays, config=config, contacts_per_body=0.1), Stub(NETWORKS["good"]))
     arrays = Thesis(bodies=12).build(2, 7).finalize()
     large = Run(dc.Simulation(*arrays, config=config), Stub(NETWORKS["good"]))

@@ -13,7 +13,7 @@ from pipeline.scenes import Chain, Settled, Thesis
 from pipeline.starts.impulses import Random
 from pipeline.starts.registry import maker
 
-PGS = dc.SolverConfig(acceleration="none", max_sweeps=5000, min_sweeps=1)
+PGS = dc.SolverConfig.preset("accurate", acceleration="none", max_sweeps=5000, min_sweeps=1)
 
 
 def settled(worlds: int = 2, bodies: int = 12, config: dc.SolverConfig = PGS) -> dc.Simulation:
@@ -110,7 +110,7 @@ def test_copy_starts_at_the_solution():
     start = impulses(sim)
     sim.solve()
     np.testing.assert_array_equal(dc.to_numpy(sim.stats.sweeps), 1)
-    np.testing.assert_allclose(impulses(sim), start, atol=2.0 * PGS.tolerance)
+    np.testing.assert_allclose(impulses(sim), start, atol=2.0 * PGS.ends_at[1])
     sim.advance()
 
 

@@ -17,16 +17,17 @@ auto transpose = [&](Vector& a, Vector& b, Vector& c, Vector& d) {
     d = HIGH_PAIRS(t2, t3);
 };
 Real* const velocity = (Real*)bodies.data;
-auto load_bodies = [&](const int* index) {
+auto load_from = [&](const Real* all, const int* index) {
     auto pair = [&](int i) {
-        const Quad q = *(const Quad*)(velocity + 4 * (size_t)index[i]);
-        const Quad r = *(const Quad*)(velocity + 4 * (size_t)index[i + 4]);
+        const Quad q = *(const Quad*)(all + 4 * (size_t)index[i]);
+        const Quad r = *(const Quad*)(all + 4 * (size_t)index[i + 4]);
         return __builtin_shufflevector(q, r, 0, 1, 2, 3, 4, 5, 6, 7);
     };
     Bodies v = {pair(0), pair(1), pair(2), pair(3)};
     transpose(v.x, v.y, v.w, v.m);
     return v;
 };
+auto load_bodies = [&](const int* index) { return load_from(velocity, index); };
 auto store_bodies = [&](const int* index, Bodies v) {
     transpose(v.x, v.y, v.w, v.m);
     auto pair = [&](int i, Vector both) {

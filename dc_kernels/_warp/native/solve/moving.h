@@ -1,0 +1,35 @@
+// MOVING times the rows of the blocks b0 .. b1 that the last sweep still moved, less all rows that can move; ASTRAY
+// where it moved one by FAR times as much. Moved is a row whose speed it changed by more than still + share times what
+// the impulses of the step have changed the velocity of the faster body by, beyond fall. Parameters: columns, row_body,
+// bodies, predicted, change, b0, b1, still, share, fall. Stands behind prelude.h, bodies.h.
+#if defined(__CUDA_ARCH__)
+return 0;  // a GPU counts row by row
+#else
+const Real* const before = (const Real*)predicted.data;
+int count = 0;
+for (int b = b0; b < b1; ++b) {
+    const int* const index = row_body.data + (size_t)b * 2 * LANES;
+    const Real* const block = columns.data + (size_t)b * COLUMNS * LANES;
+    const Real* const d = change.data + (size_t)b * 2 * LANES;
+    const Vector en = load(block + AT_en), et = load(block + AT_et);
+    auto pushed = [&](const int* i) {
+        const Bodies now = load_bodies(i), then = load_from(before, i);
+        return larger(magnitude(now.x - then.x), magnitude(now.y - then.y));
+    };
+    const Vector given = larger(pushed(index), pushed(index + LANES));
+    const Vector limit = still + share * larger(given - fall, zero);
+    const Vector dn = magnitude(load(d)), dt = magnitude(load(d + LANES));
+    const Vector n = limit * en, t = limit * et;
+    // NaN is moved, and far
+    const auto moved = ~((dn <= n) & (dt <= t)), far = ~((dn <= (Real)FAR * n) & (dt <= (Real)FAR * t));
+    const auto moves = en > zero;
+    int here = 0, away = 0;
+    for (int lane = 0; lane < LANES; ++lane) {
+        here += (int)moves[lane] - MOVING * (int)moved[lane];  // a true lane is -1
+        away |= (int)far[lane];
+    }
+    if (away) return ASTRAY;
+    count += here;
+}
+return count;
+#endif
