@@ -7,15 +7,19 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import contiguous_groups, group_types
+from dc_kernels._warp.native import native_code
 
 
 @cache
 def kernels(dtype: str) -> dict[str, Any]:
     """``match_contacts``; one thread a world."""
     t = group_types(dtype)
-    real, vec2 = t.real, t.vec2
+    real = t.real
     module = kernel_module("match", dtype)
     contiguous = contiguous_groups(dtype)
+
+    @wp.func_native(native_code("collide/match.h", dtype=dtype))
+    def match_keys(contacts: t.Contacts, cache: t.Cache, scale: real, i0: wp.int32, i1: wp.int32, end: wp.int32): ...
 
     @wp.kernel(module=module, enable_backward=False)
     def match_contacts(
@@ -42,20 +46,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         if config.start != 0 and contacts.contact_dt[w] > real(0.0):
             scale = motion.step_dt[w] / contacts.contact_dt[w]
         start = contacts.contact_start[w]
-        old = start
-        end = start + cache.count[w]
-        for c in range(start, start + contacts.contact_count[w]):
-            k = contacts.key[c]
-            while old < end and cache.key[old] < k:
-                old += 1
-            if old < end and cache.key[old] == k:
-                contacts.impulse[c] = cache.impulse[old] * scale
-                contacts.color[c] = cache.color[old]
-                contacts.age[c] = cache.age[old] + 1
-            else:
-                contacts.impulse[c] = vec2(real(0.0), real(0.0))
-                contacts.color[c] = -1
-                contacts.age[c] = 0
+        match_keys(contacts, cache, scale, start, start + contacts.contact_count[w], start + cache.count[w])
         for j in range(model.joint_start[w], model.joint_start[w + 1]):
             joints.joint_impulse[j] = cache.joint_impulse[j] * scale
 

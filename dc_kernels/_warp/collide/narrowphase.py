@@ -112,17 +112,16 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         sa = real(0.0)
         first_pair = pairs.start[w]
         last_pair = first_pair + pairs.count[w]
-        next_pair = first_pair  # those before it are done
-        for pair in range(first_pair, last_pair):
+        pair = first_pair - 1
+        while pair + 1 < last_pair:
+            pair += 1
             if wp.static(only_discs):
-                if pair < next_pair:
-                    continue
                 if has_lanes() == 1:
                     ahead = find_disc_contacts(w, pair, last_pair, n, config, model, state, motion, pairs, contacts)
-                    next_pair = ahead[0]
+                    pair = ahead[0]
                     n = ahead[1]
-                    if pair < next_pair:
-                        continue
+                    if pair == last_pair:
+                        break
             a = from_start(pairs.shape_a[from_start(pair)])
             b = from_start(pairs.shape_b[from_start(pair)])
             ba = from_start(model.shape_body[a])

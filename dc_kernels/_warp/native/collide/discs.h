@@ -7,6 +7,7 @@
 return wp::vec_t<2, int>(i0, found);  // a GPU takes pair after pair
 #else
 typedef long long Key;
+typedef Real Point __attribute__((ext_vector_type(2), aligned(4)));
 const int* const kind = model.shape_type.data;
 const int* const shape_a = pairs.shape_a.data;
 const int* const shape_b = pairs.shape_b.data;
@@ -16,7 +17,31 @@ const Real* const position = (const Real*)state.position.data;
 const Real step = motion.step_dt.data[w], reach = motion.reach.data[w], slop = config.slop * model.length_scale.data[w];
 const int start = contacts.contact_start.data[w], room = contacts.contact_start.data[w + 1] - start;
 const int first_shape = model.shape_start.data[w];
+const Vector order = {0, 1, 2, 3, 4, 5, 6, 7};
 auto root = [&](Vector v) { return __builtin_elementwise_sqrt(v); };
+auto store_pairs = [&](Real* to, Vector x, Vector y) {
+    store(to, __builtin_shufflevector(x, y, 0, 8, 1, 9, 2, 10, 3, 11));
+    store(to + LANES, __builtin_shufflevector(x, y, 4, 12, 5, 13, 6, 14, 7, 15));
+};
+// a scene of one material need not look it up
+const bool slips = config.uniform_friction < 0, bounces = config.uniform_restitution < 0;
+auto friction_of = [&](int one, int other) {
+    const Real mu = model.shape_friction.data[one], second = model.shape_friction.data[other];
+    return mu == second ? mu : wp::sqrt(mu * second);
+};
+auto restitution_of = [&](int one, int other) {
+    const Real e = model.shape_restitution.data[one], second = model.shape_restitution.data[other];
+    return e > second ? e : second;
+};
+Key* const key = (Key*)contacts.key.data;
+int* const body_a = contacts.body_a.data;
+int* const body_b = contacts.body_b.data;
+Point* const normal = (Point*)contacts.normal.data;
+Point* const arm_a = (Point*)contacts.arm_a.data;
+Point* const arm_b = (Point*)contacts.arm_b.data;
+Real* const contact_gap = contacts.gap.data;
+Real* const friction = contacts.friction.data;
+Real* const restitution = contacts.restitution.data;
 int next = i0;
 while (next < i1) {
     int a[LANES], b[LANES], of_a[LANES], of_b[LANES], lanes = 0;
@@ -59,35 +84,32 @@ while (next < i1) {
         const Vector later = larger(root(endX * endX + endY * endY) - radii + closing, gap);
         gap = pick(passing & (missX * missX + missY * missY >= radii * radii), later, gap);
     }
-    const auto touching = near & (gap <= reach + larger(closing, zero));
-    const Vector aX = px - xA, aY = py - yA, bX = px - xB, bY = py - yB;
-    for (int i = 0; i < lanes; ++i) {
-        if (!touching[i]) continue;
-        if (found < room) {
-            const int c = start + found;
-            const int one = a[i], other = b[i];
-            Real mu = config.uniform_friction, e = config.uniform_restitution;
-            if (mu < 0) {
-                mu = model.shape_friction.data[one];
-                const Real second = model.shape_friction.data[other];
-                if (second != mu) mu = wp::sqrt(mu * second);
-            }
-            if (e < 0) {
-                const Real first = model.shape_restitution.data[one], second = model.shape_restitution.data[other];
-                e = first > second ? first : second;
-            }
-            contacts.key.data[c] = (Key)(one - first_shape) << SHIFT_A | (Key)(other - first_shape) << SHIFT_B;
-            contacts.body_a.data[c] = of_a[i];
-            contacts.body_b.data[c] = of_b[i];
-            contacts.normal.data[c] = wp::vec_t<2, Real>(nx[i], ny[i]);
-            contacts.arm_a.data[c] = wp::vec_t<2, Real>(aX[i], aY[i]);
-            contacts.arm_b.data[c] = wp::vec_t<2, Real>(bX[i], bY[i]);
-            contacts.gap.data[c] = gap[i];
-            contacts.friction.data[c] = mu;
-            contacts.restitution.data[c] = e;
-        }
-        ++found;
+    const auto touching = near & (order < (Real)lanes) & (gap <= reach + larger(closing, zero));
+    Real normals[2 * LANES], arms_a[2 * LANES], arms_b[2 * LANES], gaps[LANES];
+    store_pairs(normals, nx, ny);
+    store_pairs(arms_a, px - xA, py - yA);
+    store_pairs(arms_b, px - xB, py - yB);
+    store(gaps, gap);
+    // which touch, without a branch that is guessed wrong every few pairs
+    int which[LANES], count = 0;
+    for (int i = 0; i < LANES; ++i) {
+        which[count] = i;
+        count += touching[i] != 0;
     }
+    const int fit = count < room - found ? count : room - found;
+    for (int k = 0; k < fit; ++k) {
+        const int i = which[k], c = start + found + k, one = a[i], other = b[i];
+        key[c] = (Key)(one - first_shape) << SHIFT_A | (Key)(other - first_shape) << SHIFT_B;
+        body_a[c] = of_a[i];
+        body_b[c] = of_b[i];
+        normal[c] = ((const Point*)normals)[i];
+        arm_a[c] = ((const Point*)arms_a)[i];
+        arm_b[c] = ((const Point*)arms_b)[i];
+        contact_gap[c] = gaps[i];
+        friction[c] = slips ? friction_of(one, other) : config.uniform_friction;
+        restitution[c] = bounces ? restitution_of(one, other) : config.uniform_restitution;
+    }
+    found += count;
     if (lanes < LANES) break;
 }
 return wp::vec_t<2, int>(next, found);
