@@ -199,6 +199,7 @@ PAIRS = field_table(
 ROWS = field_table(
     ("contact_needed", "world", "int32", "1", "contacts found, also those without room"),
     ("slot", "contact", "int32", "1", "where the contact's normal impulse lies in rows.impulse"),
+    ("square", "contact", "real", "(N s)^2", "squared impulse that would stop the contact alone; 0 if it never acts"),
     ("joint_slot", "joint", "int32", "1", "where the joint's impulse lies in rows.impulse"),
     ("row_start", "world+1", "int32", "1", "first of each world's own rows, which a contact solver's caller may give"),
     ("row_body_a", "own row", "int32", "1", "body A", Index("body")),

@@ -105,7 +105,9 @@ class Rounds:
         self.launches, self.watch, self.peak, self.halt, self.sweeps = list(launches), watch, peak, halt, sweeps
         self._worlds = slice(first, first + count)
         self._done = aligned_zeros((CACHE_LINE,), np.dtype(np.int64))
-        self._taken: Any = memoryview(self._done)  # type: ignore[arg-type]  # of which a number is read in half the time
+        # of which a number is read and written in half the time
+        self._taken: Any = memoryview(self._done)  # type: ignore[arg-type]
+        self._stopped: Any = memoryview(halt)  # type: ignore[arg-type]
         self._counted = 0
         self._bound_to = 1  # rounds that the bound launch takes
         self._run: Any = None
@@ -134,6 +136,12 @@ class Rounds:
     def compiled(self) -> bool:
         """Whether the launches of a round are made without Python between them, so that no interrupt falls into one."""
         return self._run is not None
+
+    def take_one(self) -> bool:
+        """Take one round, whatever has halted before; whether it halts."""
+        self._stopped[0] = 0
+        self.take(1)
+        return self._stopped[0] != 0
 
     def take(self, rounds: int) -> None:
         """Take so many rounds, or fewer if one halts; ``count`` tells how many, with the one that halts."""

@@ -150,12 +150,9 @@ class Shards:
         """What ``run`` does where there is one short round of one shard: in small worlds all else takes longer."""
         left = self.left = [1]
         self.halted = False
-        only.halt[0] = 0
         try:
-            only.take(1)
+            self.halted = only.take_one()
             left[0] -= only.count()
-            if only.halt[0]:
-                self.halted = True
         except BaseException:
             self._interrupted([only])
             raise

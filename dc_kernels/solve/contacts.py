@@ -375,17 +375,17 @@ class ContactSolver(InPlace):
 
     def _run(self, call: Call, config: SolverConfig | None, given: Sequence[Any] | None) -> None:
         """Take the arrays of a call, run its kernels, and say what they found out of range."""
-        for name, array in zip(PER_CALL, given) if given else ():
-            if array is not None and not stays(array, self._given.get(name), self._at.get(name)):
-                self._take(name, array)
+        if given is not None:
+            for name, array in zip(PER_CALL, given):
+                if array is not None and not stays(array, self._given.get(name), self._at.get(name)):
+                    self._take(name, array)
         if not self._complete:
             self._check_complete()
         if self._moved and recording():
             self._bind_all()
-        if (key := (call, config)) not in self._rounds:
-            self._bind(call, config)
+        rounds = self._rounds.get((call, config)) or self._bind(call, config)
         self._packed = False
-        if self._shards.run(self._rounds[key], 1):
+        if self._shards.run(rounds, 1):
             groups = {name: getattr(self, name) for name in GROUPS_TAKEN}
             raise_fault(
                 groups, self._given, kept=call == "solve kept", positions=self._has_positions, discs=self.discs > 0
@@ -417,7 +417,7 @@ class ContactSolver(InPlace):
         else:
             share_all(self.exchange, {name: array}, writes=WRITTEN)
 
-    def _bind(self, call: Call, config: SolverConfig | None) -> None:
+    def _bind(self, call: Call, config: SolverConfig | None) -> list[Rounds]:
         """Bind the launches of a kind of call with settings of its own."""
         if len(self._rounds) >= SOLVES:
             self._rounds.clear()
@@ -445,4 +445,6 @@ class ContactSolver(InPlace):
             return found
 
         watch, sweeps = Watch(self.state.flags, STOPS, ()), (config or self._config).max_sweeps
-        self._rounds[call, config] = self._shards.rounds(launches, watch, together=False, sweeps=sweeps)
+        bound = self._shards.rounds(launches, watch, together=False, sweeps=sweeps)
+        self._rounds[call, config] = bound
+        return bound

@@ -72,6 +72,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         for c in own_contacts:
             row = make_contact_row(c, w, variant, config, model, state, motion, contacts)
             rows.slot[c] = place(contacts.color[c], row)
+            rows.square[c] = row.square
             squares += row.square
         for j in own_joints:
             row = make_distance_row(j, w, config, model, state, motion, joints)

@@ -161,6 +161,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                         row.most = INFINITY
                     rows.slot[c] = place(w, contacts.color[c], jacobi, row, rows)
                     least = ti.min(least, contacts.gap[c])
+                    rows.square[c] = row.square
                     scale += row.square
                 if ti.static(jointed):
                     for j in range(model.joint_start[w], model.joint_start[w + 1]):

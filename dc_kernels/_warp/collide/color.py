@@ -7,6 +7,7 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import contiguous_groups, group_types
+from dc_kernels._warp.native import native_code
 from dc_kernels.model.enums import BodyType
 from dc_kernels.solve.rows import SERIAL_COLOR
 
@@ -41,6 +42,19 @@ def kernels(dtype: str) -> dict[str, Any]:
     t = group_types(dtype)
     module = kernel_module("color", dtype)
     contiguous = contiguous_groups(dtype)
+
+    @wp.func_native(native_code("collide/count_fresh.h", dtype=dtype, SERIAL=SERIAL_COLOR))
+    def count_fresh(color: wp.array(dtype=wp.int32), i0: wp.int32, i1: wp.int32) -> wp.int32: ...
+
+    @wp.func_native(native_code("collide/color.h", dtype=dtype, SERIAL=SERIAL_COLOR, DYNAMIC=int(BodyType.DYNAMIC)))
+    def color_contacts(
+        body_type: wp.array(dtype=wp.int32),
+        contacts: t.Contacts,
+        taken: wp.array(dtype=wp.uint64),
+        fresh: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+    ): ...
 
     @wp.func(module=module)
     def taken(a: int, b: int, body_type: wp.array(dtype=wp.int32), color_mask: wp.array(dtype=wp.uint64)):
@@ -83,12 +97,9 @@ def kernels(dtype: str) -> dict[str, Any]:
         start = contacts.contact_start[w]
         end = start + contacts.contact_count[w]
         own = rows.row_start[w + 1] - rows.row_start[w]
+        fresh = count_fresh(contacts.color, start, end)
         if model.joint_start[w] == model.joint_start[w + 1] and own == 0:
             # nothing new, nothing to colour
-            fresh = int(0)
-            for c in range(start, end):
-                if contacts.color[c] < 0 or contacts.color[c] == SERIAL:
-                    fresh += 1
             if fresh == 0:
                 return
         for b in range(model.body_start[w], model.body_start[w + 1]):
@@ -105,20 +116,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             free = lowest_free(taken(a, b, model.body_type, rows.color_mask))
             rows.row_color[k] = free
             take(a, b, free, rows.color_mask)
-        for c in range(start, end):
-            kept = contacts.color[c]
-            if kept >= 0 and kept != SERIAL:
-                a = contacts.body_a[c]
-                b = contacts.body_b[c]
-                take(a, b, kept, rows.color_mask)
-        for c in range(start, end):
-            kept = contacts.color[c]
-            if kept < 0 or kept == SERIAL:
-                a = contacts.body_a[c]
-                b = contacts.body_b[c]
-                free = lowest_free(taken(a, b, model.body_type, rows.color_mask))
-                contacts.color[c] = free
-                take(a, b, free, rows.color_mask)
+        color_contacts(model.body_type, contacts, rows.color_mask, fresh, start, end)
 
     @wp.kernel(module=module, enable_backward=False)
     def keep_colors(

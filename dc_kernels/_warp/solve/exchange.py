@@ -11,6 +11,7 @@ from dc_kernels._warp.native import native_code
 from dc_kernels.model.enums import BodyType, Flag
 from dc_kernels.model.rules import INVERSE
 from dc_kernels.solve.exchange import ARM, EXCHANGE, UNIT
+from dc_kernels.solve.rows import LANES
 
 CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
 NONFINITE = wp.constant(int(Flag.NONFINITE))
@@ -46,7 +47,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         b1: wp.int32,
     ) -> wp.int32: ...
 
-    @wp.func_native(native_code("exchange/contacts.h", dtype=dtype, **limits))
+    @wp.func_native(native_code("prelude.h", "exchange/contacts.h", dtype=dtype, LANES=LANES, **limits))
     def look_at_contacts(
         contacts: t.Contacts,
         point: wp.array(dtype=vec2),

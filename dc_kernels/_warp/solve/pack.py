@@ -43,10 +43,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     @wp.func_native(code("store_row"))
     def store_row(columns: wp.array(dtype=real), r: wp.int32, row: Row): ...
 
-    @wp.func_native(native_code("pack/count.h", dtype=dtype, COLORS=COLORS))
-    def count_colors(
-        color: wp.array(dtype=wp.int32), fill: wp.array(dtype=wp.int32), at: wp.int32, i0: wp.int32, i1: wp.int32
-    ): ...
+    @wp.func_native(native_code("pack/lay_out.h", dtype=dtype, COLORS=COLORS, **row_macros(variant)))
+    def lay_out(
+        w: wp.int32, padding_body: wp.int32, model: t.Model, joints: t.Joints, contacts: t.Contacts, rows: t.Rows
+    ) -> wp.int32: ...
 
     @wp.func_native(native_code("pack/count_rows.h", dtype=dtype))
     def count_rows(contacts: t.Contacts, body_rows: wp.array(dtype=wp.int32), i0: wp.int32, i1: wp.int32): ...
@@ -62,44 +62,6 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         i0: wp.int32,
         i1: wp.int32,
     ): ...
-
-    @wp.func(module=module)
-    def lay_out(w: int, padding_body: int, model: t.Model, joints: t.Joints, contacts: t.Contacts, rows: t.Rows):
-        """Blocks of each colour of a world, and empty lanes in its last one; the colours used, -1 without room."""
-        start = contacts.contact_start[w]
-        end = start + contacts.contact_count[w]
-        count = w * N_COLORS
-        for k in range(count, count + N_COLORS):
-            rows.color_fill[k] = 0
-        count_colors(contacts.color, rows.color_fill, count, start, end)
-        if wp.static(jointed):
-            count_colors(joints.joint_color, rows.color_fill, count, model.joint_start[w], model.joint_start[w + 1])
-        if wp.static(own):
-            count_colors(rows.row_color, rows.color_fill, count, rows.row_start[w], rows.row_start[w + 1])
-        used = int(0)
-        first = rows.block_start[w]
-        ends = w * (N_COLORS + 1)
-        block = first
-        for k in range(N_COLORS):
-            rows.color_block[ends + k] = block
-            block += (rows.color_fill[count + k] + N_LANES - 1) / N_LANES
-            if rows.color_fill[count + k] > 0:
-                used = k + 1
-        rows.color_block[ends + N_COLORS] = block
-        rows.block_needed[w] = block - first
-        if block > rows.block_start[w + 1]:
-            return -1
-        # empty lanes of a colour's last block
-        for k in range(used):
-            filled = rows.color_fill[count + k]
-            rows.color_fill[count + k] = 0
-            if filled % N_LANES != 0:
-                last = rows.color_block[ends + k + 1] - 1
-                for i in range(last * width, (last + 1) * width):
-                    rows.column[i] = real(0.0)
-                for i in range(last * 2 * N_LANES, (last + 1) * 2 * N_LANES):
-                    rows.body[i] = padding_body
-        return used
 
     @wp.func(module=module)
     def between(row: Row):

@@ -1,8 +1,8 @@
 // Rows of the contacts of world w, SIDE of a colour side by side; the sum of the squared impulses that would
-// stop each of them alone [(N s)^2]. Empty lanes of a colour's last block are zero and point at the padding body. What
-// a row holds is said in solve/constraints/contact.py. Parameters: config, model, state, motion, contacts,
-// rows, w, padding_body. Macros: those of solve/row.h, BAUMGARTE, OPEN, COLORS. Stands behind prelude.h, predicted.h,
-// solve/bodies.h and side.h.
+// stop each of them alone [(N s)^2], in the order of the contacts. Empty lanes of a colour's last block are zero and
+// point at the padding body. What a row holds is said in solve/constraints/contact.py. Parameters: config, model,
+// state, motion, contacts, rows, w, padding_body. Macros: those of solve/row.h, BAUMGARTE, OPEN, COLORS. Stands behind
+// prelude.h, predicted.h, solve/bodies.h and side.h.
 auto inverse_or_zero = [&](Number x) { return pick(x > 0, (Real)1 / x, zero); };
 const Real* const normals = (const Real*)contacts.normal.data;
 const Real* const arms_a = (const Real*)contacts.arm_a.data;
@@ -15,6 +15,7 @@ const Real* const frictions = contacts.friction.data;
 const Real* const restitutions = contacts.restitution.data;
 const int* const bodies_a = contacts.body_a.data;
 const int* const bodies_b = contacts.body_b.data;
+Real* const square = rows.square.data;
 const Real step = motion.step_dt.data[w], per_step = (Real)1 / step, size = model.length_scale.data[w];
 const Real slop = config.slop * size, limit = config.max_correction * size;
 const Real factor = config.position_factor;
@@ -23,7 +24,7 @@ const auto gravity = model.gravity.data[w];
 const Real pull = wp::sqrt(gravity[0] * gravity[0] + gravity[1] * gravity[1]);
 const Real hardly = config.restitution_threshold * wp::sqrt(pull * size);
 
-// Columns of the rows of SIDE contacts, and their bodies; the squared impulses that would stop each alone.
+// Columns of the rows of SIDE contacts, and their bodies.
 auto fill = [&](const int* c, Real* to, int* between) {
     int a[SIDE], b[SIDE];
     for (int i = 0; i < SIDE; ++i) {
@@ -98,7 +99,9 @@ auto fill = [&](const int* c, Real* to, int* between) {
     store(to + AT_ay, ny);
     store(to + AT_soft, zero);
 #endif
-    return counted * ((en * (un + bias)) * (en * (un + bias)) + (en * ut) * (en * ut));
+    Real alone[SIDE];
+    store(alone, counted * ((en * (un + bias)) * (en * (un + bias)) + (en * ut) * (en * ut)));
+    for (int i = 0; i < SIDE; ++i) square[c[i]] = alone[i];
 };
 
 const int i0 = contacts.contact_start.data[w], i1 = i0 + contacts.contact_count.data[w];
@@ -108,15 +111,13 @@ int* const ends = rows.body.data;
 Real* const columns = rows.column.data;
 const int* const first = rows.color_block.data + (size_t)w * (COLORS + 1);
 int* const filled = rows.color_fill.data + (size_t)w * COLORS;
-Number squares = zero;
 #if defined(__CUDA_ARCH__)
 for (int c = i0; c < i1; ++c) {
     const int k = color[c], row = filled[k]++, block = first[k] + row / LANES, lane = row % LANES;
     const int at = block * 2 * LANES + lane;
     slot[c] = at;
-    squares += fill(&c, columns + (size_t)block * COLUMNS * LANES + lane, ends + at);
+    fill(&c, columns + (size_t)block * COLUMNS * LANES + lane, ends + at);
 }
-return squares;
 #else
 // a block's contacts stand where its bodies A then do, those of CHUNK contacts before the rows of any: while the caches
 // hold them, and without a branch that is guessed wrong once a block
@@ -125,7 +126,7 @@ auto fill_block = [&](int block) {
     int* const between = ends + (size_t)block * 2 * LANES;
     int c[LANES];
     for (int i = 0; i < LANES; ++i) c[i] = between[i];
-    return fill(c, columns + (size_t)block * COLUMNS * LANES, between);
+    fill(c, columns + (size_t)block * COLUMNS * LANES, between);
 };
 int used = 0, done[COLORS] = {};
 for (int begin = i0; begin < i1; begin += CHUNK) {
@@ -138,19 +139,21 @@ for (int begin = i0; begin < i1; begin += CHUNK) {
         used = k > used ? k : used;
     }
     for (int k = 0; k <= used; ++k)
-        for (; done[k] < filled[k] / LANES; ++done[k]) squares += fill_block(first[k] + done[k]);
+        for (; done[k] < filled[k] / LANES; ++done[k]) fill_block(first[k] + done[k]);
 }
+const Vector order = {0, 1, 2, 3, 4, 5, 6, 7};
 for (int k = 0; k <= used; ++k) {
     const int lanes = filled[k] % LANES, block = first[k] + filled[k] / LANES;
     if (lanes == 0) continue;
     int* const between = ends + (size_t)block * 2 * LANES;
     for (int i = lanes; i < LANES; ++i) between[i] = between[0];
-    const Vector square = fill_block(block);
-    for (int i = 0; i < lanes; ++i) squares[i] += square[i];
-    for (int i = lanes; i < LANES; ++i) {
-        for (int n = 0; n < COLUMNS; ++n) columns[((size_t)block * COLUMNS + n) * LANES + i] = 0;
-        between[i] = between[LANES + i] = padding_body;
-    }
+    const auto full = order < (Real)lanes;
+    fill_block(block);
+    Real* const column = columns + (size_t)block * COLUMNS * LANES;
+    for (int n = 0; n < COLUMNS; ++n) store(column + n * LANES, pick(full, load(column + n * LANES), zero));
+    for (int i = lanes; i < LANES; ++i) between[i] = between[LANES + i] = padding_body;
 }
-return total(squares);
 #endif
+Real sum = 0;
+for (int c = i0; c < i1; ++c) sum += square[c];
+return sum;

@@ -1,0 +1,39 @@
+// Blocks of each colour of a world's contacts, joints and own rows, which are given room by `fill`: the colours used,
+// or -1 without room; then no row is of any colour yet. Where rows are made one by one, the empty lanes of a colour's
+// last block are zero and point at the padding body.
+// Parameters: w, padding_body, model, joints, contacts, rows. Macros: those of solve/row.h, COLORS.
+const int i0 = contacts.contact_start.data[w], i1 = i0 + contacts.contact_count.data[w];
+// two counts at a time, as neighbours often have one colour and would wait for each other
+int of[2][COLORS] = {};
+const int* const color = contacts.color.data;
+for (int c = i0; c < i1; ++c) ++of[c & 1][color[c]];
+#if JOINTS
+for (int j = model.joint_start.data[w]; j < model.joint_start.data[w + 1]; ++j) ++of[0][joints.joint_color.data[j]];
+#endif
+#if OWN
+for (int k = rows.row_start.data[w]; k < rows.row_start.data[w + 1]; ++k) ++of[0][rows.row_color.data[k]];
+#endif
+int* const fill = rows.color_fill.data + (size_t)w * COLORS;
+int* const ends = rows.color_block.data + (size_t)w * (COLORS + 1);
+const int first = rows.block_start.data[w];
+int block = first, used = 0;
+for (int k = 0; k < COLORS; ++k) {
+    const int count = of[0][k] + of[1][k];
+    fill[k] = count;
+    ends[k] = block;
+    block += (unsigned)(count + LANES - 1) / LANES;
+    used = count > 0 ? k + 1 : used;
+}
+ends[COLORS] = block;
+rows.block_needed.data[w] = block - first;
+if (block > rows.block_start.data[w + 1]) return -1;
+for (int k = 0; k < used; ++k) fill[k] = 0;
+#if JOINTS || defined(__CUDA_ARCH__)
+for (int k = 0; k < used; ++k) {
+    if ((of[0][k] + of[1][k]) % LANES == 0) continue;
+    const size_t last = ends[k + 1] - 1;
+    for (size_t i = last * COLUMNS * LANES; i < (last + 1) * COLUMNS * LANES; ++i) rows.column.data[i] = 0;
+    for (size_t i = last * 2 * LANES; i < (last + 1) * 2 * LANES; ++i) rows.body.data[i] = padding_body;
+}
+#endif
+return used;
