@@ -2,9 +2,9 @@
 
 A node has LANES children, whose boxes are tested at once (Wald, Benthin and Boulos 2008), and its place follows from
 its number: shapes are sorted along a Morton curve and taken LANES by LANES, so a tree holds no pointers and is made
-anew for less than it costs to mend one. A shape that is cast, or that overlaps, is a point against the Minkowski sum of the
-other shape and its own turned around: both are polygons of at most MAX_VERTICES corners with a radius, and so is the
-sum, whose answers have closed forms.
+anew for less than it costs to mend one. A shape that is cast, or that overlaps, is a point against the Minkowski sum
+of the other shape and its own turned around: both are polygons of at most MAX_VERTICES corners with a radius, and so is
+the sum, whose answers have closed forms.
 """
 
 from functools import cache
