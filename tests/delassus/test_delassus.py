@@ -430,7 +430,7 @@ def test_out_of_turn():
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 def test_refine_takes_a_solve_further(dtype):
-    sims = [simulated(scenes.Stack(bodies=12), 3, dtype, max_sweeps=20, history=True) for _ in range(2)]
+    sims = [simulated(scenes.Stack(bodies=12), 3, dtype, stop="change", max_sweeps=20, history=True) for _ in range(2)]
     for sim in sims:
         sim.solve()
     before = float(sims[0].stats.numpy("residual")[0])

@@ -188,7 +188,9 @@ def test_the_network_in_bfloat16_answers_nearly_the_same():
     assert max(manifest["seeds"]) <= TUNING_SEED and manifest["commit"] and manifest["metrics"]
     sweeps = []
     for bfloat16 in (False, True):
-        sim = RunOptions(worlds=3, seed=3).simulation(Thesis(bodies=40), dc.SolverConfig(acceleration="aitken"))
+        sim = RunOptions(worlds=3, seed=3).simulation(
+            Thesis(bodies=40), dc.SolverConfig.preset("accurate", acceleration="aitken")
+        )
         sim.run(110, 0.01)
         sim.collide(0.01)
         solve = LearnedSolve(sim, model, bfloat16=bfloat16)
