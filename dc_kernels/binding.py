@@ -10,7 +10,7 @@ import numpy as np
 from dc_kernels.model.arrays import ArrayGroup, Model, uniform
 from dc_kernels.model.config import CONFIG, SolverConfig
 from dc_kernels.model.fields import LAUNCH
-from dc_kernels.runtime.backends import Launch, bind, kernel_file
+from dc_kernels.runtime.backends import Launch, bind, kernel_file, on_numpy
 from dc_kernels.solve.integrate import PADDING
 from dc_kernels.solve.iteration import NEVER
 
@@ -38,11 +38,12 @@ class Binding:
             kernels: of the backend, by name.
             model: of the simulation.
             ranges: first world and number of worlds of each shard.
-            cut: an int32 that ends all sweeping on the CPU when it is not 0.
+            cut: int32, of which the first ends all sweeping on the CPU when it is not 0.
             threads: of a launch, where its backend has threads of its own.
         """
         self.kernels, self.ranges = kernels, list(ranges)
         self.model, self._cut, self._threads = model, cut, threads
+        self._cut_address = cut.ctypes.data if model.device == "cpu" else 0
         self._groups = kernel_file(self.model.backend, "groups")
         self.values: dict[str, Any] = {}
         self._settings: dict[str, Any] = {}
@@ -87,7 +88,7 @@ class Binding:
             "past_step": 0 if in_turn else width,
             "resume": 0,
             "pause": NEVER,
-            "cut": self._cut.ctypes.data if self.model.device == "cpu" else 0,
+            "cut": self._cut if on_numpy(self.model.backend) else self._cut_address,
             **{name: value for name, value in changed.items() if name in LAUNCH},
         }
         values = {**self.values, "launch": self._scalars("launch", launch)}

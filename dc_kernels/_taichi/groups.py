@@ -17,7 +17,7 @@ from dc_kernels._taichi.common import integer_types, scalar_types
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels.model.config import CONFIG
 from dc_kernels.model.dtypes import FLOATS, aligned_zeros, numpy_spec, struct_dtype
-from dc_kernels.model.fields import CONTACTS, GROUPS, ITERATION, LAUNCH, ROW, SPAN, Field
+from dc_kernels.model.fields import CONTACTS, GROUPS, ITERATION, LAUNCH, ROW, SPAN, Field, field_table
 
 # what the narrowphase finds of a contact; the rest is matched with the step before
 _FOUND = ("key", "body_a", "body_b", "normal", "arm_a", "arm_b", "gap", "friction", "restitution")
@@ -27,6 +27,8 @@ LANED = {"rows": ("column", "body", "impulse", "change", "before", "direction", 
 LANES = 8
 WIDE = {"points": ("place",)}
 """Vectors that may be the first numbers of longer rows, and lie at any address: one more axis; by the group's name."""
+LAUNCHES = LAUNCH | field_table(("cut", "cut word", "int32", "1", "what ``runtime.signals`` names the words of"))
+"""Numbers of a launch, and the memory that ends its sweeping."""
 VECTORS = (2, 4, 8)  # lengths of vectors that lie in memory as Taichi loads them; others are one more axis
 
 
@@ -113,10 +115,10 @@ def group_types(dtype: str) -> SimpleNamespace:
     """Types of a scalar's kernels: ``real``, ``vec2``, ``vec4``, those of the groups, and structs of numbers.
 
     The groups are ``Model``, ``State``, ``Joints``, ``Contacts``, ``Cache``, ``Pairs``, ``Rows``, ``Motion`` and
-    ``Stats`` with an array for each field, and ``Config`` and ``Launch`` with numbers; the structs ``Contact``,
-    ``Row``, ``Span`` and ``Iteration``.
+    ``Stats`` with an array for each field, and ``Config`` and ``Launch`` with numbers and the array ``launch.cut``; the
+    structs ``Contact``, ``Row``, ``Span`` and ``Iteration``.
     """
-    groups = {"config": CONFIG, "launch": LAUNCH, **GROUPS}
+    groups = {"config": CONFIG, "launch": LAUNCHES, **GROUPS}
     types = {name.capitalize(): struct_type(name, dtype, table) for name, table in groups.items()}
     types |= {name.capitalize(): element_type(dtype, name) for name in ("contact", "row", "span", "iteration")}
     return SimpleNamespace(**vars(scalar_types(dtype)), **types)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from dc_kernels.model.dtypes import aligned_zeros
-from dc_kernels.runtime.backends import BACKENDS, Launch
+from dc_kernels.runtime.backends import BACKENDS, Launch, kernel_file
 from dc_kernels.runtime.capture import recording
 from dc_kernels.runtime.sequences import CACHE_LINE, PoolRounds, Rounds, Watch, in_turn
 from dc_kernels.runtime.threads import in_main_thread, run_apart, run_together, uninterrupted
@@ -20,6 +20,7 @@ AT_ONCE = 20_000  # bodies times rounds between two looks for an interrupt: 10 t
 SWEPT = 10_000_000  # bodies times sweeps between two looks, if no solve converges: 0.1 to 0.6 s
 APART = 4  # looks that a shard may be ahead of another: what an interrupt leaves to be leveled takes that long
 GRACE = 0.5  # that an interrupted round has to end by itself, before its sweeps are cut short [s]
+ROWS_PER_SECOND = 100_000_000  # that a thread sweeps at least, for ``GRACE`` where a launch has no clock
 WORTH_THREADS = 1_000  # bodies times rounds from which a second thread gains: to hand work over takes 80 us
 INT = np.dtype(np.int32)
 
@@ -267,6 +268,8 @@ class PoolShards(Shards):
         """Divide so many worlds with so many bodies in all."""
         super().__init__(worlds, bodies, 1)
         self._parallel, self._backend = threads > 1, backend
+        self._signals = kernel_file(backend, "runtime.signals")
+        self.cut_flag = aligned_zeros((self._signals.WORDS,), INT)  # with what tells a launch of an interrupt
         count = min(SHARDS_PER_THREAD * threads, worlds) if self._parallel else 1
         self._starts = np.linspace(0, worlds, count + 1).astype(INT)
         self.peak = aligned_zeros((count + 1, CACHE_LINE), INT)
@@ -292,6 +295,16 @@ class PoolShards(Shards):
 
     def run(self, rounds: Sequence[Rounds], count: int | Sequence[int]) -> bool:
         """Take rounds until none is left or one halts (see ``Shards.run``)."""
+        if self.bodies * rounds[0].sweeps <= SWEPT or recording():
+            return self._take_all(rounds, count)
+        try:
+            with self._signals.signals_in(self.cut_flag, round(GRACE * ROWS_PER_SECOND)):
+                return self._take_all(rounds, count)
+        finally:
+            self.disturbed |= bool(self.cut_flag[0])
+
+    def _take_all(self, rounds: Sequence[Rounds], count: int | Sequence[int]) -> bool:
+        """Take rounds until none is left or one halts."""
         only = rounds[0]
         if not isinstance(only, PoolRounds) or recording():
             return super().run(rounds, count)

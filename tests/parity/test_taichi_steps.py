@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import time
 from typing import Any
@@ -10,7 +11,9 @@ import numpy as np
 import pytest
 
 import dc_kernels as dc
+from dc_kernels.runtime import stepping
 from dc_kernels.runtime.sequences import PoolRounds
+from tests.interrupting import interrupted
 from tests.parity.scenes import discs
 
 pytest.importorskip("dc_kernels._taichi.runtime.compiler", exc_type=ImportError)
@@ -52,6 +55,7 @@ def test_a_run_has_the_bits_of_warp(taichi: dc.Simulation) -> None:
     warp.run(150, DT)
     assert_same(taichi, warp)
     assert isinstance(taichi._phase_rounds("step")[0], PoolRounds)
+    assert taichi.storage.solver.at_once == 7  # a world of its own in rows.past for each that may be in flight
     used = [{key: room["used"] for key, room in sim.capacity().items()} for sim in (taichi, warp)]
     assert used[0] == used[1]
     for sim in (taichi, warp):
@@ -85,3 +89,35 @@ def test_an_interrupt_leaves_all_worlds_at_one_time(taichi: dc.Simulation) -> No
     taichi.run(2, DT)
     warp.run(2, DT)
     assert_same(taichi, warp)
+
+
+def test_an_interrupt_ends_a_step_of_endless_sweeps(taichi: dc.Simulation) -> None:
+    """A launch holds the interpreter's lock; all worlds are then at one time, with what impulses were found."""
+    taichi.reset()
+    taichi.run(20, DT)
+    settings, before = taichi.config, taichi.state.numpy("time").copy()
+    taichi.config = dc.SolverConfig(min_sweeps=2**31 - 1, max_sweeps=2**31 - 1)
+    with interrupted():
+        taichi.run(1000, DT)
+    moved = taichi.state.numpy("time") - before
+    assert moved.min() == moved.max() == pytest.approx(DT)
+    assert taichi.running.sum() == 6 and np.isfinite(taichi.state.numpy("position")).all()
+    taichi.config = settings
+    taichi.run(2, DT)  # nothing is left of the interrupt
+    assert not taichi.running.any()
+
+
+def test_a_step_that_ends_in_time_is_whole(taichi: dc.Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stepping, "GRACE", 10.0)
+    config, found = dc.SolverConfig(min_sweeps=100_000, max_sweeps=1_000_000), []
+    for stop in (contextlib.nullcontext(), interrupted()):
+        taichi.reset()
+        taichi.config = dc.SolverConfig(max_sweeps=30)
+        taichi.run(20, DT)
+        taichi.config = config
+        with stop:
+            taichi.run(1, DT)
+            time.sleep(0.0 if isinstance(stop, contextlib.nullcontext) else 5.0)  # the interrupt came too late
+        found.append([taichi.state.numpy(name).tobytes() for name in ("position", "velocity", "time")])
+        assert taichi.stats.numpy("sweeps").max() >= 100_000
+    assert found[0] == found[1]

@@ -12,6 +12,7 @@ import dc_kernels as dc
 from dc_kernels import delassus
 from dc_kernels.model.config import ACCELERATIONS
 from tests import backends
+from tests.interrupting import interrupted
 
 DT = 0.01
 
@@ -456,6 +457,23 @@ def test_a_tensor_may_have_other_memory_at_each_call():
         velocity.data = torch.tensor([[0.0, 0.0], [0.0, -speed]])
         solver.solve(DT, velocity, spin)
         np.testing.assert_allclose(velocity.numpy(), 0.0, atol=1e-6)
+
+
+@backends.NEEDS_TAICHI
+def test_taichi_has_no_delassus_problem_and_names_who_has():
+    with pytest.raises(ValueError, match=r"backend is 'taichi', .* it must be one of \('warp', 'numpy'\)"):
+        delassus.from_solver(dc.ContactSolver(**drop(), backend="taichi"), DT)
+
+
+@backends.NEEDS_TAICHI
+def test_taichi_ends_a_solve_of_endless_sweeps_where_it_is_interrupted():
+    given = drop("float32")
+    solver = dc.ContactSolver(**given, backend="taichi")
+    solver.solve(DT)
+    endless = dc.SolverConfig(min_sweeps=2**31 - 1, max_sweeps=2**31 - 1)
+    with interrupted():
+        solver.solve(DT, config=endless)
+    assert solver.solve(DT).numpy("sweeps")[0] < 1000
 
 
 def test_impulses_of_its_own_warm_start_the_next_call():

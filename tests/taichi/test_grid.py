@@ -1,5 +1,6 @@
 """Splat, gather, images and their derivatives by Taichi's kernels: the bits of Warp's, on the caller's memory."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS
 from dc_kernels.grid.gather import gather_kernel
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.image_spec import ImageSpec
+from dc_kernels.grid.images import Images
 from dc_kernels.grid.scene import Scene, SceneSplat
 from dc_kernels.grid.stencil import BILINEAR, POLY6, Stencil
 from dc_kernels.model.arrays import to_numpy
@@ -221,3 +223,22 @@ def test_images_of_bodies_and_contacts_have_the_bits_of_warp(dtype: str) -> None
         found[backend] = [memory.tobytes(), stage.missed_bodies.tobytes(), stage.missed_contacts.tobytes(), points]
         assert memory[0, : len(BODY_CHANNELS)].any(axis=(1, 2)).all()
     assert found["warp"] == found["taichi"]
+
+
+def test_images_of_a_simulation_and_the_way_back_have_the_bits_of_warp(tmp_path: Path) -> None:
+    settled = pile("float32")
+    settled.solve()
+    settled.advance()
+    settled.save(tmp_path / "pile.h5")
+    spec = ImageSpec(Grid(rows=16, columns=20, spacing=0.25, origin=(-0.4, -0.4)), bins=3, area=True, walls=100.0)
+    found = []
+    for backend in BACKENDS:
+        sim = dc.Simulation.load(tmp_path / "pile.h5", backend=backend)
+        images = Images(sim, spec)
+        images.splat()
+        label = images.impulse_image()
+        sim.contacts.numpy("impulse")[...] = 0.0
+        images.start_from(label)
+        assert sim.contacts.numpy("impulse").any()
+        found.append([images.numpy().tobytes(), to_numpy(label).tobytes(), sim.contacts.numpy("impulse").tobytes()])
+    assert found[0] == found[1]

@@ -5,6 +5,7 @@ from typing import Any
 
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
+from dc_kernels._taichi.runtime.interrupts import is_cut
 from dc_kernels._taichi.runtime.kernels import kernel
 from dc_kernels._taichi.solve.lanes import lane_functions
 from dc_kernels._taichi.solve.row import row_functions
@@ -55,5 +56,7 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
             for k in range(serial * LANES, last * LANES):
                 pushed = ti.max(pushed, push_row(k // LANES, k % LANES, rows, motion.displacement, factor, limit))
             iteration += 1
+            if is_cut((last - first) * LANES, launch.cut):
+                pushed = 0.0
 
     return {"correct_positions": correct_positions}

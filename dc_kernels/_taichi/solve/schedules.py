@@ -2,8 +2,6 @@
 
 ``solve_world`` runs a world's whole solve in one thread. The other kernels are that solve cut at the colours:
 ``begin``, then for each sweep ``before_sweep``, ``sweep_color`` colour by colour, ``after_sweep``, and ``finish``.
-
-A launch holds Python's lock, so that no interrupt could set ``launch.cut`` while it runs: nothing looks at it.
 """
 
 from functools import cache
@@ -12,6 +10,7 @@ from typing import Any
 from dc_kernels._taichi.elements import element_functions
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
+from dc_kernels._taichi.runtime.interrupts import is_cut
 from dc_kernels._taichi.runtime.kernels import kernel
 from dc_kernels._taichi.solve.accelerate import accelerate_functions, aitken, nncg
 from dc_kernels._taichi.solve.iteration import GOES_ON, PAUSES, iteration_functions
@@ -58,7 +57,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     ):
         """The solve of a world, to its end or to a pause after some ``pause`` sweeps; ``resume`` goes on from there.
 
-        Without ``replaced`` a solve that pauses ends with the bits of one that does not.
+        Without ``replaced`` a solve that pauses ends with the bits of one that does not. One that ``cut`` ends after
+        the sweep that it is in stays unfinished.
         """
         w = tid + launch.world_offset
         it = load(stats.iteration, w)
@@ -97,6 +97,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                     prepare_sweep(span, config, motion)
                     largest = sweep(span, config, omega, motion, rows)
                     done, what = conclude_sweep(span, largest, config, motion, rows, stats, it)
+                    if is_cut((span.last - span.first) * LANES, launch.cut):
+                        done = PAUSES
                 else:
                     sweeping = 0
             report(span, motion, rows, stats, it)
