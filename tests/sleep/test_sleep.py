@@ -471,3 +471,28 @@ def test_the_oracle_falls_asleep_and_wakes_alike():
             assert asleep_in(sim) == expected
             sim.state.numpy("velocity")[list(LINKED)] = (0.0, 1.0)
     np.testing.assert_allclose(*(sim.state.numpy("position") for sim in sims), atol=1e-9)
+
+
+def test_scenes_of_discs_pass_over_pairs_of_sleepers():
+    """Their pairs are looked at side by side; a sleeping pile is in no row while another one is solved."""
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    pits = [(-9, 6), (-9, 0), (-6, 0), (-6, 6), (6, 6), (6, 0), (9, 0), (9, 6)]
+    builder.add_chain(builder.add_body(type=dc.BodyType.STATIC), pits)
+    pile = [(0.52, 0.5), (1.5, 0.5), (2.48, 0.5), (1.0, 1.4), (2.0, 1.4)]
+    discs = builder.add_discs([(first + x, y) for first in (-9.0, 6.0) for x, y in pile], 0.5)
+    sim = dc.Simulation(*builder.finalize(), config=SLEEP_CONFIG)
+    sim.run(400, DT)
+    assert asleep_in(sim) == set(discs)
+    left = sorted(b for b in discs if sim.state.numpy("position")[b, 0] < 0)
+    right = sorted(set(discs) - set(left))
+    before, kept, every = state_bits(sim, left), contacts_of(sim, left), len(contacts_of(sim))
+    sim.state.numpy("velocity")[right] = (0.0, 0.5)
+    sim.collide(DT)
+    assert not set(contacts_of(sim)) & set(kept) and len(contacts_of(sim)) < every
+    sim.solve()
+    sim.advance()
+    sim.run(9, DT)
+    assert set(left) == asleep_in(sim)
+    assert state_bits(sim, left) == before
+    assert contacts_of(sim, left) == kept
