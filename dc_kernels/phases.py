@@ -66,7 +66,10 @@ class Phases:
         self, phases: tuple[Phase, ...], changed: Mapping[str, Any] | None = None, together: bool = False
     ) -> list[Rounds]:
         def bind(first: int, count: int) -> list[Launch]:
-            return [launch for phase in phases for launch in self._phase_launches(phase, first, count, changed)]
+            parts = [self._phase_launches(phase, first, count, changed) for phase in phases]
+            if self._config.sleep:  # a step enters and leaves its worlds once
+                parts = [part[k > 0 : len(part) - (k + 1 < len(parts))] for k, part in enumerate(parts)]
+            return [launch for part in parts for launch in part]
 
         # only collide runs out of room; to look costs a GPU copies for which the host waits
         watch = self._watch if "collide" in phases else self._watch._replace(stop_at=0, used=())
