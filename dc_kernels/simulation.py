@@ -188,6 +188,10 @@ class Simulation(Driven):
         self._rounds.clear()
         self._solves.clear()
         self._reset = None
+        self._shards.idle = None
+        if config.sleep and self.device == "cpu":
+            dormant = self.sleepers.numpy("dormant")
+            self._shards.idle = lambda: bool(dormant.all())
         # a view is kept: making one takes longer than a small world's kernels
         self._flags = self.state.numpy("flags")
         used = (self.pairs.near_count, self.contacts.contact_count, self.rows.block_needed)

@@ -37,6 +37,7 @@ class Shards:
         halted: whether one of the rounds taken last halted.
         disturbed: whether the rounds taken last were interrupted or cut short.
         cut_flag: an int32 that kernels look at after each sweep: not 0 once an interrupt has cut sweeps short.
+        idle: tells whether no world does anything until something is written to it; None: each may.
     """
 
     def __init__(self, worlds: int, bodies: int, threads: int) -> None:
@@ -55,6 +56,7 @@ class Shards:
         self._busy: set[int] = set()
         self._stop = False
         self.disturbed = False
+        self.idle: Callable[[], bool] | None = None
         self._timer: threading.Timer | None = None
 
     def _at_once(self, rounds: Rounds) -> int:
@@ -126,7 +128,8 @@ class Shards:
             one.halt[0] = 0
         self._calm()
         try:
-            if self.bodies * whole.sweeps > SWEPT and whole.compiled and in_main_thread():
+            apart = self.bodies * whole.sweeps > SWEPT and whole.compiled and in_main_thread()
+            if apart and not (longest == 1 and self._is_idle()):  # to start a thread takes longer than an idle step
                 run_apart(lambda: self._run(rounds, longest), self._interrupt)
             else:
                 self._run(rounds, longest)
@@ -134,6 +137,9 @@ class Shards:
             self._interrupted(rounds)
             raise
         return self.halted
+
+    def _is_idle(self) -> bool:
+        return self.idle is not None and self.idle()
 
     def once(self, launches: Sequence[Launch], first: int, count: int, watch: Watch) -> None:
         """Take one round over so many worlds from a first one, as their launches and ``watch`` say."""
@@ -193,6 +199,9 @@ class Shards:
                 whole.take(min(longest, at_once))
                 longest -= whole.count()
                 self.left = [longest] * n
+                if self._is_idle():
+                    # what is written between two calls was seen in the first round, and a world takes 0.5 us
+                    at_once = max(at_once, AT_ONCE // sum(count for _, count in self.ranges))
             self.halted = bool(whole.halt[0])
             return
         else:
