@@ -83,7 +83,9 @@ class Twin:
             for field, want in getattr(sim, key).views().items():
                 if field in SCRATCH:
                     continue
-                got, want = (in_use(field, array, sim.pairs) for array in (getattr(copy, field), want))
+                got, want = (
+                    in_use(field, array, getattr(sim, "pairs", None)) for array in (getattr(copy, field), want)
+                )
                 if (key, field) == ("rows", "body"):  # each thread has a padding body, one behind the other
                     got = np.minimum(got, values["launch"].padding_body)
                 assert got.tobytes() == want.tobytes(), f"{name}: {key}.{field}: {difference(got, want)}"
@@ -201,6 +203,11 @@ def test_contacts_of_a_stage_have_the_bits_of_warp(dtype: str) -> None:
         ]
         start = np.cumsum([0, *(len(rows) for rows in every)])
         pairs = np.concatenate(every).astype(np.int32)[:, ::-1]  # taken in either order
+        body = model.numpy("shape_body")
+        # parts of a body do not meet: the segments of a chain share corners, whose distance of 0 has no one normal
+        apart = body[pairs[:, 0]] != body[pairs[:, 1]]
+        start = np.concatenate([[0], np.cumsum(apart)])[start]
+        pairs = pairs[apart]
         narrowphase = dc.Narrowphase(model, *place, np.ascontiguousarray(pairs), pair_start=start, threads=2)
         narrowphase()  # grows
         found[backend] = {name: narrowphase.numpy(name) for name in (*FOUND, "point")}

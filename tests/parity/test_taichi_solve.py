@@ -139,7 +139,7 @@ def test_a_method_that_grows_without_end_is_left_with_the_bits_of_warp() -> None
         turns = np.arange(6) * np.pi / 3
         builder.add_polygon(hexagon, 0.3 * np.stack((np.cos(turns), np.sin(turns)), axis=1))
 
-    sim = simulation(far_hit, "float32", "warp")
+    sim = simulation(far_hit, "float32", "warp", config=dc.SolverConfig.preset("accurate"))
     sim.collide(1 / 60)
     Twin(sim).run("solve_world")
     assert (sim.stats.numpy("iteration")["rate"] <= -1e9).any()

@@ -187,7 +187,8 @@ def test_it_leaves_a_method_that_grows_without_end(x, y, angle, speed, bound, ba
     hexagon = builder.add_body((x, y), angle=angle, velocity=(speed, 0.0))
     turns = np.arange(6) * np.pi / 3
     builder.add_polygon(hexagon, 0.3 * np.stack((np.cos(turns), np.sin(turns)), axis=1))
-    sim = dc.Simulation(*builder.finalize(backend=backend), config=dc.SolverConfig(history=True))
+    config = replace(dc.SolverConfig.preset("accurate"), history=True)
+    sim = dc.Simulation(*builder.finalize(backend=backend), config=config)
     sim.run(1, 1 / 60)
     it = sim.stats.numpy("iteration")
     assert (it["rate"] <= -1e9).any()  # one was left
