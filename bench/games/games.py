@@ -6,6 +6,7 @@ settles by itself first. Rounds of steps are timed in turn.
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import statistics
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +22,7 @@ from bench.games import program
 from bench.games.engines import PEERS, Engine, Foreign, Handed, Ours, Peer
 from bench.games.rows import ROWS, Row, hand_over
 from bench.peers.gauge import Gauge
+from dc_kernels.model.config import PRESETS
 from dc_kernels.model.enums import BodyType
 
 SUMMARY = "steps of piles, impacts, pyramids, a tumbler and small worlds, beside pymunk, pybox2d and a program of yours"
@@ -31,10 +33,10 @@ THREADS = 1
 ROUNDS, ROUNDS_QUICK = 7, 3
 SHARE_STEPS = 10  # steps whose stages are timed one by one
 CONFIGS: Mapping[str, Callable[[], dc.SolverConfig]] = {
-    "default": dc.SolverConfig,
+    **{name: functools.partial(dc.SolverConfig.preset, name) for name in PRESETS},
     "sweeps_10": lambda: dc.SolverConfig(max_sweeps=10, acceleration="none"),
 }
-"""Settings of ours by name."""
+"""Settings of ours by name: the presets, and ten sweeps without acceleration."""
 FOREIGN = "peer"
 
 
