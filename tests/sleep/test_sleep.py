@@ -192,6 +192,28 @@ def test_a_tower_whose_support_is_removed_falls(at_rest):
     np.testing.assert_allclose(sim.state.numpy("position")[list(ON_SHELF), 1], (0.5, 1.5), atol=0.01)
 
 
+def test_what_lay_on_a_body_that_is_put_elsewhere_falls(at_rest):
+    sim = at_rest.clone()
+    sim.state.numpy("position")[ON_SHELF[0]] = (0.0, 9.0)
+    sim.run(30, DT)
+    assert sim.state.numpy("position")[ON_SHELF[1], 1] < 3.4
+
+
+def test_what_hangs_from_a_body_that_is_put_elsewhere_wakes():
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    hook = builder.add_body((0.0, 5.0), type=dc.BodyType.STATIC)
+    bob = builder.add_body((0.0, 3.0))
+    builder.add_disc(bob, 0.5)
+    builder.add_distance_joint(hook, bob)
+    sim = dc.Simulation(*builder.finalize(), config=SLEEP_CONFIG)
+    sim.run(100, DT)
+    assert asleep_in(sim) == {bob}
+    sim.state.numpy("position")[hook] = (1.0, 5.0)
+    sim.run(30, DT)
+    assert sim.state.numpy("position")[bob, 0] > 0.01
+
+
 def test_a_moving_platform_keeps_what_it_carries_awake():
     sim = simulation()
     sim.state.numpy("velocity")[PLATFORM] = (0.0, 0.005)

@@ -53,6 +53,8 @@ def notice_writes(tid: int, launch: Any, model: Any, state: Any, joints: Any, co
         elif sleepers.asleep[b] != Rest.AWAKE:
             pushed = state.velocity[b].any() or state.angular_velocity[b] != 0
             pushed |= is_other(b, ("position", "angle", "force", "torque"), state, sleepers)
+            if is_other(b, ("position", "angle"), state, sleepers):
+                moved.add(b)
             if falls or pushed or sleepers.asleep[b] == Rest.ROUSED:
                 sleepers.asleep[b] = Rest.ROUSED
                 disturbed = True
@@ -63,10 +65,11 @@ def notice_writes(tid: int, launch: Any, model: Any, state: Any, joints: Any, co
                 sleepers.asleep[body] = Rest.ROUSED
     sleepers.gravity[w] = model.gravity[w]
     start = contacts.contact_start[w]
-    for c in range(start, start + sleepers.count[w]):
-        a, b = sleepers.body_a[c], sleepers.body_b[c]
+    links = [(sleepers.body_a[c], sleepers.body_b[c]) for c in range(start, start + sleepers.count[w])]
+    links += [(joints.joint_body_a[j], joints.joint_body_b[j]) for j in joints_of(w, model)]
+    for a, b in links if moved else []:
         for support, body in ((a, b), (b, a)):
-            if support in moved and sleeps(body, model, sleepers):
+            if sleepers.asleep[support] == Rest.ROUSED and sleeps(body, model, sleepers):
                 sleepers.asleep[body] = Rest.ROUSED
     if disturbed or moved:
         sleepers.dormant[w] = 0

@@ -68,6 +68,12 @@ def kernels(dtype: str) -> dict[str, Any]:
                 sleepers.rest_time[b] = real(0.0)
                 sleepers.sleeping[w] = sleepers.sleeping[w] - 1
 
+    @wp.func(module=module)
+    def pass_on(a: int, b: int, model: t.Model, sleepers: t.Sleepers):
+        """Rouse a body that sleeps on, or is joined to, one that is roused."""
+        if sleepers.asleep[a] == ROUSED and sleeps(b, model, sleepers):
+            sleepers.asleep[b] = ROUSED
+
     @wp.kernel(module=module, enable_backward=False)
     def notice_writes(
         launch: t.Launch,
@@ -109,7 +115,10 @@ def kernels(dtype: str) -> dict[str, Any]:
             elif sleepers.asleep[b] != AWAKE:
                 pushed = v[0] != real(0.0) or v[1] != real(0.0) or state.angular_velocity[b] != real(0.0)
                 pushed = pushed or differ(sleepers.force[b], state.force[b]) or sleepers.torque[b] != state.torque[b]
-                if falls or pushed or is_other_place(b, state, sleepers) or sleepers.asleep[b] == ROUSED:
+                if is_other_place(b, state, sleepers):
+                    moved += 1
+                    pushed = True
+                if falls or pushed or sleepers.asleep[b] == ROUSED:
                     sleepers.asleep[b] = ROUSED
                     woken += 1
         if changed > 0:
@@ -124,15 +133,16 @@ def kernels(dtype: str) -> dict[str, Any]:
                         sleepers.asleep[b] = ROUSED
         sleepers.gravity[w] = model.gravity[w]
         if moved > 0:
-            # what it carried wakes; what it touches now is met by the narrowphase
+            # what it carried, or held by a joint, wakes; what it touches now is met by the narrowphase
             start = contacts.contact_start[w]
             for c in range(start, start + sleepers.count[w]):
                 a = sleepers.body_a[c]
                 b = sleepers.body_b[c]
-                if sleepers.asleep[a] == ROUSED and model.body_type[a] != DYNAMIC and sleeps(b, model, sleepers):
-                    sleepers.asleep[b] = ROUSED
-                if sleepers.asleep[b] == ROUSED and model.body_type[b] != DYNAMIC and sleeps(a, model, sleepers):
-                    sleepers.asleep[a] = ROUSED
+                pass_on(a, b, model, sleepers)
+                pass_on(b, a, model, sleepers)
+            for j in range(model.joint_start[w], model.joint_start[w + 1]):
+                pass_on(joints.joint_body_a[j], joints.joint_body_b[j], model, sleepers)
+                pass_on(joints.joint_body_b[j], joints.joint_body_a[j], model, sleepers)
         if woken + moved + changed > 0:
             sleepers.dormant[w] = 0
 
