@@ -140,4 +140,11 @@ def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype
     if array.dtype == dtype:
         return np.ascontiguousarray(array)
     with np.errstate(over="ignore"):
-        return np.ascontiguousarray(array, dtype=dtype)
+        kept = np.ascontiguousarray(array, dtype=dtype)
+    if finite and dtype.kind == "f" and not np.isfinite(kept).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(kept))[0])
+        place = f"[{', '.join(map(str, index))}]" if index else ""
+        raise ValueError(
+            f"{name}{place} is {array[index]}; it must be within {np.finfo(dtype).max:g} of zero, as {dtype}"
+        )
+    return kept

@@ -27,6 +27,7 @@ SLICE = 2**18  # queries between which an interrupt arrives: some tenths of a se
 POINT = np.zeros((1, 2))
 BOX = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
 MAX_FOUND = 2**31 - 1
+SHORT = 1e-5  # of its size: a side as short as float32 tells
 
 
 @dataclass(frozen=True)
@@ -279,7 +280,7 @@ class Queries(InPlace):
         place = numeric(name, place, "numbers of shape (n, 2)")
         if place.ndim != 2 or place.shape[1] != 2:
             raise ValueError(f"{name} has shape {place.shape}; it must be (n, 2)")
-        place = check_values(name, place, place.shape, self.dtype)
+        place = self._within(name, check_values(name, place, place.shape, self.dtype))
         n, query = len(place), {"place": place}
         if world is not None:
             query["world"] = check_index("world", self._each("world", world, n, np.int32), self.shapes.worlds)
@@ -289,8 +290,17 @@ class Queries(InPlace):
             query["mask"] = self._each("mask", mask, n, np.uint32)
         if skip_body is not None:
             query["skip"] = self._each("skip_body", skip_body, n, np.int32)
-            check_index("skip_body", query["skip"] + 1, self.shapes.bodies + 1)
+            check_index("skip_body", np.where(query["skip"] == -1, 0, query["skip"]), max(self.shapes.bodies, 1))
         return query
+
+    def _within(self, name: str, vectors: np.ndarray) -> np.ndarray:
+        """Vectors, (n, 2), whose squares the dtype holds."""
+        most = float(np.sqrt(np.finfo(self.dtype).max)) / 16
+        bad = np.argwhere(np.abs(vectors) > most)
+        if len(bad):
+            i, k = (int(n) for n in bad[0])
+            raise ValueError(f"{name}[{i}, {k}] is {vectors[i, k]}; it must be within {most:g} of zero [m]")
+        return vectors
 
     def _each(self, name: str, values: Any, n: int, dtype: Any = None, inner: tuple[int, ...] = ()) -> np.ndarray:
         """A value for each query, of one for each or of one for all."""
@@ -308,7 +318,8 @@ class Queries(InPlace):
         return {"rotation": np.stack([np.cos(angles), np.sin(angles)], axis=1)}
 
     def _cast(self, corners: np.ndarray, radius: float, translation: Any, query: dict[str, np.ndarray]) -> Hits:
-        query["translation"] = self._each("translation", translation, len(query["place"]), inner=(2,))
+        translations = self._each("translation", translation, len(query["place"]), inner=(2,))
+        query["translation"] = self._within("translation", translations)
         return Hits(**self._answer("cast_shapes", corners, radius, query))
 
     def _answer(self, name: str, corners: np.ndarray, radius: float, query: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -396,7 +407,11 @@ def _probe(vertices: Any, radius: Any) -> tuple[np.ndarray, float]:
     if vertices is None:
         return POINT, radius
     corners = points(vertices, "vertices", 1, MAX_VERTICES)
-    return (convex_polygon(corners) if len(corners) > 2 else corners), radius
+    if len(corners) > 2:
+        return convex_polygon(corners), radius
+    if np.ptp(corners, axis=0).max() <= SHORT * max(radius, np.abs(corners).max()):
+        corners = corners.mean(axis=0, keepdims=True)  # a capsule so short is a disc
+    return corners, radius
 
 
 def _allocate(table: Mapping[str, Any], sizes: Mapping[str, int], dtype: np.dtype) -> dict[str, np.ndarray]:

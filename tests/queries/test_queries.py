@@ -174,6 +174,16 @@ def test_of_equals_the_first_shape_is_met():
     assert asking.overlap_points([(0.0, 0.0)]).index.tolist() == list(range(40))
 
 
+def test_a_capsule_without_length_is_a_disc_and_far_rays_have_unit_normals():
+    asking = queries(dtype="float32")
+    disc = asking.cast_shape([(1.2, 5.0), (0.0, 5.0)], (0.0, -10.0), radius=1.0, world=0)
+    for ends in ([(0.0, 0.0), (0.0, 0.0)], [(0.0, 0.0), (1e-9, 0.0)]):
+        capsule = asking.cast_shape([(1.2, 5.0), (0.0, 5.0)], (0.0, -10.0), vertices=ends, radius=1.0, world=0)
+        assert np.allclose(capsule.fraction, disc.fraction)
+    far = asking.cast_rays([(0.6, 1e3), (0.0, 1e7)], [(0.0, -1e4), (0.0, -1e8)], world=0)
+    assert np.allclose(np.hypot(*far.normal.T), 1.0, atol=1e-6)
+
+
 def test_a_simulation_is_asked_where_it_was_updated():
     sim = dc.Simulation(*yard().finalize())
     asking = dc.Queries(sim)
@@ -230,6 +240,11 @@ def test_sizes_of_all_kinds_and_bodies_that_are_nowhere():
         (lambda q: q.cast_rays([(0, 0)], (0, 1), world=2), ValueError, r"world\[0\] is 2; it must lie in \[0, 1\]"),
         (lambda q: q.cast_rays([(0, 0)], (0, 1), world=0, skip_body=9), ValueError, "skip_body"),
         (lambda q: q.cast_rays("here", (0, 1), world=0), TypeError, "origin is 'here'"),
+        (
+            lambda q: q.cast_rays([(1e200, 0)], (0, 1), world=0),
+            ValueError,
+            r"origin\[0, 0\] is 1e\+200; it must be within",
+        ),
         (lambda q: q.cast_shape([(0, 0)], (0, 1), radius=-1.0, world=0), ValueError, "radius is -1.0"),
         (lambda q: q.cast_shape([(0, 0)], (0, 1), vertices=[(0, 0)] * 9, world=0), ValueError, "vertices: 9 points"),
         (

@@ -158,8 +158,11 @@ auto cast = [&](const Hull& hull, Real ox, Real oy, Real dx, Real dy, Real most,
         if (!(t >= 0 && t <= best)) continue;
         best = t;
         met = true;
-        nx = (mx + t * dx) / r;
-        ny = (my + t * dy) / r;
+        nx = mx + t * dx;
+        ny = my + t * dy;
+        const Real length = root(nx * nx + ny * ny);  // of a far ray not r itself
+        nx = length > 0 ? nx / length : -dx / root(square);
+        ny = length > 0 ? ny / length : -dy / root(square);
     }
     return met ? best : (Real)-1;
 };
