@@ -78,13 +78,17 @@ def test_a_change_acts_as_in_a_simulation_that_is_built_with_it(name):
         assert np.array_equal(group.numpy(field), array)
     anew = fresh(sim)
     assert (anew.variant, anew.only_discs) == (sim.variant, sim.only_discs)
+    rebuilds = sim.pairs.numpy("rebuilds").copy()
     for one in (sim, anew, plain):
-        one.run(3, DT)
+        one.run(1, DT)
+    rebuilt = sim.pairs.numpy("rebuilds") > rebuilds
+    for one in (sim, anew, plain):
+        one.run(2, DT)
     assert of_worlds(sim, [0, 1]) == of_worlds(anew, [0, 1])
     if name == "origin":
         return  # where the world lies changes nothing in it
     if name == "cell_size":
-        assert sim.pairs.numpy("rebuilds").sum() > plain.pairs.numpy("rebuilds").sum()
+        assert rebuilt.all()  # which moving bodies alone do not ask for in both worlds at once
     else:
         assert of_worlds(sim, [0, 1]) != of_worlds(plain, [0, 1])
 
