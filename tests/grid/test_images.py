@@ -490,7 +490,7 @@ def test_the_solution_sent_through_the_grid_is_a_start():
         images.sim.solve()
         return images.impulse_image()
 
-    sim.config = dc.SolverConfig()
+    sim.config = dc.SolverConfig.preset("accurate")  # what it sends is solved to the tolerance
     for reverse in (True, False):
         starts = []
 
