@@ -80,7 +80,7 @@ def contact_count(sim: dc.Simulation) -> int:
 
 def settled(bodies: int, worlds: int = 1) -> dc.Simulation:
     """Drop thesis piles of so many discs, a key of ``SETTLING``, and step until they rest."""
-    sim = simulation(scenes.Thesis(bodies=bodies), worlds, config=dc.SolverConfig(max_sweeps=SWEEPS))
+    sim = simulation(scenes.Thesis(bodies=bodies), worlds, config=dc.SolverConfig.preset("accurate", max_sweeps=SWEEPS))
     sim.run(SETTLING[bodies], DT)
     return sim
 
