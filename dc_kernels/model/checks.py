@@ -121,30 +121,19 @@ def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype
     array = numeric(name, values, f"numbers of shape {shape}", "buif")
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; it must be {shape}")
-    if dtype.kind == "f":
-        bad = np.zeros((0, array.ndim), np.int64)
-        with np.errstate(over="ignore", invalid="ignore"):
-            whole = not finite or bool(np.isfinite(array.sum()))  # looking at each takes several times as long
-        if not whole:
-            bad = np.argwhere(~np.isfinite(array))
-    elif array.dtype == dtype:
-        return np.ascontiguousarray(array)
-    else:
-        with np.errstate(invalid="ignore"):
-            bad = np.argwhere(array.astype(dtype) != array)
+    bad, limit = np.zeros((0, array.ndim), np.int64), f"a {dtype.name}"
+    with np.errstate(over="ignore", invalid="ignore"):
+        kept = np.ascontiguousarray(array, dtype=dtype)
+        if dtype.kind != "f":
+            if array.dtype != dtype:
+                bad = np.argwhere(kept.reshape(shape) != array)
+        elif finite and not np.isfinite(kept.sum()):  # looking at each takes several times as long
+            bad, limit = np.argwhere(~np.isfinite(array)), "finite"
+            if not len(bad):
+                bad = np.argwhere(~np.isfinite(kept.reshape(shape)))
+                limit = f"within {np.finfo(dtype).max:g} of zero, as {dtype}"
     if len(bad):
         index = tuple(int(i) for i in bad[0])
-        limit = "finite" if dtype.kind == "f" else f"a {dtype.name}"
         place = f"[{', '.join(map(str, index))}]" if index else ""
         raise ValueError(f"{name}{place} is {array[index]}; it must be {limit}")
-    if array.dtype == dtype:
-        return np.ascontiguousarray(array)
-    with np.errstate(over="ignore"):
-        kept = np.ascontiguousarray(array, dtype=dtype)
-    if finite and dtype.kind == "f" and not np.isfinite(kept).all():
-        index = tuple(int(i) for i in np.argwhere(~np.isfinite(kept))[0])
-        place = f"[{', '.join(map(str, index))}]" if index else ""
-        raise ValueError(
-            f"{name}{place} is {array[index]}; it must be within {np.finfo(dtype).max:g} of zero, as {dtype}"
-        )
     return kept

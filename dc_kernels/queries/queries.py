@@ -182,7 +182,7 @@ class Queries(InPlace):
             ValueError, TypeError: naming the argument, the index and the limit.
         """
         corners, radius = _probe(vertices, radius)
-        query = self._asked("position", position, world, mask, skip_body) | self._turned(angle, len(position))
+        query = self._asked("position", position, world, mask, skip_body, angle)
         return self._cast(corners, radius, translation, query)
 
     def overlap_points(self, points: Any, *, world: Any = None, mask: Any = None, skip_body: Any = None) -> Neighbors:
@@ -242,7 +242,7 @@ class Queries(InPlace):
             OverflowError: for more than 2^31 - 1 of them in all.
         """
         corners, radius = _probe(vertices, radius)
-        query = self._asked("position", position, world, mask, skip_body) | self._turned(angle, len(position))
+        query = self._asked("position", position, world, mask, skip_body, angle)
         return self._overlaps(corners, radius, query)
 
     def closest_points(
@@ -274,8 +274,10 @@ class Queries(InPlace):
         hit = self._answer("find_closest", POINT, 0.0, {**query, "most": most})
         return Closest(hit["shape"], hit["fraction"], hit["point"], hit["normal"])
 
-    def _asked(self, name: str, place: Any, world: Any, mask: Any, skip_body: Any) -> dict[str, np.ndarray]:
-        """What all queries have: where, which world, what counts."""
+    def _asked(
+        self, name: str, place: Any, world: Any, mask: Any, skip_body: Any, angle: Any = None
+    ) -> dict[str, np.ndarray]:
+        """What all queries have: where, which world, what counts; and how what is asked with is turned."""
         refuse_recording("a query", "its answers are arrays of their own")
         place = numeric(name, place, "numbers of shape (n, 2)")
         if place.ndim != 2 or place.shape[1] != 2:
@@ -291,6 +293,9 @@ class Queries(InPlace):
         if skip_body is not None:
             query["skip"] = self._each("skip_body", skip_body, n, np.int32)
             check_index("skip_body", np.where(query["skip"] == -1, 0, query["skip"]), max(self.shapes.bodies, 1))
+        if angle is not None:
+            angles = self._each("angle", angle, n)
+            query["rotation"] = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         return query
 
     def _within(self, name: str, vectors: np.ndarray) -> np.ndarray:
@@ -309,13 +314,6 @@ class Queries(InPlace):
         if given.shape == inner:
             return np.ascontiguousarray(np.broadcast_to(check_values(name, given, inner, dtype), (n, *inner)))
         return check_values(name, given, (n, *inner), dtype)
-
-    def _turned(self, angle: Any, n: int) -> dict[str, np.ndarray]:
-        """Cosine and sine of the angles of shapes that are asked with."""
-        if angle is None:
-            return {}
-        angles = self._each("angle", angle, n)
-        return {"rotation": np.stack([np.cos(angles), np.sin(angles)], axis=1)}
 
     def _cast(self, corners: np.ndarray, radius: float, translation: Any, query: dict[str, np.ndarray]) -> Hits:
         translations = self._each("translation", translation, len(query["place"]), inner=(2,))
