@@ -33,7 +33,7 @@ demo: $(VENV)/.dev ## run the thesis protocol, print its table and draw its plot
 
 test: lint ## lint, then run the tests
 	@echo "== tests, $(JOBS) processes"
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --max-worker-restart 0
 
 lint: $(VENV)/.dev ## check style, format and types
 	@echo "== lint: style, format, types"

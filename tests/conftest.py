@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 
+import pytest
 import warp as wp
 from hypothesis import HealthCheck, settings
 
@@ -27,3 +28,12 @@ settings.register_profile(
 )
 settings.register_profile("thorough", settings.get_profile("ci"), derandomize=False, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
+
+
+@pytest.fixture(autouse=True)
+def wakeup_descriptor():
+    """Holds each test to leave the descriptor for signals' numbers as it was, which is the process's."""
+    yield
+    if threading.current_thread() is threading.main_thread():
+        left = signal.set_wakeup_fd(-1)
+        assert left == -1, f"the test leaves signals going to descriptor {left}"

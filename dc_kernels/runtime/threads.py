@@ -25,6 +25,9 @@ _room = 0  # threads that the pool may have
 _making = threading.Lock()
 
 SLICE = 1e8  # units of work that take 0.1 to 0.3 s together
+LOOK = 0.2
+"""Longest that a thread waits for another without a look whether it was interrupted [s]: a real signal ends a wait, but
+``_thread.interrupt_main``, and Ctrl-C under Windows, only set a flag, which a thread that waits for good never sees."""
 GPU_CALLS = threading.RLock()
 """What calls that work on a GPU hold: Warp copies from there on another stream, which it makes current for all threads,
 so that of two at once one may leave it so."""
@@ -138,7 +141,8 @@ def run_together(work: Callable[[], Any], threads: int, stop: Callable[[], Any] 
         # when a thread takes it up, and all may be waiting here
         begun = [other for other in others if not other.cancel()]
         try:
-            wait(begun)
+            while wait(begun, LOOK).not_done:
+                pass
         except BaseException:
             if stop is not None:
                 stop()
@@ -172,7 +176,8 @@ def run_apart(work: Callable[[], Any], interrupted: Callable[[threading.Event], 
         with uninterrupted():
             threading.Thread(target=call, name="dc_kernels apart", daemon=True).start()
             begun = True
-        ended.wait()
+        while not ended.wait(LOOK):
+            pass
     except BaseException:
         if begun:
             interrupted(ended)

@@ -84,7 +84,7 @@ import resource, signal, sys
 from pathlib import Path
 from pipeline.cli import main
 from pipeline.run import stream
-stream.PAUSE, stream.MOST_WAITING = 0.0, 2**17
+stream.Stream.due = lambda self: True  # a disk that is busy must not put the first commit off
 if int(sys.argv[1]):
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # the system refuses larger files, as a full disk does
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), int(sys.argv[1])))
