@@ -15,6 +15,7 @@ MODULES = {
     "sweep": "speed.sweep",
     "worlds": "speed.worlds",
     "scaling": "speed.scaling",
+    "threads": "speed.threads",
     "protocol": "learning.protocol",
     "transfer": "speed.transfer",
     "roundtrip": "learning.roundtrip",

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
-
-import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup, Model, uniform
 from dc_kernels.model.config import CONFIG, SolverConfig
 from dc_kernels.model.fields import LAUNCH
 from dc_kernels.runtime.backends import Launch, bind, kernel_file, on_numpy
+from dc_kernels.runtime.stepping import Shards
 from dc_kernels.solve.integrate import PADDING
 from dc_kernels.solve.iteration import NEVER
 
@@ -28,22 +27,17 @@ class Binding:
         self,
         kernels: Mapping[str, Any],
         model: Model,
-        ranges: Sequence[tuple[int, int]],
-        cut: np.ndarray,
-        threads: int = 1,
+        shards: Shards,
     ) -> None:
         """Prepare.
 
         Args:
             kernels: of the backend, by name.
             model: of the simulation.
-            ranges: first world and number of worlds of each shard.
-            cut: int32, of which the first ends all sweeping on the CPU when it is not 0.
-            threads: of a launch, where its backend has threads of its own.
+            shards: of its worlds.
         """
-        self.kernels, self.ranges = kernels, list(ranges)
-        self.model, self._cut, self._threads = model, cut, threads
-        self._cut_address = cut.ctypes.data if model.device == "cpu" else 0
+        self.kernels, self.model, self._shards = kernels, model, shards
+        self._cut_address = shards.cut_flag.ctypes.data if model.device == "cpu" else 0
         self._groups = kernel_file(self.model.backend, "groups")
         self.values: dict[str, Any] = {}
         self._settings: dict[str, Any] = {}
@@ -61,7 +55,10 @@ class Binding:
         self._past = (past_width, in_turn)
         self._settings = {**config.kernel_values(), **self._coefficients()}
         self.values = {name: self._groups.array_group(group, name) for name, group in groups.items()}
-        self.values |= {"threads": self._threads, "deferred": True}  # a step may be compiled as one kernel instead
+        self.values |= {
+            "threads": self._shards.over_worlds,
+            "deferred": True,
+        }  # a step may be compiled as one kernel instead
         self.values["config"] = self._scalars("config", self._settings)
 
     def _coefficients(self) -> dict[str, float]:
@@ -79,7 +76,7 @@ class Binding:
     def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments for the worlds from ``first`` on, with ``changed`` settings or numbers of the launch."""
         # empty lanes write zeros to a padding body: one for each shard, or threads would share its cache line
-        shard = next((i for i, (a, n) in enumerate(self.ranges) if a <= first < a + n), 0)
+        shard = next((i for i, (a, n) in enumerate(self._shards.ranges) if a <= first < a + n), 0)
         width, in_turn = self._past
         launch = {
             "world_offset": first,
@@ -88,7 +85,8 @@ class Binding:
             "past_step": 0 if in_turn else width,
             "resume": 0,
             "pause": NEVER,
-            "cut": self._cut if on_numpy(self.model.backend) else self._cut_address,
+            "cut": self._shards.cut_flag if on_numpy(self.model.backend) else self._cut_address,
+            "team": self._shards.teams[shard] if self.model.device == "cpu" else 0,
             **{name: value for name, value in changed.items() if name in LAUNCH},
         }
         values = {**self.values, "launch": self._scalars("launch", launch)}

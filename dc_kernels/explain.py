@@ -35,8 +35,8 @@ def explain(sim: Simulation) -> str:
     lines = [
         f"scene: {counted(model.world_count, 'world')}, {kinds or 'no bodies'}; {shapes or 'no shapes'}; "
         f"{counted(model.joint_count, 'distance joint')}",
-        f"backend: {sim.backend} on {sim.device}, {sim.dtype.name}, {counted(sim.threads, 'thread')} over worlds, "
-        f"schedule {sim.schedule!r}",
+        f"backend: {sim.backend} on {sim.device}, {sim.dtype.name}, {counted(sim.threads, 'thread')} over worlds"
+        f"{' and within them' if sim.threads > model.world_count else ''}, schedule {sim.schedule!r}",
         f"broadphase: pairs are kept while no shape leaves a margin of {config.margin:g} length scales "
         f"(rebuilt {int(sim.pairs.numpy('rebuilds').sum())} times so far)",
     ]

@@ -94,8 +94,8 @@ class Simulation(Driven):
             state: from there, too; evolves in place.
             joints: None for none.
             config: settings of the solver; the attribute ``config`` may be replaced between steps and solves.
-            threads: at most so many Python threads share the worlds (launches release the GIL), fewer where a step is
-                so short that handing it over would cost more; on a GPU one.
+            threads: at most so many Python threads share the worlds (launches release the GIL), and the loops within
+                large worlds, fewer where handing work over would cost more; on a GPU one.
             schedule: "world" (a thread runs a world's solve) or "color" (a launch a colour, for large worlds on a GPU).
             on_overflow: what happens when a step needs more pairs or contacts than reserved: reallocate and go on, or
                 raise OverflowError with the state of the last step intact.
@@ -121,9 +121,10 @@ class Simulation(Driven):
         self.backend = model.backend
         self.schedule = options.schedule
         self.on_overflow = options.on_overflow
-        threads = max(1, min(options.threads, model.world_count)) if self.device == "cpu" else 1
-        self._shards = shards_of(self.backend, model.world_count, model.body_count, threads)
-        self.threads = threads
+        threads = options.threads if self.device == "cpu" else 1
+        teams = schedule == "world"
+        self._shards = shards_of(self.backend, model.world_count, model.body_count, threads, teams=teams)
+        self.threads = self._shards.over_worlds + self._shards.helpers
         self.specialize = options.specialize
         self._config = options.config or SolverConfig()
         self._choose_kernels(self._config)
@@ -141,7 +142,7 @@ class Simulation(Driven):
             shards=shards,
             at_once=at_once,
         )
-        self._binding = Binding(self.kernels, model, self._shards.ranges, self._shards.cut_flag, threads)
+        self._binding = Binding(self.kernels, model, self._shards)
         self._turn = Turn()
         self.calls = OneCaller(
             f"the simulation of {model.world_count} worlds and {model.body_count} bodies",

@@ -22,6 +22,7 @@ SECTIONS = {
     "games": ("Scenes of games", games.games),
     "sweep": ("One sweep", speed.sweep),
     "scaling": ("Everything but the solve", speed.scaling),
+    "threads": ("Threads within a world", speed.threads),
     "protocol": ("The thesis protocol", learning.protocol),
     "error_time": ("Run time against error", solving.error_time),
     "fc2d": ("Problems of others", solving.fc2d),

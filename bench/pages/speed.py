@@ -6,6 +6,8 @@ from bench.cases import SCALING_WORLDS, SWEEP_PILES
 from bench.pages.markdown import Record, figure, paragraphs, table
 from bench.peers.peers import PEER_TEXT
 from bench.speed.overhead import SIZES
+from bench.speed.threads import SETTINGS
+from bench.speed.threads import SIZES as PILES
 
 
 def worlds(record: Record) -> str:
@@ -59,6 +61,27 @@ def scaling(record: Record) -> str:
         table(header, rows),
         f"A pile of 100 000 discs that are numbered at random instead of by place takes "
         f"{record['ns_per_body_shuffled']:.0f} ns: number bodies by place, as the scenes do.",
+    )
+
+
+def threads(record: Record) -> str:
+    """Show what two threads gain within one world."""
+    rows = [
+        (
+            bodies,
+            record[f"threads_{bodies}"],
+            *(record[f"{what}_{bodies}_{name}"] for name in SETTINGS for what in ("ms", "ratio")),
+        )
+        for bodies in PILES
+        if f"ratio_{bodies}_default" in record
+    ]
+    header = ("discs", "threads used", "default [ms a step]", "one over two", "10 sweeps [ms a step]", "one over two")
+    return paragraphs(
+        "Whole steps of one world, settled piles side by side, on one thread and with `threads=2`; small worlds take "
+        "one by themselves.",
+        table(header, rows),
+        f"With every core kept busy by others, two threads take {record['oversubscribed_slowdown']:.2f} times as "
+        "long as one.",
     )
 
 

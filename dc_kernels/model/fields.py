@@ -315,6 +315,7 @@ LAUNCH = field_table(
     ("resume", "launch", "int32", "1", "1: go on with a solve that paused"),
     ("pause", "launch", "int32", "1", "sweeps until a pause"),
     ("cut", "launch", "uint64", "1", "address of an int32: not 0 ends all sweeping; 0 for none"),
+    ("team", "launch", "uint64", "1", "address of the threads that share a world's loops; 0 for none"),
 )
 
 # Where a world's part of the rows lies, and when its solve stops; made once in a solve.
@@ -332,6 +333,7 @@ SPAN = field_table(
     ("bound", "span", "real", "N s", "what the stop is compared with"),
     ("still", "span", "real", "m/s", "change of a contact's speed in a sweep that counts as none"),
     ("fall", "span", "real", "m/s", "change of a velocity in the step that counts as none"),
+    ("team", "span", "uint64", "1", "address of the threads that share its loops; 0 for none"),
 )
 
 # One row of the solver before it is packed: a contact with its friction, or a joint (solve/rows.py).

@@ -37,10 +37,12 @@ class Backend:
     own_threads: bool = False
     """Whether a launch shares its work among ``threads`` threads of the backend's own; else the host makes several
     launches on Python's threads."""
+    teams: bool = False
+    """Whether threads of the host may share the loops of a kernel within one world (``sequences.Teams``)."""
 
 
 BACKENDS = {
-    "warp": Backend("dc_kernels._warp", on_numpy=False, compiled=True),
+    "warp": Backend("dc_kernels._warp", on_numpy=False, compiled=True, teams=True),
     "numpy": Backend("dc_kernels._numpy", on_numpy=True),
     "taichi": Backend("dc_kernels._taichi", on_numpy=True, compiled=True, own_threads=True),
 }

@@ -5,7 +5,10 @@ Warp's own graphs cost 0.7 us a launch more, and only one thread at a time may r
 
 from __future__ import annotations
 
+import ctypes
+import os
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +18,9 @@ from dc_kernels.model.dtypes import aligned_zeros
 from dc_kernels.runtime.backends import Launch, bind, kernel_file, make_kernels
 from dc_kernels.runtime.capture import recording
 
+SEATS = 64  # threads that may share one world
+NAP = 50  # that a member who finds nothing sleeps between two looks [us]
+PATIENCE = 10_000  # naps after which it leaves, even if nobody told it to
 CACHE_LINE = 16  # int32: what threads write, each for itself, lies so far apart
 
 
@@ -229,6 +235,65 @@ class PoolRounds(Rounds):
         """Take so many rounds of each shard, or fewer of one that halts; ``taken`` tells how many."""
         self._todo[:] = rounds
         self._run()
+
+
+class Teams:
+    """Memory by which threads share the loops of worlds: a team for each shard (``_warp/native/runtime/team.h``).
+
+    A thread that leads runs the kernels of its shard, which open jobs; members take part in the jobs of all teams.
+
+    Attributes:
+        addresses: of each team, as ``Launch.team`` takes them.
+    """
+
+    def __init__(self, teams: int, size: int) -> None:
+        """Seat teams of so many threads each, their leaders among them."""
+        self._memory = aligned_zeros((teams, 4 + SEATS, 4 * CACHE_LINE), np.dtype(np.uint8))
+        self.addresses = [self._memory.ctypes.data + i * self._memory.strides[0] for i in range(teams)]
+        give_way, sleep, nap = _system_calls()
+        head = self._memory[:, 0].view(np.uint64)
+        head[:, 0], head[:, 1], head[:, 3] = give_way, sleep, _address_of_take()
+        head.view(np.uint32)[:, 4:6] = nap, min(size, SEATS)
+        self._over = aligned_zeros((CACHE_LINE,), np.dtype(np.int32))
+        self._process = os.getpid()
+        table = np.array(self.addresses, np.uint64)
+        self._serve = _bind("serve", {"teams": table, "over": self._over, "patience": PATIENCE})
+
+    def begin(self) -> None:
+        """Prepare for members; those of a process that forked are not there."""
+        if self._process != os.getpid():
+            self._process = os.getpid()
+            self._memory[:, 1:] = 0
+        self._over[0] = 0
+
+    def serve(self) -> None:
+        """Be a member of all teams, until ``end`` is called."""
+        self._serve.launch_now()
+
+    def end(self) -> None:
+        """Let members leave."""
+        self._over[0] = 1
+
+
+@cache
+def _address_of_take() -> int:
+    """Address of the compiled function by which teams take their jobs."""
+    address = aligned_zeros((1,), np.dtype(np.uint64))
+    _bind("find_take", {"address": address}).launch_now()
+    return int(address[0])
+
+
+@cache
+def _system_calls() -> tuple[int, int, int]:
+    """Addresses of what gives way to other threads and what sleeps, and for how long that is to sleep."""
+    if os.name == "nt":
+        system = ctypes.CDLL("kernel32")
+        calls, nap = (system.SwitchToThread, system.Sleep), 1
+    else:
+        system = ctypes.CDLL(None)
+        calls, nap = (system.sched_yield, system.usleep), NAP
+    give_way, sleep = (ctypes.cast(call, ctypes.c_void_p).value or 0 for call in calls)
+    return give_way, sleep, nap
 
 
 def _bind(name: str, values: dict[str, Any]) -> Any:

@@ -11,8 +11,8 @@ import numpy as np
 from dc_kernels.model.dtypes import aligned_zeros
 from dc_kernels.runtime.backends import BACKENDS, Launch, kernel_file
 from dc_kernels.runtime.capture import recording
-from dc_kernels.runtime.sequences import CACHE_LINE, PoolRounds, Rounds, Watch, in_turn
-from dc_kernels.runtime.threads import in_main_thread, run_apart, run_together, uninterrupted
+from dc_kernels.runtime.sequences import CACHE_LINE, SEATS, PoolRounds, Rounds, Teams, Watch, in_turn
+from dc_kernels.runtime.threads import in_main_thread, run_apart, run_helped, run_together, uninterrupted, usable_cores
 
 SHARDS_PER_THREAD = 2  # who is done first takes on what is left
 CHUNK = 10  # rounds that a thread takes of a shard at a time: 250 at once leaves one idle at the end for 3 %
@@ -22,6 +22,7 @@ APART = 4  # looks that a shard may be ahead of another: what an interrupt leave
 GRACE = 0.5  # that an interrupted round has to end by itself, before its sweeps are cut short [s]
 ROWS_PER_SECOND = 100_000_000  # that a thread sweeps at least, for ``GRACE`` where a launch has no clock
 WORTH_THREADS = 1_000  # bodies times rounds from which a second thread gains: to hand work over takes 80 us
+WORTH_HELP = 2_000  # bodies of a shard, with fewer worlds than threads, from which a second thread gains within one
 INT = np.dtype(np.int32)
 
 
@@ -38,11 +39,22 @@ class Shards:
         disturbed: whether the rounds taken last were interrupted or cut short.
         cut_flag: an int32 that kernels look at after each sweep: not 0 once an interrupt has cut sweeps short.
         idle: tells whether no world does anything until something is written to it; None: each may.
+        over_worlds: threads that share the worlds, whether those of the host or the backend's own.
+        helpers: threads beyond one a world, which share the loops of kernels within worlds.
+        teams: address of the team of each shard, for the kernels of its worlds; 0 without helpers.
     """
 
-    def __init__(self, worlds: int, bodies: int, threads: int) -> None:
-        """Divide so many worlds with so many bodies in all."""
-        self.threads = max(1, min(threads, worlds))
+    def __init__(self, worlds: int, bodies: int, threads: int, *, teams: bool = False) -> None:
+        """Divide so many worlds with so many bodies in all.
+
+        Args:
+            worlds: how many.
+            bodies: in all.
+            threads: at most so many are at work at once.
+            teams: whether the kernels share their loops among threads, where these are more than the worlds.
+        """
+        self.threads = self.over_worlds = max(1, min(threads, worlds))
+        self.helpers = 0
         count = 1 if self.threads == 1 else min(SHARDS_PER_THREAD * self.threads, worlds)
         edges = np.linspace(0, worlds, count + 1).astype(int)
         self.ranges = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
@@ -58,6 +70,12 @@ class Shards:
         self.disturbed = False
         self.idle: Callable[[], bool] | None = None
         self._timer: threading.Timer | None = None
+        self._teams: Teams | None = None
+        if teams and self.threads == worlds and bodies >= WORTH_HELP * worlds:
+            self.helpers = max(0, min(threads, usable_cores(), SEATS) - self.threads)
+        if self.helpers:
+            self._teams = Teams(count, self.helpers + 1)
+        self.teams = [0] * count if self._teams is None else self._teams.addresses
 
     def _at_once(self, rounds: Rounds) -> int:
         """Count the rounds that are taken between two looks for an interrupt."""
@@ -115,7 +133,7 @@ class Shards:
                 longer than ``GRACE``, sweeps end early: then ``cut_flag`` is set.
         """
         whole, recorded = rounds[-1], recording()
-        alone = count == 1 and len(rounds) == 1 and not recorded
+        alone = count == 1 and len(rounds) == 1 and not (recorded or self.helpers)
         if alone and not self.disturbed and self.bodies * whole.sweeps <= SWEPT:
             return self._run_once(whole)
         self.left = [count] * len(self.ranges) if isinstance(count, int) else list(count)
@@ -189,7 +207,15 @@ class Shards:
             ended.wait()
 
     def _run(self, rounds: Sequence[Rounds], longest: int) -> None:
-        """Take the rounds ``left``, of which ``longest`` is the most."""
+        """Take the rounds ``left``, of which ``longest`` is the most, with helpers where there are any."""
+        teams = self._teams
+        if teams is None:
+            self._run_unhelped(rounds, longest)
+            return
+        teams.begin()
+        run_helped(lambda: self._run_unhelped(rounds, longest), teams.serve, self.helpers, teams.end)
+
+    def _run_unhelped(self, rounds: Sequence[Rounds], longest: int) -> None:
         shards, whole = rounds[: len(self.ranges)], rounds[-1]
         if self.threads > 1 and self.bodies * longest >= WORTH_THREADS:
             self._share(shards)
@@ -276,6 +302,7 @@ class PoolShards(Shards):
     def __init__(self, worlds: int, bodies: int, threads: int, backend: str) -> None:
         """Divide so many worlds with so many bodies in all."""
         super().__init__(worlds, bodies, 1)
+        self.over_worlds = threads
         self._parallel, self._backend = threads > 1, backend
         self._signals = kernel_file(backend, "runtime.signals")
         self.cut_flag = aligned_zeros((self._signals.WORDS,), INT)  # with what tells a launch of an interrupt
@@ -369,8 +396,16 @@ class PoolShards(Shards):
         self.halted = bool(only.halt.any())
 
 
-def shards_of(backend: str, worlds: int, bodies: int, threads: int) -> Shards:
-    """Shards of so many worlds with so many bodies in all, as the threads of a backend take them."""
+def shards_of(backend: str, worlds: int, bodies: int, threads: int, *, teams: bool) -> Shards:
+    """Shards of so many worlds with so many bodies in all, as the threads of a backend take them.
+
+    Args:
+        backend: of the kernels.
+        worlds: how many.
+        bodies: in all.
+        threads: at most so many are at work at once.
+        teams: whether threads may share the loops of a world, where the backend can.
+    """
     if BACKENDS[backend].own_threads:
-        return PoolShards(worlds, bodies, threads, backend)
-    return Shards(worlds, bodies, threads)
+        return PoolShards(worlds, bodies, max(1, min(threads, worlds)), backend)
+    return Shards(worlds, bodies, threads, teams=teams and BACKENDS[backend].teams)

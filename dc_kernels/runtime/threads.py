@@ -152,6 +152,32 @@ def run_together(work: Callable[[], Any], threads: int, stop: Callable[[], Any] 
         other.result()
 
 
+def run_helped(work: Callable[[], Any], help_out: Callable[[], Any], helpers: int, end: Callable[[], Any]) -> None:
+    """Call ``work`` on the present thread while free ones call ``help_out``; it never waits for one to begin.
+
+    Args:
+        work: what is done, also if nobody helps.
+        help_out: what a helper does, which ends soon after ``end``, and in the end even without.
+        helpers: at most so many.
+        end: tells helpers to leave.
+
+    Raises:
+        BaseException: what ``work`` raises.
+    """
+    others: list[Future[Any]] = []
+    try:
+        others = [thread_pool(helpers).submit(help_out) for _ in range(helpers)]
+        work()
+    finally:
+        end()
+        wait([other for other in others if not other.cancel()])
+
+
+def usable_cores() -> int:
+    """Count the cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def run_apart(work: Callable[[], Any], interrupted: Callable[[threading.Event], Any]) -> None:
     """Call ``work``, which may take long without Python, on a thread of its own: an interrupt is not kept waiting.
 

@@ -156,7 +156,7 @@ class ContactSolver(InPlace):
                 unless ``restitution`` is the number 0 or 1.
             discs: all bodies that contacts turn are discs about their centres, whose normals have no arm: less work.
             config: settings of the solver; it has no position phase: only position_correction="baumgarte" acts.
-            threads: at most so many threads share the worlds.
+            threads: at most so many threads share the worlds, and the loops within large ones.
             schedule: "world" (a thread runs a world's solve) or "color" (a launch a colour).
             backend: "warp", "taichi", or "numpy": the oracle, never fast.
 
@@ -180,8 +180,8 @@ class ContactSolver(InPlace):
         starts = offsets(lengths, given_starts)
         worlds = len(starts["body"]) - 1
         self._hosted = backend != "warp" or schedule != "world"
-        self.threads = min(options.threads, max(worlds, 1))
-        self._shards = shards_of(self.backend, worlds, lengths["body"], self.threads)
+        self._shards = shards_of(self.backend, worlds, lengths["body"], options.threads, teams=schedule == "world")
+        self.threads = self._shards.over_worlds + self._shards.helpers
         fewest = "joints" if lengths["joint"] else "discs" if discs else "general"
         self.variant = "rows" if lengths["row"] else fewest
         pull = gravity_of(gravity, restitution)
@@ -235,7 +235,7 @@ class ContactSolver(InPlace):
         for file, *options in FILES:
             chosen = (getattr(self, option) for option in options)
             self.kernels |= make_kernels(self.backend, file, self.dtype.name, *chosen)
-        self._binding = Binding(self.kernels, self.model, self._shards.ranges, self._shards.cut_flag, self.threads)
+        self._binding = Binding(self.kernels, self.model, self._shards)
 
     @property
     def _in_turn(self) -> bool:

@@ -20,6 +20,10 @@ FAR = 50.0
 FALL = 1.5
 ASTRAY = 2**30
 
+# numbers that are summed up in one go, and pieces of longer ranges: these depend on the length alone, so that a sum has
+# the same bits whatever threads share it
+SUMMED, MOST_SUMS = 8192, 64
+
 
 class Stretch(IntEnum):
     """Methods that the adaptive acceleration chooses between."""

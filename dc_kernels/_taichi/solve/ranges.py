@@ -1,6 +1,6 @@
 """Sums and combinations over the impulses i0 .. i1 of a world, whole vectors of LANES.
 
-Sums are taken in LANES parts whose order is fixed: that of Warp's native code.
+Sums are taken in LANES parts and in pieces whose order is fixed: that of Warp's native code.
 """
 
 from functools import cache
@@ -9,7 +9,19 @@ from types import SimpleNamespace
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.solve.lanes import total
+from dc_kernels.solve.iteration import MOST_SUMS, SUMMED
 from dc_kernels.solve.rows import LANES
+
+
+@ti.func
+def piece(count, numbers: ti.template()):
+    """Items of so many numbers each that are summed up in one go, of ``count`` in all."""
+    least = SUMMED // numbers
+    even = (count + MOST_SUMS - 1) // MOST_SUMS
+    length = least
+    if even > least:
+        length = (even + LANES - 1) // LANES * LANES
+    return length
 
 
 @cache
@@ -27,9 +39,16 @@ def range_functions(dtype: str) -> SimpleNamespace:
     def squares(rows: t.Rows, i0, i1):
         """Sum of squares of the change."""
         sums = vec8(0.0)
-        for i in range(i0 // LANES, i1 // LANES):
-            d = rows.change[i]
-            sums = sums + d * d
+        length = piece(i1 - i0, 1) // LANES
+        end = i1 // LANES
+        begin = i0 // LANES
+        while begin < end:
+            part = vec8(0.0)
+            for i in range(begin, ti.min(begin + length, end)):
+                d = rows.change[i]
+                part = part + d * d
+            sums = sums + part
+            begin += length
         return total(sums)
 
     @ti.func
@@ -54,8 +73,15 @@ def range_functions(dtype: str) -> SimpleNamespace:
         """Scalar product of the change with the move before it, change . (x - before)."""
         sums = vec8(0.0)
         past = (at - i0) // LANES
-        for i in range(i0 // LANES, i1 // LANES):
-            sums = sums + rows.change[i] * (rows.impulse[i] - rows.past[past + i])
+        length = piece(i1 - i0, 1) // LANES
+        end = i1 // LANES
+        begin = i0 // LANES
+        while begin < end:
+            part = vec8(0.0)
+            for i in range(begin, ti.min(begin + length, end)):
+                part = part + rows.change[i] * (rows.impulse[i] - rows.past[past + i])
+            sums = sums + part
+            begin += length
         return total(sums)
 
     @ti.func
@@ -105,24 +131,45 @@ def range_functions(dtype: str) -> SimpleNamespace:
         s7 = vec8(0.0)
         past = (at - i0) // LANES
         stride = (i1 - i0) // LANES
-        for i in range(i0 // LANES, i1 // LANES):
-            d = rows.change[i]
-            v = rows.impulse[i]
-            e1 = v - rows.past[past + i]
-            f1 = d - rows.past[past + i + stride]
-            e2 = vec8(0.0)
-            f2 = vec8(0.0)
-            if kept > 1:
-                e2 = v - rows.past[past + i + 2 * stride]
-                f2 = d - rows.past[past + i + 3 * stride]
-            s0 = s0 + f1 * f1
-            s1 = s1 + f1 * f2
-            s2 = s2 + f2 * f2
-            s3 = s3 + f1 * d
-            s4 = s4 + f2 * d
-            s5 = s5 + e1 * e1
-            s6 = s6 + e1 * e2
-            s7 = s7 + e2 * e2
+        length = piece(i1 - i0, 1) // LANES
+        end = i1 // LANES
+        begin = i0 // LANES
+        while begin < end:
+            p0 = vec8(0.0)
+            p1 = vec8(0.0)
+            p2 = vec8(0.0)
+            p3 = vec8(0.0)
+            p4 = vec8(0.0)
+            p5 = vec8(0.0)
+            p6 = vec8(0.0)
+            p7 = vec8(0.0)
+            for i in range(begin, ti.min(begin + length, end)):
+                d = rows.change[i]
+                v = rows.impulse[i]
+                e1 = v - rows.past[past + i]
+                f1 = d - rows.past[past + i + stride]
+                e2 = vec8(0.0)
+                f2 = vec8(0.0)
+                if kept > 1:
+                    e2 = v - rows.past[past + i + 2 * stride]
+                    f2 = d - rows.past[past + i + 3 * stride]
+                p0 = p0 + f1 * f1
+                p1 = p1 + f1 * f2
+                p2 = p2 + f2 * f2
+                p3 = p3 + f1 * d
+                p4 = p4 + f2 * d
+                p5 = p5 + e1 * e1
+                p6 = p6 + e1 * e2
+                p7 = p7 + e2 * e2
+            s0 = s0 + p0
+            s1 = s1 + p1
+            s2 = s2 + p2
+            s3 = s3 + p3
+            s4 = s4 + p4
+            s5 = s5 + p5
+            s6 = s6 + p6
+            s7 = s7 + p7
+            begin += length
         return vec8(total(s0), total(s1), total(s2), total(s3), total(s4), total(s5), total(s6), total(s7))
 
     @ti.func

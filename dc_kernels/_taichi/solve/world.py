@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.solve.lanes import lane_functions
+from dc_kernels._taichi.solve.ranges import piece
 from dc_kernels._taichi.solve.row import row_functions
 from dc_kernels.model.config import METHODS, STOPS
 from dc_kernels.solve.iteration import ASTRAY, FALL, NEVER
@@ -166,7 +167,15 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         stop each row, with its friction, if it were alone; where that is zero, the former itself [N s].
         """
         total = 0.0
-        for k in range(span.first * LANES, span.last * LANES):
+        begin = span.first
+        length = piece(span.serial - span.first, 2 * LANES)
+        while begin < span.serial:
+            part = 0.0
+            for k in range(begin * LANES, ti.min(begin + length, span.serial) * LANES):
+                part += natural_map_row(k // LANES, k % LANES, rows, bodies)
+            total += part
+            begin += length
+        for k in range(span.serial * LANES, span.last * LANES):
             total += natural_map_row(k // LANES, k % LANES, rows, bodies)
         total = ti.sqrt(total)
         scale = rows.scale[span.world]

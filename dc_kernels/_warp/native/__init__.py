@@ -7,6 +7,7 @@ errors name the header and its line.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -33,3 +34,21 @@ def native_code(*names: str, dtype: str, **macros: object) -> str:
     define = [f"#define {name} {int(value) if isinstance(value, bool) else value}" for name, value in values.items()]
     undefine = [f"#undef {name}" for name in values]
     return "\n".join(["", *define, *map(header, names), *undefine, ""])
+
+
+def in_parts(body: str, result: str, taken: str, arrays: Sequence[str]) -> str:
+    """The body of a native function whose loop threads may share: ``part(first, last)`` is what it does to a range.
+
+    It is compiled once, whoever calls it, and takes arrays by their addresses alone.
+
+    Args:
+        body: what is done from ``first`` to ``last``, as ``native_code`` gives it.
+        result: what the body returns, in C++; 0 where it returns nothing.
+        taken: how the parts are taken (``native/runtime/``), which returns what the function does.
+        arrays: parameters that the body reads as ``name.data``; numbers are taken by themselves.
+    """
+    held = ", ".join(f"{name} = held({name}.data)" for name in arrays)
+    return f"""
+auto held = [](auto* data) {{ struct {{ decltype(data) data; }} array = {{data}}; return array; }};
+auto part = [=, {held}](int first, int last) __attribute__((noinline)) -> {result} {{{body}return 0;
+}};{taken}"""

@@ -8,6 +8,9 @@ from typing import Any
 
 import warp as wp
 
+from dc_kernels._warp.native import native_code
+from dc_kernels.runtime.sequences import SEATS
+
 
 @wp.func_native("""
 #if !defined(__CUDA_ARCH__)
@@ -41,9 +44,21 @@ def write_shared(place: wp.array(dtype=wp.int32), value: wp.int32): ...
 def read_at(addresses: wp.array(dtype=wp.uint64), k: wp.int32, i: wp.int32) -> wp.int32: ...
 
 
+def _team_code(name: str) -> str:
+    return native_code("runtime/team.h", "runtime/lead.h", f"runtime/{name}.h", dtype="float32", SEATS=SEATS)
+
+
+@wp.func_native(_team_code("address"))
+def address_of_take() -> wp.uint64: ...
+
+
+@wp.func_native(_team_code("serve"))
+def take_part(teams: wp.array(dtype=wp.uint64), over: wp.array(dtype=wp.int32), patience: wp.int32): ...
+
+
 @cache
 def kernels() -> dict[str, Any]:
-    """``run_launches`` and ``repeat_launches``, of one thread each."""
+    """``run_launches``, ``repeat_launches``, ``serve`` and ``find_take``, of one thread each."""
     module = wp.get_module("dc_kernels.sequences")
     module.options.update({"enable_backward": False})
 
@@ -90,4 +105,19 @@ def kernels() -> dict[str, Any]:
                 write_shared(halt, 1)
         done[0] = done[0] + wp.int64(taken)
 
-    return {"run_launches": run_launches, "repeat_launches": repeat_launches}
+    @wp.kernel(module=module, enable_backward=False)
+    def serve(teams: wp.array(dtype=wp.uint64), over: wp.array(dtype=wp.int32), patience: int):
+        """Take part in the jobs of teams by their addresses, until ``over`` is not 0 or so many naps found none."""
+        take_part(teams, over, patience)
+
+    @wp.kernel(module=module, enable_backward=False)
+    def find_take(address: wp.array(dtype=wp.uint64)):
+        """The address of the function by which a team takes a job; 0 on a GPU."""
+        address[0] = address_of_take()
+
+    return {
+        "run_launches": run_launches,
+        "repeat_launches": repeat_launches,
+        "serve": serve,
+        "find_take": find_take,
+    }

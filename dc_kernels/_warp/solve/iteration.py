@@ -97,10 +97,10 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         best = span.past_at + AT_BEST * (span.high - span.low)
         if (first or 2 * sweeps > config.max_sweeps) and change < real(0.9) * iteration[w].least_change:
             iteration[w].least_change = change
-            copy(rows.impulse, span.low, rows.past, best, span.high - span.low)
+            copy(rows.impulse, span.low, rows.past, best, span.high - span.low, span.team)
         least = iteration[w].least_change
         if sweeps >= config.max_sweeps and least < huge and not (change <= real(RETREAT) * least):
-            copy(rows.past, best, rows.impulse, span.low, span.high - span.low)
+            copy(rows.past, best, rows.impulse, span.low, span.high - span.low, span.team)
             iteration[w].change = least
             return 1
         return 0
@@ -118,7 +118,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             return 0
         if iteration[w].least_change < huge:
             best = span.past_at + AT_BEST * (span.high - span.low)
-            copy(rows.past, best, rows.impulse, span.low, span.high - span.low)
+            copy(rows.past, best, rows.impulse, span.low, span.high - span.low, span.team)
         forbid(w, iteration)
         return 1
 
@@ -166,11 +166,11 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             return PAUSES
         if sweeps >= span.pause_at - 1 and (config.acceleration != AITKEN or inside + 1 < 0):
             stats.iteration[w].step_before = stats.iteration[w].step_last
-            stats.iteration[w].step_last = squares(rows.change, span.low, span.high)
+            stats.iteration[w].step_last = squares(rows.change, span.low, span.high, span.team)
             if sweeps >= span.pause_at and stats.iteration[w].measured == sweeps - 1:
                 return PAUSES
             stats.iteration[w].measured = sweeps
-            copy(rows.change, span.low, rows.before, span.low, span.high - span.low)
+            copy(rows.change, span.low, rows.before, span.low, span.high - span.low, span.team)
         return GOES_ON
 
     @wp.func(module=module)

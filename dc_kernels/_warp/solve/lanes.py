@@ -18,9 +18,10 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.common import scalar_types
-from dc_kernels._warp.native import native_code
-from dc_kernels.solve.iteration import ASTRAY, FAR, MOVING
-from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES
+from dc_kernels._warp.native import SCALARS, in_parts, native_code
+from dc_kernels.runtime.sequences import SEATS
+from dc_kernels.solve.iteration import ASTRAY, FAR, MOST_SUMS, MOVING, SUMMED
+from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, SERIAL_COLOR
 
 
 def row_macros(variant: str) -> dict[str, Any]:
@@ -35,12 +36,13 @@ def row_macros(variant: str) -> dict[str, Any]:
 
 @cache
 def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
-    """What is done to the blocks b0 .. b1 of a variant's rows, one function a header.
+    """What is done to the blocks of a world's colours, or to the blocks b0 .. b1, one function a header.
 
-    ``extrapolate`` moves impulses on, and the velocities with them; ``move_on`` does so for the impulses alone, also on
-    a GPU and where rows of a block share bodies.
-
-    They take arrays rather than groups: a struct of 20 arrays passed by value would cost a small world's sweep 4 %.
+    ``at`` is the world's first colour in ``colors``, the first block of each; the last colour, the serial one, is left
+    out. ``team`` is the address of threads that share the blocks of a colour, or 0. ``extrapolate`` moves impulses on,
+    and the velocities with them; ``move_on`` does so for the impulses alone, also on a GPU and where rows of a block
+    share bodies. They take arrays rather than groups: a struct of 20 arrays passed by value would cost a small world's
+    sweep 4 %.
     """
     t = scalar_types(dtype)
     real, vec4 = t.real, t.vec4
@@ -49,50 +51,60 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
     def code(*names: str, **more: object) -> str:
         return native_code("prelude.h", *(f"solve/{name}.h" for name in names), dtype=dtype, **macros, **more)
 
-    @wp.func_native(code("bodies", "row", "sweep"))
+    def by_color(name: str, *arrays: str, **more: object) -> str:
+        taken = native_code("runtime/team.h", "runtime/by_color.h", dtype=dtype, SEATS=SEATS, SERIAL=SERIAL_COLOR)
+        return in_parts(
+            code("bodies", "row", name, **more), "double", taken, ("columns", "row_body", "bodies", *arrays)
+        )
+
+    @wp.func_native(by_color("sweep", "impulse", "change"))
     def sweep(
         columns: wp.array(dtype=real),
         row_body: wp.array(dtype=wp.int32),
         bodies: wp.array(dtype=vec4),
         impulse: wp.array(dtype=real),
         change: wp.array(dtype=real),
-        b0: wp.int32,
-        b1: wp.int32,
+        colors: wp.array(dtype=wp.int32),
+        at: wp.int32,
         omega: real,
+        team: wp.uint64,
     ) -> real: ...
 
-    @wp.func_native(code("bodies", "row", "apply"))
+    @wp.func_native(by_color("apply", "delta"))
     def apply(
         columns: wp.array(dtype=real),
         row_body: wp.array(dtype=wp.int32),
         bodies: wp.array(dtype=vec4),
         delta: wp.array(dtype=real),
-        b0: wp.int32,
-        b1: wp.int32,
-    ): ...
+        colors: wp.array(dtype=wp.int32),
+        at: wp.int32,
+        team: wp.uint64,
+    ) -> real: ...
 
-    @wp.func_native(code("bodies", "row", "push"))
+    @wp.func_native(by_color("push"))
     def push(
         columns: wp.array(dtype=real),
         row_body: wp.array(dtype=wp.int32),
         bodies: wp.array(dtype=vec4),
-        b0: wp.int32,
-        b1: wp.int32,
+        colors: wp.array(dtype=wp.int32),
+        at: wp.int32,
         factor: real,
         limit: real,
+        team: wp.uint64,
     ) -> real: ...
 
-    @wp.func_native(code("bodies", "row", "extrapolate", FOLLOW=True))
+    @wp.func_native(by_color("extrapolate", "impulse", "change", FOLLOW=True))
     def extrapolate(
         columns: wp.array(dtype=real),
         row_body: wp.array(dtype=wp.int32),
         bodies: wp.array(dtype=vec4),
         impulse: wp.array(dtype=real),
         change: wp.array(dtype=real),
-        b0: wp.int32,
-        b1: wp.int32,
+        colors: wp.array(dtype=wp.int32),
+        at: wp.int32,
         alpha: real,
-    ): ...
+        team: wp.uint64,
+    ) -> real: ...
 
     @wp.func_native(code("bodies", "row", "extrapolate", FOLLOW=False))
     def move_on(
@@ -101,8 +113,8 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         bodies: wp.array(dtype=vec4),
         impulse: wp.array(dtype=real),
         change: wp.array(dtype=real),
-        b0: wp.int32,
-        b1: wp.int32,
+        first: wp.int32,
+        last: wp.int32,
         alpha: real,
     ): ...
 
@@ -120,7 +132,14 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         fall: real,
     ) -> wp.int32: ...
 
-    @wp.func_native(code("bodies", "row", "natural_map"))
+    sizes = {"LANES": LANES, "SEATS": SEATS, "SUMMED": SUMMED, "MOST_SUMS": MOST_SUMS}
+    summed = native_code("runtime/team.h", "runtime/ranges.h", "runtime/sum_blocks.h", dtype=dtype, **sizes)
+
+    mapped = in_parts(
+        code("bodies", "row", "natural_map"), SCALARS[dtype], summed, ("columns", "row_body", "bodies", "impulse")
+    )
+
+    @wp.func_native(mapped)
     def natural_map(
         columns: wp.array(dtype=real),
         row_body: wp.array(dtype=wp.int32),
@@ -128,6 +147,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         impulse: wp.array(dtype=real),
         b0: wp.int32,
         b1: wp.int32,
+        team: wp.uint64,
     ) -> real: ...
 
     return SimpleNamespace(

@@ -16,6 +16,7 @@ from dc_kernels._warp.solve.constraints.contact import contact_rows
 from dc_kernels._warp.solve.constraints.distance import distance_row
 from dc_kernels._warp.solve.constraints.jacobian import jacobian_row
 from dc_kernels._warp.solve.lanes import row_macros
+from dc_kernels._warp.solve.ranges import ranges_code
 from dc_kernels.model.config import METHODS
 from dc_kernels.model.enums import Flag
 from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES
@@ -58,13 +59,14 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     @wp.func_native(code("least"))
     def least_of(x: wp.array(dtype=real), i0: wp.int32, i1: wp.int32) -> real: ...
 
-    @wp.func_native(code("unpack"))
+    @wp.func_native(ranges_code(dtype, "pack/unpack.h"))
     def unpack_contacts(
         impulse: wp.array(dtype=real),
         slot: wp.array(dtype=wp.int32),
         solved: wp.array(dtype=vec2),
         i0: wp.int32,
         i1: wp.int32,
+        team: wp.uint64,
     ): ...
 
     @wp.func(module=module)
@@ -161,7 +163,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if state.flags[w] != 0:
             return
         start = contacts.contact_start[w]
-        unpack_contacts(rows.impulse, rows.slot, contacts.impulse, start, start + contacts.contact_count[w])
+        end = start + contacts.contact_count[w]
+        unpack_contacts(rows.impulse, rows.slot, contacts.impulse, start, end, launch.team)
         if wp.static(jointed):
             for j in range(model.joint_start[w], model.joint_start[w + 1]):
                 joints.joint_impulse[j] = rows.impulse[rows.joint_slot[j]]

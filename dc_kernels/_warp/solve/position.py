@@ -54,7 +54,16 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
             first = rows.color_block[w * ENDS]
             pushed = real(0.0)
             if has_lanes() == 1:
-                pushed = push_lanes(rows.column, rows.body, motion.displacement, first, serial, factor, limit)
+                pushed = push_lanes(
+                    rows.column,
+                    rows.body,
+                    motion.displacement,
+                    rows.color_block,
+                    w * ENDS,
+                    factor,
+                    limit,
+                    launch.team,
+                )
                 first = serial
             for k in range(first * N_LANES, last * N_LANES):
                 pushed = wp.max(pushed, push_row(k / N_LANES, k % N_LANES, rows, motion.displacement, factor, limit))

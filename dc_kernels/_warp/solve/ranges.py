@@ -1,6 +1,7 @@
 """Sums and combinations over the impulses i0 .. i1 of a world, in native code; the length is a multiple of LANES.
 
-Sums are taken in LANES parts whose order is fixed, so that they have the same bits on every CPU.
+Sums are taken in LANES parts whose order is fixed, so that they have the same bits on every CPU, and for any number of
+threads: a range of more than ``SUMMED`` numbers is cut into pieces, whose sums are added in order.
 """
 
 from functools import cache
@@ -10,7 +11,16 @@ import warp as wp
 
 from dc_kernels._warp.common import scalar_types
 from dc_kernels._warp.native import native_code
+from dc_kernels.runtime.sequences import SEATS
+from dc_kernels.solve.iteration import MOST_SUMS, SUMMED
 from dc_kernels.solve.rows import LANES
+
+
+def ranges_code(dtype: str, *names: str, **macros: object) -> str:
+    """The body of a native function of headers that stand behind ``runtime/ranges.h``."""
+    headers = ("prelude.h", "runtime/team.h", "runtime/ranges.h", *names)
+    values = {"LANES": LANES, "SEATS": SEATS, "SUMMED": SUMMED, "MOST_SUMS": MOST_SUMS, **macros}
+    return native_code(*headers, dtype=dtype, **values)
 
 
 @cache
@@ -19,7 +29,8 @@ def range_functions(dtype: str) -> SimpleNamespace:
 
     ``squares`` is the sum of squares, ``along`` the product of a change with the move before; ``conjugate`` makes a
     step of nonlinear CG, ``onward`` and ``onward_bodies`` one of momentum; ``products``, ``remember`` and ``combine``
-    are the parts of Anderson's update; ``copy`` and ``copy_bodies`` keep numbers for later. Each is described at the
+    are the parts of Anderson's update; ``copy`` and ``copy_bodies`` keep numbers for later,
+    ``restore`` goes back to the predicted velocities. Each is described at the
     top of its header.
     """
     t = scalar_types(dtype)
@@ -27,10 +38,10 @@ def range_functions(dtype: str) -> SimpleNamespace:
     vec8 = wp.types.vector(8, real)
 
     def code(name: str) -> str:
-        return native_code("prelude.h", f"solve/{name}.h", dtype=dtype, LANES=LANES)
+        return ranges_code(dtype, f"solve/{name}.h")
 
     @wp.func_native(code("squares"))
-    def squares(x: wp.array(dtype=real), i0: wp.int32, i1: wp.int32) -> real: ...
+    def squares(x: wp.array(dtype=real), i0: wp.int32, i1: wp.int32, team: wp.uint64) -> real: ...
 
     @wp.func_native(code("conjugate"))
     def conjugate(
@@ -40,6 +51,7 @@ def range_functions(dtype: str) -> SimpleNamespace:
         i0: wp.int32,
         i1: wp.int32,
         beta: real,
+        team: wp.uint64,
     ): ...
 
     @wp.func_native(code("along"))
@@ -50,16 +62,29 @@ def range_functions(dtype: str) -> SimpleNamespace:
         at: wp.int32,
         i0: wp.int32,
         i1: wp.int32,
+        team: wp.uint64,
     ) -> real: ...
 
     @wp.func_native(code("onward"))
     def onward(
-        x: wp.array(dtype=real), before: wp.array(dtype=real), at: wp.int32, i0: wp.int32, i1: wp.int32, beta: real
+        x: wp.array(dtype=real),
+        before: wp.array(dtype=real),
+        at: wp.int32,
+        i0: wp.int32,
+        i1: wp.int32,
+        beta: real,
+        team: wp.uint64,
     ): ...
 
     @wp.func_native(code("onward_bodies"))
     def onward_bodies(
-        bodies: wp.array(dtype=vec4), before: wp.array(dtype=real), at: wp.int32, b0: wp.int32, b1: wp.int32, beta: real
+        bodies: wp.array(dtype=vec4),
+        before: wp.array(dtype=real),
+        at: wp.int32,
+        b0: wp.int32,
+        b1: wp.int32,
+        beta: real,
+        team: wp.uint64,
     ): ...
 
     @wp.func_native(code("products"))
@@ -71,6 +96,7 @@ def range_functions(dtype: str) -> SimpleNamespace:
         i0: wp.int32,
         i1: wp.int32,
         kept: wp.int32,
+        team: wp.uint64,
     ) -> vec8: ...
 
     @wp.func_native(code("combine"))
@@ -84,6 +110,7 @@ def range_functions(dtype: str) -> SimpleNamespace:
         kept: wp.int32,
         a: real,
         b: real,
+        team: wp.uint64,
     ): ...
 
     @wp.func_native(code("remember"))
@@ -94,6 +121,7 @@ def range_functions(dtype: str) -> SimpleNamespace:
         at: wp.int32,
         i0: wp.int32,
         i1: wp.int32,
+        team: wp.uint64,
     ): ...
 
     @wp.func_native(code("copy"))
@@ -103,14 +131,26 @@ def range_functions(dtype: str) -> SimpleNamespace:
         target: wp.array(dtype=real),
         target_at: wp.int32,
         count: wp.int32,
+        team: wp.uint64,
     ): ...
 
     @wp.func_native(code("copy_bodies"))
     def copy_bodies(
-        bodies: wp.array(dtype=vec4), history: wp.array(dtype=real), at: wp.int32, b0: wp.int32, b1: wp.int32
+        bodies: wp.array(dtype=vec4),
+        history: wp.array(dtype=real),
+        at: wp.int32,
+        b0: wp.int32,
+        b1: wp.int32,
+        team: wp.uint64,
+    ): ...
+
+    @wp.func_native(code("restore"))
+    def restore(
+        predicted: wp.array(dtype=vec4), solved: wp.array(dtype=vec4), b0: wp.int32, b1: wp.int32, team: wp.uint64
     ): ...
 
     return SimpleNamespace(
+        restore=restore,
         squares=squares,
         conjugate=conjugate,
         along=along,

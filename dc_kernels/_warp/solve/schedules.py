@@ -54,6 +54,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         """The solve of a world; see ``solve_world``."""
         w = tid + launch.world_offset
         span = span_of(w, launch.past_offset + tid * launch.past_step, config, model, motion, rows)
+        span.team = launch.team
         done = GOES_ON
         if launch.resume == 0:
             load_impulses(span, model, joints, contacts, motion, rows)

@@ -7,8 +7,8 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
-from dc_kernels._warp.native import native_code
 from dc_kernels._warp.solve.lanes import has_lanes, lane_functions, row_macros
+from dc_kernels._warp.solve.ranges import range_functions, ranges_code
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels.model.config import METHODS, STOPS
 from dc_kernels.solve.iteration import ASTRAY, FALL, NEVER
@@ -37,6 +37,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     lanes = lane_functions(dtype, variant)
     sweep_lanes, apply_lanes, natural_map_lanes = lanes.sweep, lanes.apply, lanes.natural_map
     extrapolate_lanes, move_on, moving_lanes = lanes.extrapolate, lanes.move_on, lanes.moving
+    restore = range_functions(dtype).restore
     jointed, own = variant in JOINTED, variant == "rows"
     tiny = real(1e-30)
     never = real(-1e18)  # no change is as small
@@ -44,7 +45,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     width = wp.constant(len(columns) * LANES)
     EN = wp.constant(columns.index("en") * LANES)
 
-    @wp.func_native(native_code("prelude.h", "pack/load.h", dtype=dtype, **row_macros(variant)))
+    @wp.func_native(ranges_code(dtype, "pack/load.h", **row_macros(variant)))
     def load_contacts(
         columns: wp.array(dtype=real),
         slot: wp.array(dtype=wp.int32),
@@ -54,6 +55,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         b1: wp.int32,
         i0: wp.int32,
         i1: wp.int32,
+        team: wp.uint64,
     ): ...
 
     @wp.func(module=module)
@@ -101,7 +103,15 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             return change
         if has_lanes() == 1:
             change = sweep_lanes(
-                rows.column, rows.body, motion.solved, rows.impulse, rows.change, first, span.serial, omega
+                rows.column,
+                rows.body,
+                motion.solved,
+                rows.impulse,
+                rows.change,
+                rows.color_block,
+                span.world * ENDS,
+                omega,
+                span.team,
             )
             first = span.serial  # the lanes have done the colours before it
         # one loop over the rows: Warp would unroll one over lanes, which takes the compiler half a minute
@@ -114,7 +124,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         """Velocities follow a change of all row impulses of a world: V += M^-1 J^T delta (Wu 2018, equation 2.26)."""
         first = span.first
         if has_lanes() == 1:
-            apply_lanes(rows.column, rows.body, motion.solved, delta, first, span.serial)
+            apply_lanes(rows.column, rows.body, motion.solved, delta, rows.color_block, span.world * ENDS, span.team)
             first = span.serial  # the lanes have done the colours before it
         for k in range(first * N_LANES, span.last * N_LANES):
             apply_row(k / N_LANES, k % N_LANES, rows, motion.solved, delta)
@@ -125,7 +135,17 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         first = span.first
         bodies = motion.solved
         if has_lanes() == 1:
-            extrapolate_lanes(rows.column, rows.body, bodies, rows.impulse, rows.change, first, span.serial, alpha)
+            extrapolate_lanes(
+                rows.column,
+                rows.body,
+                bodies,
+                rows.impulse,
+                rows.change,
+                rows.color_block,
+                span.world * ENDS,
+                alpha,
+                span.team,
+            )
             first = span.serial  # the lanes have done the colours before it
         move_on(rows.column, rows.body, bodies, rows.impulse, rows.change, first, span.last, alpha)
         for k in range(first * N_LANES, span.last * N_LANES):
@@ -134,8 +154,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     @wp.func(module=module)
     def refresh(span: Span, motion: t.Motion, rows: t.Rows):
         """Velocities anew from the impulses: steps of momentum add up their round-off."""
-        for b in range(span.first_body, span.last_body):
-            motion.solved[b] = motion.predicted[b]
+        restore(motion.predicted, motion.solved, span.first_body, span.last_body, span.team)
         apply(span, motion, rows, rows.impulse)
 
     @wp.func(module=module)
@@ -149,7 +168,9 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         w = span.world
         start = contacts.contact_start[w]
         end = start + contacts.contact_count[w]
-        load_contacts(rows.column, rows.slot, contacts.impulse, rows.impulse, span.first, span.last, start, end)
+        load_contacts(
+            rows.column, rows.slot, contacts.impulse, rows.impulse, span.first, span.last, start, end, span.team
+        )
         if wp.static(jointed):
             for j in range(model.joint_start[w], model.joint_start[w + 1]):
                 rows.impulse[rows.joint_slot[j]] = joints.joint_impulse[j]
@@ -170,7 +191,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         first = span.first
         total = real(0.0)
         if has_lanes() == 1:
-            total = natural_map_lanes(rows.column, rows.body, bodies, rows.impulse, first, span.serial)
+            total = natural_map_lanes(rows.column, rows.body, bodies, rows.impulse, first, span.serial, span.team)
             first = span.serial  # the lanes have done the colours before it
         for k in range(first * N_LANES, span.last * N_LANES):
             total += natural_map_row(k / N_LANES, k % N_LANES, rows, bodies)

@@ -1,8 +1,11 @@
 // A step along the conjugate direction, which is then beta direction + change.
-// Parameters: x, change, direction, i0, i1, beta.
-for (int i = i0; i < i1; ++i) {
-    const Real step = beta > 0 ? beta * direction.data[i] : (Real)0;  // it may hold NaN of the solve before
-    direction.data[i] = step + change.data[i];
-    x.data[i] += step;
-    change.data[i] = step;
-}
+// Parameters: x, change, direction, i0, i1, beta, team. Stands behind runtime/ranges.h.
+Real *const now = x.data, *const move = change.data, *const along = direction.data;
+take_range(team, i0, i1, 4096, [=](int first, int last) {
+    for (int i = first; i < last; ++i) {
+        const Real step = beta > 0 ? beta * along[i] : (Real)0;  // it may hold NaN of the solve before
+        along[i] = step + move[i];
+        now[i] += step;
+        move[i] = step;
+    }
+});

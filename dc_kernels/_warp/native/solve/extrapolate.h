@@ -1,7 +1,7 @@
-// Impulses of the blocks b0 .. b1 moved on along their change, x <- clamp(x + alpha change); change is then what they
-// moved by, and where FOLLOW is 1 the velocities of the lanes' bodies follow it.
-// Parameters: columns, row_body, bodies, impulse, change, b0, b1, alpha. Stands behind prelude.h, bodies.h and row.h.
-for (int b = b0; b < b1; ++b) {
+// Impulses of the blocks first .. last moved on along their change, x <- clamp(x + alpha change); change is then what
+// they moved by, and where FOLLOW is 1 the velocities of the lanes' bodies follow it. Parameters: columns, row_body,
+// bodies, impulse, change, first, last, alpha. Stands behind prelude.h, bodies.h and row.h.
+for (int b = first; b < last; ++b) {
 #if defined(__CUDA_ARCH__)
     for (int lane = 0; lane < LANES; ++lane) {
         const int n = b * 2 * LANES + lane, t = n + LANES;

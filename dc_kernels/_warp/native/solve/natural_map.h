@@ -1,11 +1,11 @@
-// Sum of the squared natural maps of the rows of the blocks b0 .. b1 [(N s)^2], row after row, as laws.py has it.
-// Parameters: columns, row_body, bodies, impulse, b0, b1. Stands behind prelude.h, bodies.h and row.h.
+// Sum of the squared natural maps of the rows of the blocks first .. last [(N s)^2], row after row, as laws.py has it.
+// Parameters: columns, row_body, bodies, impulse, first, last. Stands behind prelude.h, bodies.h and row.h.
 #if defined(__CUDA_ARCH__)
 return 0;  // a GPU sums row by row
 #else
 const Vector one = (Real)1;
 Real sum = 0;
-for (int b = b0; b < b1; ++b) {
+for (int b = first; b < last; ++b) {
     const int* const index = row_body.data + (size_t)b * 2 * LANES;
     const Real* const block = columns.data + (size_t)b * COLUMNS * LANES;
     const Bodies A = load_bodies(index), B = load_bodies(index + LANES);

@@ -1,7 +1,10 @@
-// Momentum: x <- x + beta (x - before), before <- x. Parameters: x, before, at, i0, i1, beta.
-for (int i = i0; i < i1; ++i) {
-    const Real v = x.data[i];
-    Real* const last = before.data + at + (i - i0);
-    x.data[i] = v + beta * (v - last[0]);
-    last[0] = v;
-}
+// Momentum: x <- x + beta (x - before), before <- x.
+// Parameters: x, before, at, i0, i1, beta, team. Stands behind runtime/ranges.h.
+Real *const now = x.data, *const past = before.data + at - i0;
+take_range(team, i0, i1, 4096, [=](int first, int last) {
+    for (int i = first; i < last; ++i) {
+        const Real v = now[i];
+        now[i] = v + beta * (v - past[i]);
+        past[i] = v;
+    }
+});

@@ -1,10 +1,10 @@
-// Position correction of the blocks b0 .. b1: displacements that remove a share of what overlaps; the largest push.
-// Parameters: columns, row_body, bodies (displacements), b0, b1, factor, limit.
+// Position correction of the blocks first .. last: displacements that remove a share of what overlaps; the largest
+// push. Parameters: columns, row_body, bodies (displacements), first, last, factor, limit.
 #if defined(__CUDA_ARCH__)
 return 0;  // a GPU solves row by row
 #else
 Vector most = zero;
-for (int b = b0; b < b1; ++b) {
+for (int b = first; b < last; ++b) {
     const int* const index = row_body.data + (size_t)b * 2 * LANES;
     const Real* const block = columns.data + (size_t)b * COLUMNS * LANES;
     Bodies A = load_bodies(index), B = load_bodies(index + LANES);

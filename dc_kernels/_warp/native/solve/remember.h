@@ -1,9 +1,14 @@
-// The latest iterate and its step go in front of the remembered ones. Parameters: x, change, history, at, i0, i1.
+// The latest iterate and its step go in front of the remembered ones.
+// Parameters: x, change, history, at, i0, i1, team. Stands behind runtime/ranges.h.
 const int stride = i1 - i0;
-for (int i = i0; i < i1; ++i) {
-    Real* const past = history.data + at + (i - i0);
-    past[2 * stride] = past[0];
-    past[3 * stride] = past[stride];
-    past[0] = x.data[i];
-    past[stride] = change.data[i];
-}
+const Real *const now = x.data, *const step = change.data;
+Real* const past = history.data + at - i0;
+take_range(team, i0, i1, 2048, [=](int first, int last) {
+    for (int i = first; i < last; ++i) {
+        Real* const of = past + i;
+        of[2 * stride] = of[0];
+        of[3 * stride] = of[stride];
+        of[0] = now[i];
+        of[stride] = step[i];
+    }
+});

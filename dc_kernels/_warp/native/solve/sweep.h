@@ -1,12 +1,12 @@
-// Projected Gauss-Seidel on the blocks b0 .. b1 of a colour's rows; the largest impulse change [N s].
-// Parameters: columns, row_body, bodies, impulse, change, b0, b1, omega. Stands behind prelude.h, bodies.h and row.h.
+// Projected Gauss-Seidel on the blocks first .. last of a colour's rows; the largest impulse change [N s].
+// Parameters: columns, row_body, bodies, impulse, change, first, last, omega. Stands behind prelude.h, bodies.h, row.h.
 // vn, vt: speeds of B against A along the normal and the tangent [m/s]; ln0, lt0: impulses along them before the sweep,
 // ln, lt: after it, dn, dt: their changes [N s].
 #if defined(__CUDA_ARCH__)
 return 0;  // a GPU solves row by row
 #else
 Vector most = zero;
-for (int b = b0; b < b1; ++b) {
+for (int b = first; b < last; ++b) {
     const int* const index = row_body.data + (size_t)b * 2 * LANES;
     const Real* const block = columns.data + (size_t)b * COLUMNS * LANES;
     Bodies A = load_bodies(index), B = load_bodies(index + LANES);

@@ -87,7 +87,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
     ):
         """Judge the stretch before by the squared step of the sweep after it, and choose the next method."""
         w = span.world
-        now = squares(rows.change, span.low, span.high)
+        now = squares(rows.change, span.low, span.high, span.team)
         length = iteration[w].stretch_length
         chosen = iteration[w].stretch_method
         rates = iteration[w].rate
@@ -144,7 +144,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
             iteration[w].inside = inside
             period = iteration[w].period
             if inside == period - 1:
-                iteration[w].before_end = squares(rows.change, span.low, span.high)
+                iteration[w].before_end = squares(rows.change, span.low, span.high, span.team)
             if inside >= period:
                 updated = int(0)
                 if chosen == ANDERSON:

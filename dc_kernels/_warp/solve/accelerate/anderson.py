@@ -81,7 +81,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
     ):
         """The end of a period: update from this and two remembered iterates, then 1; 0 while that rests."""
         w = span.world
-        now = squares(rows.change, span.low, span.high)
+        now = squares(rows.change, span.low, span.high, span.team)
         if iteration[w].updated == 1 and now > iteration[w].before_update:  # the update did harm
             iteration[w].remembered = 0
             iteration[w].rest = iteration[w].next_rest
@@ -94,9 +94,9 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         rest = iteration[w].rest
         iteration[w].rest = wp.max(rest - 1, 0)
         if rest > 0 or kept == 0:
-            remember(rows.impulse, rows.change, rows.past, span.past_at, span.low, span.high)
+            remember(rows.impulse, rows.change, rows.past, span.past_at, span.low, span.high, span.team)
             return 0
-        s = products(rows.impulse, rows.change, rows.past, span.past_at, span.low, span.high, kept)
+        s = products(rows.impulse, rows.change, rows.past, span.past_at, span.low, span.high, kept, span.team)
         iteration[w].products = s
         ab = coefficients(s, kept)
         a = ab[0]
@@ -106,7 +106,18 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         cap = config.aitken_cap
         if length > (cap * cap) * now:
             scale = cap * wp.sqrt(now / length)
-        combine(rows.impulse, rows.change, rows.past, span.past_at, span.low, span.high, kept, a * scale, b * scale)
+        combine(
+            rows.impulse,
+            rows.change,
+            rows.past,
+            span.past_at,
+            span.low,
+            span.high,
+            kept,
+            a * scale,
+            b * scale,
+            span.team,
+        )
         iteration[w].before_update = now
         iteration[w].updated = 1
         extrapolate(span, one, motion, rows)

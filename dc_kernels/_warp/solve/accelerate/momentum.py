@@ -48,8 +48,10 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         w = span.world
         iteration[w].momentum = one
         length = span.high - span.low
-        copy(rows.impulse, span.low, rows.past, span.past_at, length)
-        copy_bodies(motion.solved, rows.past, span.past_at + N_PAST * length, span.first_body, span.last_body)
+        copy(rows.impulse, span.low, rows.past, span.past_at, length, span.team)
+        copy_bodies(
+            motion.solved, rows.past, span.past_at + N_PAST * length, span.first_body, span.last_body, span.team
+        )
 
     @wp.func(module=module)
     def after_sweep(
@@ -61,13 +63,13 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         """Move impulses and velocities on by beta times their last move; begin anew where the sweep goes against it."""
         w = span.world
         before = iteration[w].momentum
-        if along(rows.change, rows.impulse, rows.past, span.past_at, span.low, span.high) < real(0.0):
+        if along(rows.change, rows.impulse, rows.past, span.past_at, span.low, span.high, span.team) < real(0.0):
             before = one
         after = nesterov(before)
         beta = (before - one) / after
         iteration[w].momentum = after
-        onward(rows.impulse, rows.past, span.past_at, span.low, span.high, beta)
+        onward(rows.impulse, rows.past, span.past_at, span.low, span.high, beta, span.team)
         h = span.past_at + N_PAST * (span.high - span.low)
-        onward_bodies(motion.solved, rows.past, h, span.first_body, span.last_body, beta)
+        onward_bodies(motion.solved, rows.past, h, span.first_body, span.last_body, beta, span.team)
 
     return SimpleNamespace(reset=reset, after_sweep=after_sweep)

@@ -36,12 +36,12 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
     ):
         """Move on along the conjugate direction; start anew where the step has grown. It never pauses: 0."""
         w = span.world
-        now = squares(rows.change, span.low, span.high)
+        now = squares(rows.change, span.low, span.high, span.team)
         beta = real(0.0)
         if iteration[w].sweeps > 1 and now <= iteration[w].at_end and iteration[w].at_end > real(0.0):
             beta = now / iteration[w].at_end
         iteration[w].at_end = now
-        conjugate(rows.impulse, rows.change, rows.direction, span.low, span.high, beta)
+        conjugate(rows.impulse, rows.change, rows.direction, span.low, span.high, beta, span.team)
         if beta > real(0.0):
             apply(span, motion, rows, rows.change)
         return 0

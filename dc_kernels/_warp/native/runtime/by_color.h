@@ -1,0 +1,13 @@
+// Blocks of rows colour by colour, each colour by all threads of a team. Stands behind team.h and `part`.
+// Parameters: colors (first block of each colour of all worlds), at (of the world's first colour), team. Macros:
+// SERIAL.
+#if defined(__CUDA_ARCH__)
+return 0;  // a GPU solves row by row
+#else
+if (!team) return part(colors.data[at], colors.data[at + SERIAL]);
+Phases phases;
+phases.first[0] = colors.data[at];
+const int fewest = 8;  // blocks of a part: half a microsecond
+for (int k = 1; k <= SERIAL; ++k) phases.add(colors.data[at + k], ((Team*)team)->size, fewest);
+return take_phases((Team*)team, phases, part);
+#endif

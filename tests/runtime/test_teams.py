@@ -1,0 +1,169 @@
+"""Threads within one world: the bits of one thread, whoever comes, comes late, or never does."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import dc_kernels as dc
+from dc_kernels.runtime import sequences, stepping, threads
+
+STEPS = 4
+JOB, MEMBERS = 1, 2  # lines of a team's memory: the leader's, and that of the members
+
+
+@pytest.fixture(autouse=True)
+def as_many_cores_as_asked_for(monkeypatch):
+    monkeypatch.setattr(stepping, "usable_cores", lambda: 8)
+    monkeypatch.setattr(stepping, "WORTH_HELP", 100)
+
+
+def heap(discs=1600, worlds=1, shape="disc", **options):
+    """Bodies on a lattice that touch and fall upon each other: colours of many blocks from the first step on."""
+    builder = dc.ModelBuilder()
+    side = int(discs**0.5)
+    for _ in range(worlds):
+        builder.add_world()
+        ground = builder.add_body(type=dc.BodyType.STATIC)
+        builder.add_chain(ground, [(-1.0, side + 9.0), (-1.0, 0.0), (side + 1.0, 0.0), (side + 1.0, side + 9.0)])
+        for i in range(discs):
+            at = (0.5 + i % side + 0.3 * (i // side % 2), 0.5 + 0.9 * (i // side))
+            if shape == "disc":
+                builder.add_disc(builder.add_body(at), 0.5)
+            else:
+                builder.add_box(builder.add_body(at), 0.5, 0.45)
+    return dc.Simulation(*builder.finalize(), config=dc.SolverConfig(max_sweeps=40), **options)
+
+
+def ends(sim):
+    """What a run has left, as bytes."""
+    used = int(sim.contacts.numpy("contact_count")[0])
+    groups = [sim.state.numpy(name) for name in ("position", "angle", "velocity", "angular_velocity")]
+    groups += [sim.contacts.numpy("impulse")[:used], sim.stats.numpy("sweeps"), sim.stats.numpy("residual")]
+    return [np.ascontiguousarray(group).tobytes() for group in groups]
+
+
+def jobs_of(sim):
+    """How many jobs the first team of a simulation was led through."""
+    return int(sim._shards._teams._memory[0, JOB].view(np.int64)[4]) // 2
+
+
+def members_of(sim):
+    """How many threads are there beside the leader of the first team."""
+    return int(sim._shards._teams._memory[0, MEMBERS].view(np.int32)[0])
+
+
+def met(monkeypatch, sim):
+    """Let no call of a simulation begin before all its members are there."""
+
+    def run_helped(work, *others):
+        def wait_and_work():
+            end = time.monotonic() + 10.0
+            while members_of(sim) < sim.threads - 1 and time.monotonic() < end:
+                time.sleep(1e-4)
+            work()
+
+        threads.run_helped(wait_and_work, *others)
+
+    monkeypatch.setattr(stepping, "run_helped", run_helped)
+
+
+@pytest.mark.parametrize(("shape", "acceleration"), [("disc", "adaptive"), ("box", "adaptive"), ("disc", "nncg")])
+def test_bits_are_those_of_one_thread(monkeypatch, shape, acceleration):
+    found = []
+    for count in (1, 2, 5):
+        sim = heap(900, shape=shape, threads=count)
+        if count > 1:
+            met(monkeypatch, sim)
+        sim.config = dc.SolverConfig(max_sweeps=40, acceleration=acceleration)
+        assert sim.threads == count
+        sim.run(STEPS, 0.01)
+        for _ in range(2):
+            sim.collide(0.01)
+            sim.solve(pause=7)
+            sim.resume()
+            sim.advance()
+        found.append(ends(sim))
+        assert jobs_of(sim) > 0 if count > 1 else not sim._shards.helpers
+    assert found[1:] == found[:1] * 2
+
+
+def test_bits_do_not_depend_on_when_a_member_comes():
+    """Each call has a new one, which meets the solve wherever that is."""
+    sim = heap(900, threads=2)
+    sim.run(2, 0.01)
+    sim.config = dc.SolverConfig(max_sweeps=12, acceleration="none", stop="change", min_sweeps=12)
+    found = set()
+    end = time.monotonic() + 0.7
+    while time.monotonic() < end:
+        sim.collide(0.01)
+        sim.solve()
+        found.add(sim.motion.numpy("solved").tobytes())
+    assert len(found) == 1
+
+
+def test_two_worlds_and_three_threads_help_where_there_is_work():
+    one, many = heap(900, worlds=2), heap(900, worlds=2, threads=3)
+    for sim in (one, many):
+        sim.run(STEPS, 0.01)
+    assert (one.threads, many.threads) == (1, 3)
+    assert ends(one) == ends(many)
+
+
+def test_a_member_that_never_comes_is_not_waited_for(monkeypatch):
+    """The pool's threads are all taken; then there is one that leaves at once."""
+    alone, sim = heap(), heap(threads=2)
+    free = threading.Event()
+    room = threads.thread_pool(1)._max_workers
+    taken = [threads.thread_pool(1).submit(free.wait) for _ in range(room)]
+    try:
+        sim.run(STEPS, 0.01)
+    finally:
+        free.set()
+    [one.result() for one in taken]
+    assert jobs_of(sim) == 0
+    alone.run(STEPS, 0.01)
+    assert ends(sim) == ends(alone)
+    monkeypatch.setattr(sequences, "PATIENCE", -10_000)
+    hasty = heap(threads=2)
+    hasty.run(STEPS, 0.01)
+    assert ends(hasty) == ends(alone)
+
+
+def test_a_small_world_and_a_schedule_by_colours_take_one_thread(monkeypatch):
+    assert heap(400, threads=2, schedule="color").threads == 1
+    monkeypatch.setattr(stepping, "WORTH_HELP", 1000)
+    assert heap(400, threads=2).threads == 1
+    monkeypatch.setattr(stepping, "usable_cores", lambda: 1)
+    assert heap(1600, threads=2).threads == 1
+
+
+def test_an_interrupt_leaves_a_world_at_a_whole_step():
+    """The helper has left when the caller goes on; the run goes on with the bits of one that was not interrupted."""
+    alone, sim = heap(), heap(threads=2)
+    alone.run(60, 0.01)
+    threading.Timer(0.05, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        sim.run(100_000, 0.01)
+    done = round(float(sim.state.numpy("time")[0]) / 0.01)
+    assert done > 0
+    assert members_of(sim) == 0
+    if done < 60:
+        sim.run(60 - done, 0.01)
+        assert ends(sim) == ends(alone)
+
+
+def test_a_forked_child_has_a_team_of_its_own():
+    alone, sim = heap(), heap(threads=2)
+    sim.run(1, 0.01)
+    child = os.fork()
+    if child == 0:
+        sim.run(STEPS, 0.01)
+        alone.run(1 + STEPS, 0.01)
+        os._exit(0 if ends(sim) == ends(alone) else 1)
+    assert os.waitpid(child, 0)[1] == 0
