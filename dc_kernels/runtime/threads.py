@@ -166,11 +166,18 @@ def run_helped(work: Callable[[], Any], help_out: Callable[[], Any], helpers: in
     """
     others: list[Future[Any]] = []
     try:
-        others = [thread_pool(helpers).submit(help_out) for _ in range(helpers)]
+        with contextlib.suppress(RuntimeError):  # no more threads, or an interpreter that ends: nobody helps
+            for _ in range(helpers):
+                others.append(thread_pool(helpers).submit(help_out))
         work()
     finally:
         end()
-        wait([other for other in others if not other.cancel()])
+        begun = [other for other in others if not other.cancel()]
+        try:
+            wait(begun)
+        except BaseException:
+            wait(begun)  # none is left at work when the caller goes on
+            raise
 
 
 def usable_cores() -> int:

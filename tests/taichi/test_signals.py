@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -17,12 +18,18 @@ from dc_kernels._taichi.runtime.signals import ASKED, LISTENING, NUMBERS, PATIEN
 
 @pytest.fixture(autouse=True)
 def handlers() -> Iterator[None]:
-    """Python's own handler of Ctrl-C, which the background of a shell has not, and a harmless one of another signal."""
+    """Python's own handler of Ctrl-C, which the background of a shell has not, and a harmless one of another signal.
+
+    Nobody listens, whatever a loop of asyncio before may have left.
+    """
+    listened = signal.set_wakeup_fd(-1)
     numbers = (signal.SIGINT, signal.SIGUSR1)
     before = [signal.signal(n, handler) for n, handler in zip(numbers, (signal.default_int_handler, lambda *_: None))]
     yield
     for number, handler in zip(numbers, before):
         signal.signal(number, handler)
+    with contextlib.suppress(OSError, ValueError):  # it may be closed
+        signal.set_wakeup_fd(listened)
 
 
 def numbers_in(words: np.ndarray, count: int) -> list[int]:
@@ -75,6 +82,17 @@ def test_who_listened_before_gets_what_came() -> None:
             assert ours.recv(9) == bytes([signal.SIGUSR1])
         finally:
             assert signal.set_wakeup_fd(-1) == theirs.fileno()
+
+
+def test_a_process_forked_meanwhile_holds_nothing_up() -> None:
+    """It has a copy of the descriptor that signals are written to, so that closing ours alone ends nobody's wait."""
+    words, threads = np.zeros(WORDS, np.int32), threading.active_count()
+    with signals_in(words, 7):
+        theirs = signal.set_wakeup_fd(-1)
+        copy = os.dup(theirs)
+        signal.set_wakeup_fd(theirs)
+    os.close(copy)
+    assert threading.active_count() == threads
 
 
 def test_nothing_is_done_for_another_handler_and_in_another_thread() -> None:

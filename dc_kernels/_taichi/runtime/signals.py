@@ -92,7 +92,8 @@ class _Listener:
         except (OSError, RuntimeError):  # too many files or threads
             return None
         made.theirs.send(bytes([LISTENING]))
-        while made.bytes[0] != LISTENING:  # the thread must get as far as there before the lock is held for long
+        # the thread must get as far as there before the lock is held for long; it may also have failed to
+        while made.bytes[0] != LISTENING and made.thread.is_alive():
             time.sleep(POLL)
         made.before = signal.set_wakeup_fd(made.theirs.fileno(), warn_on_full_buffer=False)
         return made
@@ -100,6 +101,8 @@ class _Listener:
     def stop(self) -> None:
         """Listen no more; who listened before gets what came."""
         signal.set_wakeup_fd(self.before)
+        with contextlib.suppress(OSError):
+            self.theirs.shutdown(socket.SHUT_RDWR)  # a process forked meanwhile holds it open, and the wait goes on
         self.theirs.close()
         self.thread.join()
         self.ours.close()

@@ -21,17 +21,21 @@ struct Lead {
 #endif
     }
     // Wait until a number has come up to (sign 1) or down to (-1) another: spin at first, then give way to other
-    // threads. A leader who waits far longer than it worked itself, as somebody has lost the core, rests from jobs for
+    // threads, then sleep, as one that gives way takes the core from whom it waits for if that has a lower priority. A
+    // leader who waits far longer than it worked itself, as somebody has lost the core, rests from jobs for
     // sixteen times as long: a machine with too few cores is then no slower than for one thread by more than a tenth.
     static void wait(Team& team, const int& number, int sign, int other, bool leads, Ticks begun) {
-        const int spins = 2000;
+        const int spins = 2000, yields = 2000;
         const Ticks from = leads ? now() : 0;
         for (int i = 0; sign * (__atomic_load_n(&number, __ATOMIC_ACQUIRE) - other) < 0; ++i) {
             if (i < spins) {
                 breathe();
                 continue;
             }
-            team.give_way();
+            if (i < spins + yields)
+                team.give_way();
+            else
+                team.sleep(team.nap);
             if (leads && now() - from > 2 * (from - begun)) team.rest_until = now() + 16 * (now() - from);
         }
     }
