@@ -13,13 +13,17 @@ from pipeline.scenes.mixed import Mixed
 from pipeline.scenes.peers import PeerWorld, to_box2d, to_pymunk
 from pipeline.scenes.placement import CLEARANCE, Sampler, place_discs
 from pipeline.scenes.registry import SCENES, register, scene
+from pipeline.scenes.structures import Arch, CardHouse, Dominoes
 from pipeline.scenes.tumbler import Tumbler
 
 __all__ = [
     "CLEARANCE",
     "SCENES",
     "THESIS_BODIES",
+    "Arch",
+    "CardHouse",
     "Chain",
+    "Dominoes",
     "Incline",
     "Mixed",
     "PeerWorld",

@@ -13,10 +13,25 @@ from pipeline.scenes.chain import Chain
 from pipeline.scenes.discs import Settled, Thesis, ThesisClustered
 from pipeline.scenes.incline import Incline
 from pipeline.scenes.mixed import Mixed
+from pipeline.scenes.structures import Arch, CardHouse, Dominoes
 from pipeline.scenes.tumbler import Tumbler
 
 SCENES: dict[str, type[Scene]] = {
-    scene.name: scene for scene in (Thesis, ThesisClustered, Settled, Stack, Pyramid, Incline, Mixed, Chain, Tumbler)
+    scene.name: scene
+    for scene in (
+        Thesis,
+        ThesisClustered,
+        Settled,
+        Stack,
+        Pyramid,
+        Incline,
+        Mixed,
+        Chain,
+        Tumbler,
+        CardHouse,
+        Arch,
+        Dominoes,
+    )
 }
 """The scenes that commands and data sets know, by name; ``register`` adds those of a plugin."""
 

@@ -102,6 +102,22 @@ def test_command_explain(capsys):
     assert last_json(capsys.readouterr().out)["explain"].strip() == text.strip()
 
 
+def test_command_scenes(tmp_path, capsys, monkeypatch):
+    for name in SCENES.keys() - {"thesis", "arch"}:
+        monkeypatch.delitem(SCENES, name)
+    main(["scenes"])
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["thesis", "arch"]
+    main(["scenes", "--out", str(tmp_path), "--seconds", "0.05", "--json"])
+    result = last_json(capsys.readouterr().out)
+    assert result["scenes"]["arch"]["parameters"]["radius"] == {
+        "default": 5.0,
+        "meaning": "Mean radius of the arch",
+        "unit": "m",
+    }
+    assert result["scenes"]["thesis"]["bodies"] == 100
+    assert Path(result["path"]).read_bytes().startswith(b"\x89PNG")
+
+
 def test_command_explain_with_a_network(capsys, contactnet):
     for steps in (0, 20):
         main(["explain", "settled", "--bodies", "12", "--start", str(contactnet), "--steps", str(steps), "--json"])
