@@ -22,7 +22,7 @@ from dc_kernels.reports import capacity, memory
 from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import refuse_hosted, refuse_recording
 from dc_kernels.runtime.inputs import check_maybe_callable, check_whole
-from dc_kernels.runtime.sequences import Rounds, Watch
+from dc_kernels.runtime.sequences import Needing, Rounds, Watch
 from dc_kernels.runtime.stepping import shards_of
 from dc_kernels.runtime.threads import GPU_CALLS, OneCaller, uninterrupted
 from dc_kernels.sleep.sleepers import Sleepers
@@ -30,7 +30,7 @@ from dc_kernels.solve.integrate import Motion
 from dc_kernels.solve.rows import only_centred_discs, variant_of
 from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration, check_solve, settings_of_solve
 from dc_kernels.solve.storage import Rows, SolveStats
-from dc_kernels.stages import PHASES, Phase, Turn, kernel_table, of_phase
+from dc_kernels.stages import PHASES, Phase, Turn, kernel_table, needs_of, of_phase
 from dc_kernels.storage import Storage
 
 Start = Callable[["Simulation"], None]
@@ -196,7 +196,8 @@ class Simulation(Driven):
         # a view is kept: making one takes longer than a small world's kernels
         self._flags = self.state.numpy("flags")
         used = (self.pairs.near_count, self.contacts.contact_count, self.rows.block_needed)
-        self._watch = Watch(self.state.flags, int(CAPACITY_FLAGS), used)
+        sleep = [self.sleepers.array(name) for name in ("sleeping", "dormant", "waited")] if config.sleep else []
+        self._watch = Watch(self.state.flags, int(CAPACITY_FLAGS), used, tuple(sleep))
 
     @property
     def values(self) -> Mapping[str, Any]:
@@ -209,11 +210,13 @@ class Simulation(Driven):
         config = self._config
         names = of_phase(phase, config.corrects_positions, config.sleep)
         if phase != "solve":
-            return [self.bind(name, first, count) for name in names]
-        launches = SCHEDULES[self.schedule](self, first, count, changed or {})
-        ends = (names[:1], names[-1:]) if config.sleep else ((), ())
-        begin, end = ([self.bind(name, first, count) for name in some] for some in ends)
-        return [*begin, *launches, *end]
+            launches = [self.bind(name, first, count) for name in names]
+        else:
+            launches = SCHEDULES[self.schedule](self, first, count, changed or {})
+            if config.sleep:
+                launches = [self.bind(names[0], first, count), *launches, self.bind(names[-1], first, count)]
+                names = [names[0], *["solve_world"] * (len(launches) - 2), names[-1]]
+        return [Needing(launch, need) for launch, need in zip(launches, needs_of(names))] if config.sleep else launches
 
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
         """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""

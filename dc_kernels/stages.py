@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
+from dc_kernels.model.enums import Activity
 from dc_kernels.runtime.backends import make_kernels
 from dc_kernels.runtime.capture import recording
 
@@ -98,8 +99,9 @@ SLEEP = (
         "the stages of a phase pass over worlds in which nothing is awake",
     ),
     Stage(
-        "collide", "mark_sleepers", "sleep.wake", (), ("model", "state", "joints", "motion", "pairs", "sleepers"),
-        ("motion", "sleepers"), "what is roused wakes; the narrowphase passes over pairs of sleepers",
+        "collide", "mark_sleepers", "sleep.wake", (),
+        ("model", "state", "joints", "motion", "pairs", "contacts", "sleepers"), ("motion", "sleepers"),
+        "what is roused wakes; the narrowphase passes over pairs of sleepers",
         "a world without sleepers",
     ),
     Stage(
@@ -119,11 +121,28 @@ SLEEP = (
         ("contacts", "sleepers"), "contacts of sleepers among those of the step", "a world without sleepers",
     ),
     Stage(
-        "advance", "rest", "sleep.fall", (), ("model", "state", "joints", "motion", "contacts", "sleepers"),
-        ("state", "sleepers"), "islands that have come to rest fall asleep",
+        "advance", "rest", "sleep.fall", (), ("model", "state", "motion", "sleepers"), ("state", "sleepers"),
+        "for how long bodies have rested; time of worlds that are passed over",
+    ),
+    Stage(
+        "advance", "fall_asleep", "sleep.fall", (), ("model", "state", "joints", "contacts", "sleepers"),
+        ("state", "sleepers"), "islands that have come to rest fall asleep", "where none may have",
     ),
 )  # fmt: skip
 """What ``SolverConfig.sleep`` adds to the stages, by the phase in which each is first (see ``of_phase``)."""
+
+NEEDS = {
+    "notice_writes": Activity(0),
+    "enter_worlds": Activity.ASLEEP,
+    "mark_sleepers": Activity.ASLEEP | Activity.AWAKE,
+    "wake_touched": Activity.ASLEEP | Activity.AWAKE,
+    "admit_worlds": Activity.ASLEEP | Activity.AWAKE,
+    "leave_worlds": Activity.ASLEEP,
+    "show_sleepers": Activity.ASLEEP | Activity.AWAKE,
+    "rest": Activity(0),
+    "fall_asleep": Activity.RESTED,
+}
+"""Without what the kernels of ``SLEEP`` do nothing, so that they need not be launched; all others need AWAKE."""
 
 ORDER: dict[str, tuple[tuple[Phase, ...], str]] = {
     "solve": (
@@ -172,7 +191,15 @@ def of_phase(phase: Phase, position_correction: bool = True, sleep: bool = False
         return [*begin, "narrowphase", "admit_worlds", *names[found + 1 :], "leave_worlds"]
     if phase == "solve":
         return ["enter_worlds", *names, "leave_worlds"]
-    return ["enter_worlds", *names[:-1], "show_sleepers", names[-1], "rest"]
+    return ["enter_worlds", *names[:-1], "show_sleepers", names[-1], "rest", "fall_asleep"]
+
+
+def needs_of(names: Sequence[str]) -> list[Activity]:
+    """Without what each kernel of a phase, as ``of_phase`` gives them with ``sleep``, has nothing to do."""
+    needs = [NEEDS.get(name, Activity.AWAKE) for name in names]
+    if "wake_touched" in names:  # the narrowphase is repeated for worlds in which a sleeper was touched
+        needs[names.index("wake_touched") + 1] |= Activity.ASLEEP
+    return needs
 
 
 def markdown(stages: Sequence[Stage] = STEP) -> str:

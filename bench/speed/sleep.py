@@ -23,12 +23,12 @@ SUMMARY = "steps of piles asleep, asleep in half, and awake with sleep allowed; 
 KEYS = ("asleep_us", "asleep_step_us", "awake_slowdown", "half_share", "wake_difference", "hit_difference")
 THREADS = 1
 
-SCENES = ("settled_discs_10000", "settled_mixed_1000", "pyramid_1275", "boxes_1024_worlds")
-QUICK = ("settled_discs_1000", "settled_mixed_1000", "pyramid_1275", "boxes_64_worlds")
+SCENES = ("settled_discs_10000", "settled_mixed_1000", "pyramid_1275", "boxes_1024_worlds", "one_disc_run")
+QUICK = ("settled_discs_1000", "settled_mixed_1000", "pyramid_1275", "boxes_64_worlds", "one_disc_run")
 SETTLE = 300  # steps by which all of a scene has come to rest; what has not is let sleep by a call
 ROUNDS, ROUNDS_QUICK = 15, 7
 ASLEEP_STEPS = 1_000  # timed together
-AWAKE_STEPS = 10  # timed together
+AWAKE_STEPS, AWAKE_BODIES = 10, 50_000  # timed together: at least so many steps, and bodies times steps
 AFTER = 50  # steps after which what woke is compared with what never slept
 SPEED = 5.0  # of the ball shot into a pile [m/s]
 
@@ -102,10 +102,11 @@ def measure_awake(handed: Handed, config: dc.SolverConfig, rounds: int) -> dict[
     if "half" in sims:
         world = np.repeat(np.arange(handed.worlds), np.diff(sims["half"].model.numpy("body_start")))
         sims["half"].sleep(np.flatnonzero(world % 2 == 0))
+    count = max(AWAKE_STEPS, AWAKE_BODIES // handed.groups[0].body_count)
     times: dict[str, list[float]] = {name: [] for name in sims}
     for k in range(rounds):
         for name in list(sims)[:: -1 if k % 2 else 1]:
-            times[name].append(timing.seconds(lambda sim=sims[name]: sim.run(AWAKE_STEPS, DT)))  # type: ignore[misc]
+            times[name].append(timing.seconds(lambda sim=sims[name]: sim.run(count, DT)))  # type: ignore[misc]
     if (sims["on"].state.numpy("position") != sims["off"].state.numpy("position")).any():
         raise RuntimeError("bodies that might sleep, and are awake, move differently")
 

@@ -43,6 +43,14 @@ class Rest(IntEnum):
     FALLING = 3  # falls asleep: no step is begun with it
 
 
+class Activity(IntFlag):
+    """What is in a shard of worlds that may sleep; bits that its launches need to have anything to do."""
+
+    ASLEEP = 1  # a world in which a body sleeps
+    AWAKE = 2  # a world that is not dormant
+    RESTED = 4  # a world in which islands are to be looked for
+
+
 class Element(IntEnum):
     """What the elements of an array are that is held to limits."""
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.model.dtypes import aligned_zeros
+from dc_kernels.model.enums import Activity
 from dc_kernels.runtime.backends import Launch, bind, kernel_file, make_kernels
 from dc_kernels.runtime.capture import recording
 
@@ -42,12 +43,44 @@ def as_one(launches: Sequence[Launch]) -> Launch:
     return _Run(list(launches), table)
 
 
+class Needing:
+    """A launch that does nothing without some ``Activity`` of its worlds: compiled rounds leave it out then.
+
+    Attributes:
+        needs: bits of ``Activity``.
+    """
+
+    def __init__(self, launch: Launch, needs: int) -> None:
+        """``needs``: bits of ``Activity``."""
+        self._launch, self.needs = launch, int(needs)
+
+    @property
+    def addresses(self) -> tuple[int, int, int] | None:
+        """Those of the launch."""
+        return getattr(self._launch, "addresses", None)
+
+    def __call__(self) -> None:
+        """Launch, whatever it needs."""
+        self._launch()
+
+
 def address_table(launches: Sequence[Launch]) -> np.ndarray | None:
-    """The addresses that ``_warp/runtime/sequences.py`` runs, (n, 3) uint64; None where some launch has none."""
-    rows = [getattr(launch, "addresses", None) for launch in launches]
-    if not rows or any(row is None for row in rows):
-        return None
-    return np.array(rows, np.uint64)
+    """What ``_warp/runtime/sequences.py`` runs, (n, 4) uint64; None where some launch has no addresses."""
+    rows: list[tuple[int, ...]] = []
+    for launch in launches:
+        addresses = getattr(launch, "addresses", None)
+        if addresses is None:
+            return None
+        rows.append((*addresses, getattr(launch, "needs", 0)))
+    return np.array(rows, np.uint64) if rows else None
+
+
+def awake_table(table: np.ndarray, once: int) -> np.ndarray:
+    """Of a table of addresses what is launched after the first ``once`` where nothing sleeps; it needs no look then."""
+    rows = table[once:]
+    rows = rows[rows[:, 3] & np.uint64(Activity.ASLEEP) == 0]
+    rows[:, 3] &= np.uint64(Activity.RESTED)
+    return rows
 
 
 class _Run:
@@ -55,7 +88,8 @@ class _Run:
 
     def __init__(self, launches: list[Launch], table: np.ndarray) -> None:
         self.launches = launches
-        self._run = _bind("run_launches", {"launches": table, "count": len(launches)})
+        values = {"launches": table, "count": len(launches), "sleep": np.zeros(0, np.uint64)}
+        self._run = _bind("run_launches", values)
 
     def __call__(self) -> None:
         if recording():
@@ -73,6 +107,8 @@ class Watch(NamedTuple):
     """Bits that halt."""
     used: tuple[Any, ...]
     """How much of each kind of room a world uses."""
+    sleep: tuple[Any, ...] = ()
+    """``sleeping``, ``dormant`` and ``waited`` of sleepers, by which launches are left out; empty without sleep."""
 
 
 class Rounds:
@@ -123,15 +159,15 @@ class Rounds:
         self._run = _bind(
             "repeat_launches",
             {
-                "launches": table,
+                "launches": np.concatenate((table, awake_table(table, once))) if watch.sleep else table,
                 "count": len(self.launches),
                 "once": once,
                 "rounds": 1,
-                "first": first,
-                "worlds": count,
+                "shard": (first, count),
                 "stop_at": watch.stop_at,
                 "flags": watch.flags,
                 "used": np.array([array.ptr for array in watch.used], np.uint64),
+                "sleep": np.array([array.ptr for array in watch.sleep], np.uint64),
                 "peak": peak,
                 "halt": halt,
                 "done": self._done,

@@ -2,9 +2,9 @@
 
 **Falling asleep.** At the end of a step ``rest`` adds the time step to the rest time of each dynamic body whose speed
 is below ``sleep_speed``, and makes that of any other zero. Every ``LOOK_EVERY`` steps, if some body has rested for
-``sleep_time``, islands are made by union-find over contacts and joints of bodies that are awake. One whose bodies have
-all rested so long falls asleep, unless it touches a kinematic body that moves: velocities become zero, and position,
-angle, force and torque are remembered.
+``sleep_time``, ``fall_asleep`` makes islands by union-find over contacts and joints of bodies that are awake. One whose
+bodies have all rested so long falls asleep, unless it touches a kinematic body that moves: velocities become zero, and
+position, angle, force and torque are remembered.
 
 **A world in which nothing is awake** is dormant: each phase begins with ``enter_worlds``, which flags it, so that its
 stages return at once, and ends with a kernel that takes the flag away. Only its time goes on.
@@ -18,9 +18,12 @@ of zeros, which keep their impulses.
 **Waking.** ``notice_writes`` compares sleepers with what they were last seen like, once in a call: other places,
 velocities, forces, torques, gravity or joints rouse them; a body that is not dynamic and was put elsewhere rouses what
 it carried. A contact of a sleeper that the narrowphase finds all the same is one with something that moves: it rouses
-the sleeper, and the narrowphase is run once more. What is roused wakes with all sleepers that candidate pairs and
-joints connect it to, before the contacts of the step are made; matched by their keys, these have impulse, colour and
-age of the step in which they fell asleep.
+the sleeper, and the narrowphase is run once more. What is roused wakes with all sleepers that candidate pairs, contacts
+and joints connect it to, before the contacts of the step are made; matched by their keys, these have impulse, colour
+and age of the step in which they fell asleep.
+
+**Launches.** Rounds of compiled launches (``runtime.sequences``) leave out what has nothing to do in their shard
+(``stages.needs_of``): the kernels of sleep where nothing sleeps, the stages of a step where nothing is awake.
 """
 
 from __future__ import annotations

@@ -394,6 +394,77 @@ def test_room_for_contacts_grows_with_those_of_sleepers():
     assert contacts_of(sims[0]) == contacts_of(sims[1])
 
 
+def rain(worlds, **options):
+    """Boxes and discs that fall on each other in each world, one row of worlds as the other."""
+    builder = dc.ModelBuilder()
+    rng = np.random.default_rng(0)
+    for _ in range(worlds):
+        builder.add_world()
+        builder.add_box(builder.add_body(type=dc.BodyType.STATIC), 20.0, 0.5, center=(0.0, -0.5))
+        for k in range(7):
+            body = builder.add_body((float(rng.uniform(-1.0, 1.0)), 1.0 + 1.05 * k))
+            if k % 2:
+                builder.add_box(body, 0.4, 0.4)
+            else:
+                builder.add_disc(body, 0.5)
+    return dc.Simulation(*builder.finalize(), config=dc.SolverConfig(sleep=True), **options)
+
+
+def test_who_wakes_is_a_function_of_the_state_of_the_world_alone():
+    """Pairs are found anew whenever the room of any world grows, and who wakes must not depend on that."""
+    alone, among = (rain(worlds, contacts_per_body=0.2) for worlds in (1, 6))
+    bodies = np.arange(alone.model.body_count)
+    for _ in range(8):
+        for sim in (alone, among):
+            sim.run(40, DT)
+        assert state_bits(alone) == state_bits(among, bodies)
+        assert asleep_in(alone) == asleep_in(among) & {*bodies.tolist()}
+        assert np.array_equal(alone.sleepers.numpy("rest_time"), among.sleepers.numpy("rest_time")[bodies])
+
+
+@pytest.mark.parametrize("step", [0, 3])
+def test_what_was_let_sleep_on_a_body_falls_when_that_is_put_elsewhere(step):
+    """Whether a step has found their contacts yet or not."""
+    sim = simulation()
+    sim.run(step, DT)
+    sim.sleep()
+    sim.state.numpy("position")[SHELF] = (-6.0, -5.0)
+    sim.run(40, DT)
+    assert (sim.state.numpy("position")[list(ON_SHELF), 1] < (2.4, 3.4)).all()
+
+
+def test_what_was_let_sleep_on_an_awake_body_falls_when_that_is_put_elsewhere(at_rest):
+    sim = at_rest.clone()
+    sim.wake()
+    sim.step(DT)
+    sim.sleep([ON_SHELF[1], STACK[2]])
+    assert asleep_in(sim) == {ON_SHELF[1], STACK[2]}
+    sim.state.numpy("position")[ON_SHELF[0]] = (0.0, 9.0)
+    sim.step(DT)
+    assert not asleep_in(sim)
+    sim.run(29, DT)
+    assert sim.state.numpy("position")[ON_SHELF[1], 1] < 3.4
+
+
+def test_launches_that_are_left_out_would_have_done_nothing(at_rest):
+    """Compiled rounds leave out what nobody needs; ``collide``, ``solve`` and ``advance`` of one kernel each do not."""
+    sims = [at_rest.clone() for _ in range(2)]
+    for steps, act in ((5, None), (40, lambda sim: sim.wake()), (60, lambda sim: shot(sim, 0)), (80, None)):
+        for sim in sims:
+            if act is not None:
+                act(sim)
+        sims[0].run(steps, DT)
+        for _ in range(steps):
+            sims[1].storage.integrator.set_time_step(DT)
+            for phase in ("collide", "solve", "advance"):
+                for name in of_phase(phase, sleep=True):
+                    sims[1].bind(name, 0, 1)()
+        assert state_bits(sims[0]) == state_bits(sims[1])
+        assert contacts_of(sims[0]) == contacts_of(sims[1])
+        for name in ("asleep", "rest_time", "sleeping", "dormant", "waited", "count"):
+            assert np.array_equal(*(sim.sleepers.numpy(name) for sim in sims)), name
+
+
 def test_a_user_lets_a_scene_begin_asleep():
     sim = simulation()
     sim.sleep()

@@ -13,8 +13,8 @@ from dc_kernels.sleep.sleepers import LOOK_EVERY
 
 
 def kernels(dtype: str) -> Kernels:
-    """``show_sleepers``, ``rest`` and ``lay_down``; the arrays bring their scalar type."""
-    return {"show_sleepers": show_sleepers, "rest": rest, "lay_down": lay_down}
+    """``show_sleepers``, ``rest``, ``fall_asleep`` and ``lay_down``; the arrays bring their scalar type."""
+    return {"show_sleepers": show_sleepers, "rest": rest, "fall_asleep": fall_asleep, "lay_down": lay_down}
 
 
 def lay(w: int, model: Any, state: Any, joints: Any, contacts: Any, sleepers: Any) -> None:
@@ -66,10 +66,8 @@ def show_sleepers(tid: int, launch: Any, state: Any, motion: Any, contacts: Any,
     contacts.contact_count[w] = len(order)
 
 
-def rest(
-    tid: int, launch: Any, config: Any, model: Any, state: Any, joints: Any, motion: Any, contacts: Any, sleepers: Any
-) -> None:
-    """End of a step: how long bodies have been at rest, and islands of them that fall asleep; dormant worlds age."""
+def rest(tid: int, launch: Any, config: Any, model: Any, state: Any, motion: Any, sleepers: Any) -> None:
+    """End of a step: for how long bodies have rested; whether to look for islands; dormant worlds age."""
     w = tid + launch.world_offset
     dt = motion.step_dt[w]
     if state.flags[w] == Flag.ASLEEP:
@@ -78,10 +76,9 @@ def rest(
         return
     if state.flags[w]:
         return
-    size, g = model.length_scale[w], np.sqrt((model.gravity[w] ** 2).sum())
+    size, g = model.length_scale[w], _gravity(w, model)
     slow = config.sleep_speed * config.sleep_speed * g * size
-    enough = config.sleep_time * np.sqrt(size / g) if g > 0 else np.inf
-    awake = [b for b in bodies_of(w, model) if model.body_type[b] == BodyType.DYNAMIC and not sleepers.asleep[b]]
+    awake = _awake(w, model, sleepers)
     for b in awake:
         rim = dt.dtype.type(0.5) * size * state.angular_velocity[b]
         at_rest = (state.velocity[b] ** 2).sum() <= slow and rim * rim <= slow
@@ -91,9 +88,21 @@ def rest(
     if not awake and not moving and sleepers.sleeping[w]:
         sleepers.dormant[w] = 1
     sleepers.waited[w] = min(sleepers.waited[w] + 1, LOOK_EVERY)
-    if not (sleepers.rest_time[awake] >= enough).any() or sleepers.waited[w] < LOOK_EVERY:
+    longest = sleepers.rest_time[awake].max(initial=0)
+    if sleepers.waited[w] == LOOK_EVERY and _is_enough(longest, w, config, model):
+        sleepers.waited[w] = LOOK_EVERY + 1
+
+
+def fall_asleep(
+    tid: int, launch: Any, config: Any, model: Any, state: Any, joints: Any, contacts: Any, sleepers: Any
+) -> None:
+    """Let islands of bodies that have come to rest fall asleep."""
+    w = tid + launch.world_offset
+    if sleepers.waited[w] <= LOOK_EVERY:
         return
     sleepers.waited[w] = 0
+    awake = _awake(w, model, sleepers)
+    moving = [b for b in bodies_of(w, model) if moves(b, model, state)]
     used = slice(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
     links = list(zip(contacts.body_a[used], contacts.body_b[used]))
     links += [(joints.joint_body_a[j], joints.joint_body_b[j]) for j in joints_of(w, model)]
@@ -103,7 +112,7 @@ def rest(
     falling = False
     for island in islands([*awake, *asleep], both):
         members = sorted(island & set(awake))
-        if members and not carried & island and (sleepers.rest_time[members] >= enough).all():
+        if members and not carried & island and _is_enough(sleepers.rest_time[members], w, config, model):
             sleepers.asleep[members] = Rest.FALLING
             falling = True
     if falling:
@@ -113,3 +122,18 @@ def rest(
 def lay_down(tid: int, launch: Any, model: Any, state: Any, joints: Any, contacts: Any, sleepers: Any) -> None:
     """Lay down the bodies that fall asleep because a user wants so."""
     lay(tid + launch.world_offset, model, state, joints, contacts, sleepers)
+
+
+def _awake(w: int, model: Any, sleepers: Any) -> list[int]:
+    """The dynamic bodies of a world that are awake."""
+    return [b for b in bodies_of(w, model) if model.body_type[b] == BodyType.DYNAMIC and not sleepers.asleep[b]]
+
+
+def _gravity(w: int, model: Any) -> Any:
+    return np.sqrt((model.gravity[w] ** 2).sum())
+
+
+def _is_enough(time: Any, w: int, config: Any, model: Any) -> bool:
+    """Whether bodies that have rested for these times may sleep: for ``sleep_time`` sqrt(size / g)."""
+    least = config.sleep_time * config.sleep_time * model.length_scale[w]
+    return bool((time * time * _gravity(w, model) >= least).all())

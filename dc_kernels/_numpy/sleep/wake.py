@@ -67,10 +67,19 @@ def notice_writes(tid: int, launch: Any, model: Any, state: Any, joints: Any, co
     start = contacts.contact_start[w]
     links = [(sleepers.body_a[c], sleepers.body_b[c]) for c in range(start, start + sleepers.count[w])]
     links += [(joints.joint_body_a[j], joints.joint_body_b[j]) for j in joints_of(w, model)]
+    for a, b in [] if sleepers.dormant[w] else links[: sleepers.count[w]]:
+        for other, body in ((a, b), (b, a)):
+            awake = model.body_type[other] == BodyType.DYNAMIC and sleepers.asleep[other] == Rest.AWAKE
+            if awake and sleepers.asleep[body] == Rest.ASLEEP:
+                sleepers.asleep[body] = Rest.ROUSED
     for a, b in links if moved else []:
         for support, body in ((a, b), (b, a)):
             if sleepers.asleep[support] == Rest.ROUSED and sleeps(body, model, sleepers):
                 sleepers.asleep[body] = Rest.ROUSED
+    held = {body for link in links for body in link}
+    for body in bodies_of(w, model) if moved else []:
+        if body not in held and sleeps(body, model, sleepers):
+            sleepers.asleep[body] = Rest.ROUSED
     if disturbed or moved:
         sleepers.dormant[w] = 0
 
@@ -93,10 +102,12 @@ def leave_worlds(tid: int, launch: Any, state: Any) -> None:
         state.flags[w] = 0
 
 
-def wake_islands(w: int, model: Any, joints: Any, pairs: Any, sleepers: Any) -> None:
-    """Wake what is roused, and what sleeps and is joined to it by joints or is near it, over any number."""
-    used = range(pairs.start[w], pairs.start[w] + pairs.near_count[w])
-    links = [(model.shape_body[pairs.near_a[k]], model.shape_body[pairs.near_b[k]]) for k in used]
+def wake_islands(w: int, model: Any, joints: Any, pairs: Any, contacts: Any, sleepers: Any) -> None:
+    """Wake what is roused, and what sleeps and touches it, is joined to it or near it, over any number."""
+    used = range(pairs.start[w], pairs.start[w] + pairs.count[w])
+    links = [(model.shape_body[pairs.shape_a[k]], model.shape_body[pairs.shape_b[k]]) for k in used]
+    kept = range(contacts.contact_start[w], contacts.contact_start[w] + sleepers.count[w])
+    links += [(sleepers.body_a[c], sleepers.body_b[c]) for c in kept]
     links += [(joints.joint_body_a[j], joints.joint_body_b[j]) for j in joints_of(w, model)]
     asleep = [b for b in bodies_of(w, model) if sleeps(b, model, sleepers)]
     both = (link for link in links if all(sleeps(body, model, sleepers) for body in link))
@@ -109,7 +120,7 @@ def wake_islands(w: int, model: Any, joints: Any, pairs: Any, sleepers: Any) -> 
 
 
 def mark_sleepers(
-    tid: int, launch: Any, model: Any, state: Any, joints: Any, motion: Any, pairs: Any, sleepers: Any
+    tid: int, launch: Any, model: Any, state: Any, joints: Any, motion: Any, pairs: Any, contacts: Any, sleepers: Any
 ) -> None:
     """Wake what is roused; tell the narrowphase which bodies sleep, so that it passes over pairs of them."""
     w = tid + launch.world_offset
@@ -125,7 +136,7 @@ def mark_sleepers(
         for body, other in ((a, b), (b, a)):
             if sleepers.asleep[body] == Rest.ASLEEP and awake(other):
                 sleepers.asleep[body] = Rest.ROUSED
-    wake_islands(w, model, joints, pairs, sleepers)
+    wake_islands(w, model, joints, pairs, contacts, sleepers)
     if not sleepers.sleeping[w]:
         return
     for b in bodies_of(w, model):
@@ -150,7 +161,7 @@ def wake_touched(
     touched = {b for b in (*contacts.body_a[used], *contacts.body_b[used]) if sleeps(b, model, sleepers)}
     if touched:
         sleepers.asleep[list(touched)] = Rest.ROUSED
-        wake_islands(w, model, joints, pairs, sleepers)
+        wake_islands(w, model, joints, pairs, contacts, sleepers)
     else:
         state.flags[w] = Flag.ASLEEP
     for b in bodies_of(w, model):

@@ -1,6 +1,7 @@
 """Launches of compiled kernels one after the other, without Python between them; on the CPU only.
 
-``launches`` holds three addresses for each: of the compiled function, of its bounds, and of its packed arguments.
+``launches`` holds four numbers for each: addresses of the compiled function, of its bounds and of its packed arguments,
+and the bits of ``Activity`` without which it has nothing to do and is left out.
 """
 
 from functools import cache
@@ -9,17 +10,25 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.native import native_code
+from dc_kernels.model.enums import Activity
 from dc_kernels.runtime.sequences import SEATS
+from dc_kernels.sleep.sleepers import LOOK_EVERY
+
+LAUNCH = wp.constant(4)  # numbers of a launch
+AWAKE = wp.constant(int(Activity.AWAKE))
 
 
-@wp.func_native("""
-#if !defined(__CUDA_ARCH__)
-struct Launch { void (*kernel)(void*, void*); void* bounds; void* arguments; };
-const Launch* launch = (const Launch*)launches.data;
-for (int i = first; i < count; ++i) launch[i].kernel(launch[i].bounds, launch[i].arguments);
-#endif
-""")
-def launch_all(launches: wp.array(dtype=wp.uint64), first: wp.int32, count: wp.int32): ...
+@wp.func_native(
+    native_code("runtime/launch.h", dtype="float32", EVERY=LOOK_EVERY, **{bit.name: int(bit) for bit in Activity})
+)
+def launch_all(
+    launches: wp.array(dtype=wp.uint64),
+    begin: wp.int32,
+    end: wp.int32,
+    shard: wp.vec2i,
+    sleep: wp.array(dtype=wp.uint64),
+    active: wp.int32,
+) -> wp.int32: ...
 
 
 @wp.func_native("""
@@ -63,9 +72,9 @@ def kernels() -> dict[str, Any]:
     module.options.update({"enable_backward": False})
 
     @wp.kernel(module=module, enable_backward=False)
-    def run_launches(launches: wp.array(dtype=wp.uint64), count: int):
-        """Each launch once."""
-        launch_all(launches, 0, count)
+    def run_launches(launches: wp.array(dtype=wp.uint64), count: int, sleep: wp.array(dtype=wp.uint64)):
+        """Each launch once; ``sleep`` is empty."""
+        launch_all(launches, 0, count, wp.vec2i(0, 0), sleep, -1)
 
     @wp.kernel(module=module, enable_backward=False)
     def repeat_launches(
@@ -73,11 +82,11 @@ def kernels() -> dict[str, Any]:
         count: int,
         once: int,
         rounds: int,
-        first: int,
-        worlds: int,
+        shard: wp.vec2i,
         stop_at: int,
         flags: wp.array(dtype=wp.int32),
         used: wp.array(dtype=wp.uint64),
+        sleep: wp.array(dtype=wp.uint64),
         # in, out:
         peak: wp.array(dtype=wp.int32),
         halt: wp.array(dtype=wp.int32),
@@ -85,13 +94,21 @@ def kernels() -> dict[str, Any]:
     ):
         """Rounds of all launches, until a world's flags hold a bit of ``stop_at``: that halts whoever shares ``halt``.
 
-        The first ``once`` launches are made in the first round only. ``used`` holds the address of an int32 for each
-        world, for several kinds of room; ``peak`` is raised to the most that a world used of each kind after any round,
-        and ``done`` by the rounds taken.
+        Behind the ``count`` launches come those of them that a round makes where nothing sleeps. ``shard`` is the first
+        world and their number. The first ``once`` launches are made in the first round only.
+        ``used`` holds the address of an int32 for each world, for several kinds of room; ``peak`` is raised to the most
+        that a world used of each kind after any round, and ``done`` by the rounds taken. ``sleep`` holds the addresses
+        of ``sleeping``, ``dormant`` and ``waited`` of sleepers, or nothing.
         """
+        first = shard[0]
+        worlds = shard[1]
+        active = int(-1)
         taken = int(0)
         while taken < rounds and read_shared(halt) == 0:
-            launch_all(launches, wp.where(taken == 0, 0, once), count)
+            if active == AWAKE:
+                active = launch_all(launches, count, launches.shape[0] // LAUNCH, shard, sleep, active)
+            else:
+                active = launch_all(launches, wp.where(taken == 0, 0, once), count, shard, sleep, active)
             taken += 1
             full = int(0)
             for w in range(first, first + worlds):

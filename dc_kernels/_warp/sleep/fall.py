@@ -8,17 +8,19 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.native import native_code
-from dc_kernels._warp.sleep.islands import ASLEEP, AWAKE, DYNAMIC, FALLING, island_functions, join, root_of
+from dc_kernels._warp.sleep.islands import ASLEEP, AWAKE, DYNAMIC, FALLING, KINEMATIC, island_functions, join, root_of
 from dc_kernels.model.enums import Flag
 from dc_kernels.sleep.sleepers import LOOK_EVERY
 
 PASSED_OVER = wp.constant(int(Flag.ASLEEP))
 EVERY = wp.constant(LOOK_EVERY)
+LOOK = wp.constant(LOOK_EVERY + 1)  # in place of the steps waited, where islands are to be looked for at the step's end
+CODES = {"DYNAMIC": DYNAMIC, "KINEMATIC": KINEMATIC, "AWAKE": AWAKE}
 
 
 @cache
 def kernels(dtype: str) -> dict[str, Any]:
-    """``show_sleepers`` and ``rest``, and ``lay_down`` for a user who wants bodies to sleep."""
+    """``show_sleepers``, ``rest`` and ``fall_asleep``, and ``lay_down`` for a user who wants bodies to sleep."""
     t = group_types(dtype)
     real, vec2 = t.real, t.vec2
     module = kernel_module("sleep", dtype)
@@ -34,6 +36,23 @@ def kernels(dtype: str) -> dict[str, Any]:
 
     @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype))
     def show_contact(source: t.Sleepers, i: wp.int32, target: t.Contacts, k: wp.int32): ...
+
+    @wp.func_native(native_code("sleep/count_rest.h", dtype=dtype, **CODES))
+    def count_rest(
+        model: t.Model,
+        state: t.State,
+        sleepers: t.Sleepers,
+        b0: wp.int32,
+        b1: wp.int32,
+        slow: real,
+        dt: real,
+        size: real,
+    ) -> real: ...
+
+    @wp.func(module=module)
+    def is_enough(time: real, g: real, size: real, config: t.Config):
+        """Whether a body that has rested for so long may sleep; never without gravity."""
+        return time > real(0.0) and time * time * g >= config.sleep_time * config.sleep_time * size
 
     @wp.func(module=module)
     def lay(w: int, model: t.Model, state: t.State, joints: t.Joints, contacts: t.Contacts, sleepers: t.Sleepers):
@@ -102,26 +121,13 @@ def kernels(dtype: str) -> dict[str, Any]:
 
     @wp.kernel(module=module, enable_backward=False)
     def rest(
-        launch: t.Launch,
-        config: t.Config,
-        model: t.Model,
-        state: t.State,
-        joints: t.Joints,
-        motion: t.Motion,
-        contacts: t.Contacts,
-        sleepers: t.Sleepers,
+        launch: t.Launch, config: t.Config, model: t.Model, state: t.State, motion: t.Motion, sleepers: t.Sleepers
     ):
-        """End of a step: how long bodies have been at rest, and islands of them that fall asleep; dormant worlds age.
-
-        An island is what contacts and joints connect over bodies that are awake; one that touches a kinematic body
-        which moves stays awake.
-        """
+        """End of a step: for how long bodies have rested; whether to look for islands; dormant worlds age."""
         w = wp.tid() + launch.world_offset
         contiguous(model)
         contiguous(state)
-        contiguous(joints)
         contiguous(motion)
-        contiguous(contacts)
         contiguous(sleepers)
         dt = motion.step_dt[w]
         if state.flags[w] == PASSED_OVER:
@@ -130,39 +136,45 @@ def kernels(dtype: str) -> dict[str, Any]:
             return
         if state.flags[w] != 0:
             return
+        size = model.length_scale[w]
+        g = wp.length(model.gravity[w])
+        slow = config.sleep_speed * config.sleep_speed * g * size
+        longest = count_rest(model, state, sleepers, model.body_start[w], model.body_start[w + 1], slow, dt, size)
+        if longest < real(0.0) and sleepers.sleeping[w] > 0:
+            sleepers.dormant[w] = 1
+        waited = wp.min(sleepers.waited[w] + 1, EVERY)
+        if waited == EVERY and is_enough(longest, g, size, config):
+            waited = LOOK
+        sleepers.waited[w] = waited
+
+    @wp.kernel(module=module, enable_backward=False)
+    def fall_asleep(
+        launch: t.Launch,
+        config: t.Config,
+        model: t.Model,
+        state: t.State,
+        joints: t.Joints,
+        contacts: t.Contacts,
+        sleepers: t.Sleepers,
+    ):
+        """Let islands of bodies that have come to rest fall asleep.
+
+        An island is what contacts and joints connect over bodies that are awake; one that touches a kinematic body
+        which moves stays awake.
+        """
+        w = wp.tid() + launch.world_offset
+        contiguous(model)
+        contiguous(state)
+        contiguous(joints)
+        contiguous(contacts)
+        contiguous(sleepers)
+        if sleepers.waited[w] != LOOK:
+            return
+        sleepers.waited[w] = 0
         first = model.body_start[w]
         last = model.body_start[w + 1]
         size = model.length_scale[w]
         g = wp.length(model.gravity[w])
-        slow = config.sleep_speed * config.sleep_speed * g * size
-        enough = real(-1.0)
-        if g > real(0.0):
-            enough = config.sleep_time * wp.sqrt(size / g)
-        ready = int(0)
-        others = int(0)
-        for b in range(first, last):
-            if model.body_type[b] == DYNAMIC:
-                if sleepers.asleep[b] == AWAKE:
-                    others += 1
-                    v = state.velocity[b]
-                    rim = real(0.5) * size * state.angular_velocity[b]
-                    if v[0] * v[0] + v[1] * v[1] <= slow and rim * rim <= slow:
-                        rested = sleepers.rest_time[b] + dt
-                        sleepers.rest_time[b] = rested
-                        if enough > real(0.0) and rested >= enough:
-                            ready += 1
-                    else:
-                        sleepers.rest_time[b] = real(0.0)
-            elif moves(b, model, state):
-                others += 1
-                sleepers.position[b] = state.position[b]
-                sleepers.angle[b] = state.angle[b]
-        if others == 0 and sleepers.sleeping[w] > 0:
-            sleepers.dormant[w] = 1
-        sleepers.waited[w] = wp.min(sleepers.waited[w] + 1, EVERY)
-        if ready == 0 or sleepers.waited[w] < EVERY:
-            return
-        sleepers.waited[w] = 0
         for b in range(first, last):
             sleepers.parent[b] = b
             sleepers.island_time[b] = sleepers.rest_time[b]
@@ -195,7 +207,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         falling = int(0)
         for b in range(first, last):
             if model.body_type[b] == DYNAMIC and sleepers.asleep[b] == AWAKE:
-                if sleepers.island_time[root_of(sleepers.parent, b)] >= enough:
+                if is_enough(sleepers.island_time[root_of(sleepers.parent, b)], g, size, config):
                     sleepers.asleep[b] = FALLING
                     falling += 1
         if falling > 0:
@@ -219,4 +231,4 @@ def kernels(dtype: str) -> dict[str, Any]:
         contiguous(sleepers)
         lay(w, model, state, joints, contacts, sleepers)
 
-    return {"show_sleepers": show_sleepers, "rest": rest, "lay_down": lay_down}
+    return {"show_sleepers": show_sleepers, "rest": rest, "fall_asleep": fall_asleep, "lay_down": lay_down}

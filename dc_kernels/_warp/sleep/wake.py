@@ -42,16 +42,28 @@ def kernels(dtype: str) -> dict[str, Any]:
         return dynamic or moves(body, model, state)
 
     @wp.func(module=module)
-    def wake_islands(w: int, model: t.Model, joints: t.Joints, pairs: t.Pairs, sleepers: t.Sleepers):
-        """Wake what is roused, and what sleeps and is joined to it by joints or is near it, over any number."""
+    def wake_islands(
+        w: int, model: t.Model, joints: t.Joints, pairs: t.Pairs, contacts: t.Contacts, sleepers: t.Sleepers
+    ):
+        """Wake what is roused, and what sleeps and touches it, is joined to it or near it, over any number.
+
+        Near are the candidates of this step, a function of the state: pairs that are kept depend on when they were
+        found, and so on the room of all worlds.
+        """
         first = model.body_start[w]
         last = model.body_start[w + 1]
         for b in range(first, last):
             sleepers.parent[b] = b
             sleepers.island_time[b] = real(0.0)
-        for pair in range(pairs.start[w], pairs.start[w] + pairs.near_count[w]):
-            a = model.shape_body[pairs.near_a[pair]]
-            b = model.shape_body[pairs.near_b[pair]]
+        for pair in range(pairs.start[w], pairs.start[w] + pairs.count[w]):
+            a = model.shape_body[pairs.shape_a[pair]]
+            b = model.shape_body[pairs.shape_b[pair]]
+            if sleeps(a, model, sleepers) and sleeps(b, model, sleepers):
+                join(sleepers.parent, a, b)
+        start = contacts.contact_start[w]
+        for c in range(start, start + sleepers.count[w]):
+            a = sleepers.body_a[c]
+            b = sleepers.body_b[c]
             if sleeps(a, model, sleepers) and sleeps(b, model, sleepers):
                 join(sleepers.parent, a, b)
         for j in range(model.joint_start[w], model.joint_start[w + 1]):
@@ -69,8 +81,15 @@ def kernels(dtype: str) -> dict[str, Any]:
                 sleepers.sleeping[w] = sleepers.sleeping[w] - 1
 
     @wp.func(module=module)
+    def lean_on(a: int, b: int, model: t.Model, sleepers: t.Sleepers):
+        """Rouse a body that sleeps against one which is awake."""
+        if sleepers.asleep[a] == ASLEEP and sleepers.asleep[b] == AWAKE and model.body_type[b] == DYNAMIC:
+            sleepers.asleep[a] = ROUSED
+
+    @wp.func(module=module)
     def pass_on(a: int, b: int, model: t.Model, sleepers: t.Sleepers):
-        """Rouse a body that sleeps on, or is joined to, one that is roused."""
+        """Rouse a body that sleeps on, or is joined to, one that is roused; it is known to be held."""
+        sleepers.parent[b] = 1
         if sleepers.asleep[a] == ROUSED and sleeps(b, model, sleepers):
             sleepers.asleep[b] = ROUSED
 
@@ -132,10 +151,20 @@ def kernels(dtype: str) -> dict[str, Any]:
                     if sleeps(b, model, sleepers):
                         sleepers.asleep[b] = ROUSED
         sleepers.gravity[w] = model.gravity[w]
+        start = contacts.contact_start[w]
+        kept = start + sleepers.count[w]
+        if sleepers.dormant[w] == 0:
+            # of two bodies that touched a user has let one sleep; the other may be elsewhere by now
+            for c in range(start, kept):
+                a = sleepers.body_a[c]
+                b = sleepers.body_b[c]
+                lean_on(a, b, model, sleepers)
+                lean_on(b, a, model, sleepers)
         if moved > 0:
             # what it carried, or held by a joint, wakes; what it touches now is met by the narrowphase
-            start = contacts.contact_start[w]
-            for c in range(start, start + sleepers.count[w]):
+            for b in range(first, last):
+                sleepers.parent[b] = 0
+            for c in range(start, kept):
                 a = sleepers.body_a[c]
                 b = sleepers.body_b[c]
                 pass_on(a, b, model, sleepers)
@@ -143,6 +172,10 @@ def kernels(dtype: str) -> dict[str, Any]:
             for j in range(model.joint_start[w], model.joint_start[w + 1]):
                 pass_on(joints.joint_body_a[j], joints.joint_body_b[j], model, sleepers)
                 pass_on(joints.joint_body_b[j], joints.joint_body_a[j], model, sleepers)
+            # what was let sleep before a step found its contacts may have lain on any
+            for b in range(first, last):
+                if sleepers.parent[b] == 0 and sleeps(b, model, sleepers):
+                    sleepers.asleep[b] = ROUSED
         if woken + moved + changed > 0:
             sleepers.dormant[w] = 0
 
@@ -174,6 +207,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         joints: t.Joints,
         motion: t.Motion,
         pairs: t.Pairs,
+        contacts: t.Contacts,
         sleepers: t.Sleepers,
     ):
         """Wake what is roused; tell the narrowphase which bodies sleep, so that it passes over pairs of them."""
@@ -183,6 +217,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         contiguous(joints)
         contiguous(motion)
         contiguous(pairs)
+        contiguous(contacts)
         contiguous(sleepers)
         if state.flags[w] != 0 or sleepers.sleeping[w] == 0:
             return
@@ -203,7 +238,7 @@ def kernels(dtype: str) -> dict[str, Any]:
                 sleepers.asleep[b] = ROUSED
                 roused += 1
         if roused > 0:
-            wake_islands(w, model, joints, pairs, sleepers)
+            wake_islands(w, model, joints, pairs, contacts, sleepers)
         if sleepers.sleeping[w] == 0:
             return
         for b in range(first, last):
@@ -254,7 +289,7 @@ def kernels(dtype: str) -> dict[str, Any]:
                 sleepers.asleep[b] = ROUSED
                 touched += 1
         if touched > 0:
-            wake_islands(w, model, joints, pairs, sleepers)
+            wake_islands(w, model, joints, pairs, contacts, sleepers)
         else:
             state.flags[w] = PASSED_OVER
         for b in range(model.body_start[w], model.body_start[w + 1]):
