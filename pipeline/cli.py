@@ -24,14 +24,25 @@ from pipeline.commands.figures import Figures
 from pipeline.commands.generate import Generate
 from pipeline.commands.scenes import Scenes
 from pipeline.commands.simulate import Explain, Simulate
-from pipeline.commands.train import Train, TrainContactnet
+from pipeline.commands.train import Train, TrainContactnet, TrainStepper
 from pipeline.commands.words import chosen_scene, misspelt, refuse_empty, values_of
 from pipeline.data.recipe import load_recipe
 from pipeline.networks.registry import load_plugin
 from pipeline.process import terminable
 
 Command = (
-    Simulate | Scenes | Demo | Protocol | Evaluate | Explain | Figures | Generate | Train | TrainContactnet | Fclib
+    Simulate
+    | Scenes
+    | Demo
+    | Protocol
+    | Evaluate
+    | Explain
+    | Figures
+    | Generate
+    | Train
+    | TrainContactnet
+    | TrainStepper
+    | Fclib
 )
 COMMANDS: dict[str, type] = {
     re.sub(r"(?<=[a-z])(?=[A-Z])", "-", command.__name__).lower(): command for command in get_args(Command)

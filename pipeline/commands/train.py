@@ -1,4 +1,4 @@
-"""Commands that train: ``train`` a network of the theses, and ``train-contactnet``."""
+"""Commands that train: ``train`` a network of the theses, ``train-contactnet``, and ``train-stepper``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 from pipeline.commands.common import Common, Positional
 from pipeline.contactnet.options import ContactTrainOptions
+from pipeline.stepper.options import StepperTrainOptions
 from pipeline.training.options import TrainOptions
 from pipeline.training.summary import describe
 
@@ -40,4 +41,22 @@ class TrainContactnet(Common):
         summary = train_contactnet(self.training, progress=not self.json)
         if not self.json and summary:
             print(describe_contact_training(summary))
+        return summary
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainStepper(Common):
+    """Train a network that takes the place of the contact solver, on recorded motions; without --data it makes some."""
+
+    network: Positional[str] = "stepnet"
+    """Which network: stepnet; or convfc, pressure, peak, unet, one of a plugin or of an installed package, which map an
+    image of the state to one of the change of its velocities."""
+    training: StepperTrainOptions = field(default_factory=StepperTrainOptions)
+
+    def __call__(self) -> dict[str, Any]:
+        from pipeline.stepper.training import describe_stepper_training, train_stepper
+
+        summary = train_stepper(self.network, self.training, progress=not self.json)
+        if not self.json:
+            print(describe_stepper_training(summary))
         return summary

@@ -70,7 +70,7 @@ def make_shard(
         ValueError: for a scene that cannot be built, or has joints.
     """
     seeds = recipe.options.seeds(number)
-    builder, drawn, dt = _build(recipe, seeds)
+    builder, drawn, dt = build_worlds(recipe, seeds)
     recorder = Recorder(recipe, builder)
     if stop is not None:
         stop.watch(recorder.sim)
@@ -104,11 +104,13 @@ def _drawn_spec(recipe: Recipe, name: str) -> DatasetSpec:
     return DatasetSpec(dtype, unit, f"{'' if name == 'dt' else f'scene.{name}: '}{what}; drawn from the world's seed")
 
 
-def _build(recipe: Recipe, seeds: Sequence[int]) -> tuple[dc.ModelBuilder, list[dict[str, float | int]], np.ndarray]:
-    """Build the worlds of some consecutive seeds; returns them, what was drawn for each, and their time steps."""
+def build_worlds(
+    recipe: Recipe, seeds: Sequence[int]
+) -> tuple[dc.ModelBuilder, list[dict[str, float | int]], np.ndarray]:
+    """Build the worlds of some seeds; returns them, what was drawn for each, and their time steps."""
     drawn = [recipe.draw(seed) for seed in seeds]
     dt = np.array([world.get("dt", recipe.options.dt) for world in drawn], np.float32)
-    if {name for name, _, _ in recipe.options.ranges} <= {"dt"}:
+    if isinstance(seeds, range) and {name for name, _, _ in recipe.options.ranges} <= {"dt"}:
         return recipe.scene.build(len(seeds), seeds[0]), drawn, dt
     builder = dc.ModelBuilder()
     for seed, world in zip(seeds, drawn):
@@ -123,7 +125,7 @@ def check_scene(recipe: Recipe) -> None:
     Raises:
         ValueError: for a scene that cannot be built, or has joints.
     """
-    builder, _, _ = _build(recipe, recipe.options.seeds(0)[:1])
+    builder, _, _ = build_worlds(recipe, recipe.options.seeds(0)[:1])
     _refuse_joints(recipe, builder.finalize("float32", backend="numpy")[0])
 
 

@@ -73,6 +73,7 @@ NETWORKS: dict[str, Entry] = {}
 ELSEWHERE = {
     **dict.fromkeys(("convfc", "pressure", "peak", "unet"), "pipeline.networks.models"),
     "contactnet": "pipeline.contactnet.network",
+    "stepnet": "pipeline.stepper.network",
 }
 """Modules of this package that register networks when they are imported, by name of the network."""
 

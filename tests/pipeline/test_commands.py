@@ -218,6 +218,7 @@ def test_scene_commands_have_the_scenes_names(capsys):
         "generate --out {}",
         "figures kernels --out {}",
         "train-contactnet --out {}",
+        "train-stepper --out {}",
         "fclib export thesis --out {}/a.hdf5",
     ],
 )

@@ -275,7 +275,8 @@ def test_every_command_line_is_understood(capsys, monkeypatch):
 
 HELPS = (
     *(("train", "mine"), ("simulate", "thesis")),
-    *((name,) for name in ("simulate", "generate", "train", "train-contactnet", "evaluate", "protocol", "explain")),
+    *((name,) for name in ("simulate", "generate", "train", "train-contactnet", "train-stepper")),
+    *((name,) for name in ("evaluate", "protocol", "explain")),
     *(("demo",), ("figures", "kernels"), ("fclib", "export"), ("fclib", "solve"), ("simulate", "mixed")),
     *(("generate", "mixed"), ("generate", "thesis"), ("train", "unet")),
 )

@@ -1,0 +1,87 @@
+"""What networks answer to a view, as ways of the bodies: of StepNet, and of the networks that answer images."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from dc_kernels.grid.grid import Grid
+from dc_kernels.grid.stencil import POLY6
+from dc_kernels.runtime.optional import require
+from dc_kernels.torch_ops.transfer import gather_torch, splat_torch
+from pipeline.stepper.view import StepView
+
+torch = require("torch", "pipeline")
+
+OUTPUTS = 3
+"""Channels of an image that a network answers: change of the way by the contacts, x, y and turn [1]."""
+SEEN = 1e-6
+"""Sum of the weights of the bodies at a node from which an image has a value there [1]."""
+
+
+class Answer(NamedTuple):
+    """What a network answers."""
+
+    way: Any
+    """Of each body, with contacts, (N, 3) [unit]."""
+    image: Any = None
+    """Change of the way at the nodes, (B, OUTPUTS, rows, columns) [unit]; None of a network that answers bodies."""
+    impulse: Any = None
+    """Impulses of the contacts that make this change, (M, 2) [kg unit]; None of a network that answers none."""
+
+
+def reads_views(model: Any) -> bool:
+    """Tell whether a network reads a view itself, as StepNet does; others map an image to an image."""
+    return getattr(model, "network_name", "") == "stepnet"
+
+
+def answer(model: Any, view: StepView, grid: Grid) -> Answer:
+    """Ask a network for the ways of a view's bodies; those that are not dynamic keep theirs."""
+    if reads_views(model):
+        way, impulse = model(view, grid)
+        return Answer(way, impulse=impulse)
+    image = model(view.image(view.of_contacts(), grid))
+    change = gather_torch(image.contiguous(), view.position, grid, start=view.body_start)
+    return Answer(view.way + change * view.dynamic, image=image)
+
+
+def image_of(view: StepView, way: Any, grid: Grid) -> tuple[Any, Any]:
+    """Return how contacts change the ways as an image, and where it has a value.
+
+    Args:
+        view: of the bodies.
+        way: of the bodies with contacts, (N, 3) [unit].
+        grid: of the image.
+
+    Returns:
+        The average of the bodies near each node by their weights, (B, OUTPUTS, rows, columns) [unit], and 1 where there
+        are bodies, else 0, (B, 1, rows, columns).
+    """
+    moving = view.dynamic
+    values = torch.cat([(way - view.way) * moving, moving], dim=1).contiguous()
+    image = splat_torch(view.position, values, grid, POLY6, start=view.body_start)
+    weight = image[:, OUTPUTS:]
+    return image[:, :OUTPUTS] / weight.clamp(min=SEEN), (weight > SEEN).to(image.dtype)
+
+
+def errors(view: StepView, way: Any, truth: Any) -> tuple[Any, Any]:
+    """Measure ways against the truth as energies, and so those of no contacts at all.
+
+    Args:
+        view: of the bodies.
+        way: what a network answers, (N, 3) [unit].
+        truth: the ways, (N, 3) [unit].
+
+    Returns:
+        For each world the sum over its bodies of the squared error, turns by the radius of gyration, each body by its
+        share of the mean mass, (B,) [unit^2]; and that of the predicted ways.
+    """
+    turning = view.inv_inertia > 0
+    inertia = torch.where(turning, view.mass * view.inv_mass / view.inv_inertia.clamp(min=1e-30), 0.0)
+    weight = torch.stack([view.mass, view.mass, inertia], dim=1)
+    world, count = view.world, len(view.body_start) - 1
+
+    def total(found: Any) -> Any:
+        square = (weight * (found - truth).square()).sum(dim=1)
+        return square.new_zeros(count).index_add(0, world, square)
+
+    return total(way), total(view.way.detach())
