@@ -10,6 +10,7 @@ import numpy as np
 from dc_kernels.binding import Binding
 from dc_kernels.collide.broadphase import Pairs
 from dc_kernels.collide.contacts import Cache
+from dc_kernels.driving.between import Stepper, check_between
 from dc_kernels.driving.driven import Driven
 from dc_kernels.explain import describe, explain
 from dc_kernels.model.arrays import Contacts, Joints, Model, State
@@ -21,7 +22,7 @@ from dc_kernels.model.worlds import segments_of_worlds
 from dc_kernels.reports import capacity, memory
 from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import refuse_hosted, refuse_recording
-from dc_kernels.runtime.inputs import check_maybe_callable, check_whole
+from dc_kernels.runtime.inputs import check_whole
 from dc_kernels.runtime.sequences import Needing, Rounds, Watch
 from dc_kernels.runtime.stepping import shards_of
 from dc_kernels.runtime.threads import GPU_CALLS, OneCaller, uninterrupted
@@ -272,53 +273,61 @@ class Simulation(Driven):
             for phase in (*PHASES, "step"):
                 self._phase_rounds(phase)
 
-    def step(self, dt: float, start: Start | None = None) -> None:
+    def step(self, dt: float, start: Start | None = None, *, stepper: Stepper | None = None) -> None:
         """One time step of dt [s] in every world.
 
         Args:
             dt: time step, > 0 [s].
             start: called between ``collide`` and ``solve``; writes start impulses to ``contacts.impulse``.
+            stepper: makes the part between ``collide`` and ``advance`` in the place of ``solve``, by its own ``solve``.
 
         Raises:
             ValueError: dt not finite and positive, or a start impulse not finite.
             OverflowError: capacity exceeded with on_overflow="raise"; the state is that of the step before.
         """
-        self.run(1, dt, start)
+        self.run(1, dt, start, stepper=stepper)
 
     def run(
-        self, steps: int, dt: float, start: Start | None = None, callback: Callable[[Simulation], None] | None = None
+        self,
+        steps: int,
+        dt: float,
+        start: Start | None = None,
+        callback: Callable[[Simulation], None] | None = None,
+        *,
+        stepper: Stepper | None = None,
     ) -> None:
-        """Many time steps; without ``start`` and ``callback`` each thread runs its worlds through all of them at once.
+        """Many time steps; without what is called in between each thread runs its worlds through all of them at once.
 
         Args:
             steps: number of steps.
             dt: time step, > 0 [s].
             start: see ``step``.
             callback: called after each step.
+            stepper: see ``step``.
 
         Raises:
             ValueError, OverflowError: see ``step``.
         """
         steps = check_whole("steps", steps)
-        if start is not None or callback is not None:
-            check_maybe_callable("start", start)
-            check_maybe_callable("callback", callback)
-            refuse_recording("a step with start or callback", "these run in Python")
+        plain = start is None and callback is None and stepper is None
+        if not plain:
+            check_between(self, start, callback, stepper)
         self.calls.begin()
         try:
             refuse_hosted(self.backend, self.schedule, self.device)
             self.storage.integrator.set_time_step(dt)
-            if start is None and callback is None:
+            if plain:
                 self._run_steps(steps)
                 return
             for _ in range(steps):
-                if start is None:
+                if start is None and stepper is None:
                     self._run_steps(1)
                 else:
                     self.collide(dt)
-                    start(self)
-                    self.check_start()
-                    self.solve()
+                    if start is not None:
+                        start(self)
+                        self.check_start()
+                    (stepper or self).solve()
                     self.advance()
                 if callback is not None:
                     callback(self)

@@ -14,6 +14,7 @@ from pipeline.run.summary import describe
 from pipeline.scenes import Scene
 from pipeline.starts.registry import maker
 from pipeline.starts.start import step
+from pipeline.stepper.choice import StepperOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,9 +26,12 @@ class Simulate(Common):
     run: RunOptions = field(default_factory=RunOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
     output: Output = field(default_factory=Output)
+    stepping: StepperOptions = field(default_factory=StepperOptions)
 
     def __call__(self) -> dict[str, Any]:
-        summary, _ = simulate(self.scene, self.run, self.solver, self.output, progress=not self.json)
+        summary, _ = simulate(
+            self.scene, self.run, self.solver, self.output, progress=not self.json, stepping=self.stepping
+        )
         if not self.json:
             print(describe(summary))
         return summary

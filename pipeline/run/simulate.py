@@ -23,6 +23,8 @@ from pipeline.run.trajectory import Recording, TrajectoryWriter, measure
 from pipeline.scenes import Scene
 from pipeline.starts.registry import is_network, maker
 from pipeline.starts.start import Start, step
+from pipeline.stepper.choice import StepperOptions
+from pipeline.stepper.registry import PRETRAINED, stepper_maker
 
 TRAJECTORY, SUMMARY, PICTURE = "trajectory.h5", "summary.json", "summary.png"
 
@@ -53,6 +55,8 @@ def simulate(
     solver: SolverOptions | None = None,
     output: Output | None = None,
     progress: bool = True,
+    *,
+    stepping: StepperOptions | None = None,
 ) -> tuple[dict[str, Any], dc.Simulation]:
     """Run a scene and write its files; Ctrl-C ends it early, with whole files of what was done.
 
@@ -62,6 +66,7 @@ def simulate(
         solver: settings of the solver.
         output: steps, start, files.
         progress: show bars on stderr.
+        stepping: who makes the velocities of a step; None: the solver.
 
     Returns:
         The content of ``summary.json``, and the simulation at its end.
@@ -73,9 +78,17 @@ def simulate(
         ImportError: naming the extra, without h5py, tqdm or matplotlib.
     """
     run, solver, output = run or RunOptions(), solver or SolverOptions(), output or Output()
+    stepping = stepping or StepperOptions()
     options = {**asdict(run), **solver.named(), **asdict(output), "out": str(output.out)}
     config = {"scene": {"name": scene.name, **asdict(scene)}, "options": options}
-    make = maker(output.start, run.seed)
+    if stepping.stepper == "network":
+        if output.start != Output.start:
+            raise ValueError(f"start is {output.start!r}; a network in the solver's place has no start: leave it out")
+        weights = None if stepping.weights is None else str(stepping.weights)
+        options.update(stepper="network", weights=weights, project=stepping.project, energy=stepping.energy)
+        make = stepper_maker(stepping)
+    else:
+        make = maker(output.start, run.seed)
     sim = run.simulation(scene, solver.config(output.history))
     video = [] if output.video == "none" else [f"video.{output.video}"]
     check_writable(output.out, TRAJECTORY, SUMMARY, PICTURE, *video)
@@ -140,10 +153,12 @@ def record(start: Start, run: RunOptions, output: Output, config: dict[str, Any]
 def draw(sim: dc.Simulation, recording: Recording, config: dict[str, Any], output: Output, progress: bool) -> None:
     """Draw the picture of the summary and, on request, the animation of the trajectory that has been written."""
     options, worlds = config["options"], config["options"]["worlds"]
-    start = Path(output.start).stem if is_network(output.start) else output.start
+    start = f"start {Path(output.start).stem if is_network(output.start) else output.start}"
+    if "stepper" in options:
+        start = f"stepped by {Path(options['weights'] or PRETRAINED).stem}, project {options['project']}"
     title = (
         f"{config['scene']['name']}: {worlds} world{'s' if worlds > 1 else ''}, {options['method']}, "
-        f"{options['acceleration']}, start {start}"
+        f"{options['acceleration']}, {start}"
     )
     save_figure(summary_figure(sim, recording.series, options["dt"], title), output.out / PICTURE)
     if output.video != "none":

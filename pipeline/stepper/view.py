@@ -223,6 +223,13 @@ class StepReader:
             return slice(0, int(self._start[-1]))
         return rows_of(self._start, worlds)
 
+    def write_impulses(self, worlds: np.ndarray | None, impulse: np.ndarray) -> None:
+        """Write impulses of the contacts of some worlds, in the order in which ``read`` gives them, (M, 2) [N s]."""
+        contacts = self.sim.contacts
+        chosen = np.arange(len(self._start) - 1) if worlds is None else worlds
+        slots = rows_of(contacts.numpy("contact_start"), chosen, contacts.numpy("contact_count"))
+        contacts.numpy("impulse")[slots] = impulse
+
     def read(self, worlds: np.ndarray | None = None) -> StepView:
         """Read some worlds, in the order given, each of them once; None: all.
 

@@ -1,0 +1,200 @@
+"""A network in the solver's place: what it says is done, what is no good falls back, sweeps can make it exact."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import dc_kernels as dc
+from pipeline.cli import main
+from pipeline.networks import models
+from pipeline.networks.checkpoint import save_checkpoint
+from pipeline.options import RunOptions
+from pipeline.scenes import Chain, Thesis
+from pipeline.starts.impulses import Builtin
+from pipeline.stepper.choice import StepperOptions
+from pipeline.stepper.solve import NetworkStepper
+from pipeline.stepper.view import CHANNELS
+
+CONFIG = dc.SolverConfig.preset("accurate")
+STEPPER = {"stepper": {"dt": [0.01], "grid": None}}
+SMALL = {"rounds": 2, "hidden": 4, "width": 8, "channels": (4, 4), "near": 2}
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    torch.set_num_threads(1)
+
+
+def stepnet() -> object:
+    """A StepNet without training: two damped Jacobi steps and some noise."""
+    torch.manual_seed(0)
+    return models.build("stepnet", SMALL)
+
+
+def unet() -> tuple[object, dict]:
+    """A network from images to images, without training, and its manifest."""
+    torch.manual_seed(0)
+    grid = dc.Grid.from_box((0.0, 0.0), (9.0, 9.0), 0.5)
+    sizes = {"rows": grid.rows, "columns": grid.columns, "channels": len(CHANNELS), "outputs": 3, "width": 0.125}
+    described = {"rows": grid.rows, "columns": grid.columns, "spacing": grid.spacing, "origin": list(grid.origin)}
+    return models.build("unet", sizes), {"stepper": {"dt": [0.01], "grid": described}}
+
+
+def simulation(worlds: int = 3, config: dc.SolverConfig = CONFIG, steps: int = 80) -> dc.Simulation:
+    """Worlds of discs that have begun to touch."""
+    sim = RunOptions(worlds=worlds, seed=3).simulation(Thesis(bodies=20), config)
+    sim.run(steps, 0.01)
+    return sim
+
+
+def state(sim: dc.Simulation) -> dict[str, np.ndarray]:
+    return {name: sim.state.numpy(name).copy() for name in ("position", "angle", "velocity", "angular_velocity")}
+
+
+def same(sim: dc.Simulation, other: dc.Simulation, world: int) -> bool:
+    """Whether a world has equal bits in two simulations."""
+    first, last = sim.model.numpy("body_start")[world : world + 2]
+    mine, theirs = state(sim), state(other)
+    return all((mine[name][first:last] == theirs[name][first:last]).all() for name in mine)
+
+
+def test_any_start_is_a_stepper():
+    """The cached impulses as a start have the bits of the solver alone."""
+    sim, plain = simulation(), simulation()
+    sim.run(5, 0.01, stepper=Builtin(sim))
+    plain.run(5, 0.01)
+    assert all(same(sim, plain, world) for world in range(3))
+
+
+def test_what_is_no_stepper_is_refused():
+    sim, other = simulation(steps=0), simulation(steps=0)
+    with pytest.raises(TypeError, match="stepper is 3; it must have a method solve"):
+        sim.step(0.01, stepper=3)
+    with pytest.raises(ValueError, match="the stepper was made for another simulation"):
+        sim.step(0.01, stepper=Builtin(other))
+
+
+def test_without_sweeps_bodies_go_as_the_network_says():
+    """Semi-implicitly: positions by the new velocities, which contacts' impulses of the network explain."""
+    sim = simulation(config=replace(CONFIG, position_correction="none"))
+    before = state(sim)
+    sim.step(0.01, stepper=NetworkStepper(sim, stepnet(), STEPPER))
+    after = state(sim)
+    np.testing.assert_allclose(after["position"], before["position"] + 0.01 * after["velocity"], atol=1e-6)
+    solver = simulation(config=replace(CONFIG, position_correction="none"))
+    solver.step(0.01)
+    difference = np.abs(after["velocity"] - state(solver)["velocity"]).max()
+    assert 1e-3 < difference < 10.0
+    assert float(np.abs(sim.contacts.numpy("impulse")).max()) > 1e-3
+
+
+def test_to_the_tolerance_the_step_is_the_solvers_whatever_the_network_says():
+    """With images there are no impulses to begin with: equal bits. StepNet's are another start: to the tolerance."""
+    plain, sim = simulation(), simulation()
+    model, manifest = unet()
+    sim.run(3, 0.01, stepper=NetworkStepper(sim, model, manifest, StepperOptions(project="tolerance")))
+    plain.run(3, 0.01)
+    assert all(same(sim, plain, world) for world in range(3))
+    tight = replace(CONFIG, tolerance=1e-7, relative_tolerance=0.0, max_sweeps=5000)
+    plain, sim = simulation(config=tight), simulation(config=tight)
+    sim.step(0.01, stepper=NetworkStepper(sim, stepnet(), STEPPER, StepperOptions(project="tolerance")))
+    plain.step(0.01)
+    np.testing.assert_allclose(state(sim)["velocity"], state(plain)["velocity"], atol=2e-4)
+
+
+@pytest.mark.parametrize("kind", ["stepnet", "unet"])
+def test_sweeps_leave_no_contact_closing(kind: str):
+    """Many of them, on velocities of an untrained network, those of images with a part that contacts don't make."""
+    sim = simulation()
+    model, manifest = (stepnet(), STEPPER) if kind == "stepnet" else unet()
+    stepper = NetworkStepper(sim, model, manifest, StepperOptions(project=900, energy=1e6))
+    sim.collide(0.01)
+    predicted = sim.motion.numpy("predicted").copy()
+    stepper.solve()
+    view = stepper.reader.read()
+    solved = torch.from_numpy(sim.motion.numpy("solved")[: len(view.way), :3]) / view.speed
+    closing, _ = view.of_contacts().relative(solved)
+    assert float((closing + view.gap).min()) > -0.05
+    assert (sim.motion.numpy("predicted") == predicted).all()
+    assert stepper.counts == {"calls": 3, "skipped": 0, "not_finite": 0, "too_fast": 0}
+
+
+class Spoilt(torch.nn.Module):
+    """Spoils the answers of a StepNet in two of three worlds: NaN in the first, ten times the speed in the second."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.model, self.network_name = stepnet(), "stepnet"
+        self.config = self.model.config
+
+    def forward(self, view, grid):
+        way, impulse = self.model(view, grid)
+        first, second = view.body_start[1:3].tolist()
+        way[first // 2] = torch.nan
+        way[first:second] *= 10.0
+        return way, impulse
+
+
+@pytest.mark.parametrize("project", [0, 3])
+def test_worlds_whose_answer_is_no_good_fall_back_to_the_solver(project: int):
+    """They have the bits of the solver's step, for two steps, the third world those of the network's."""
+    sim, plain, good = simulation(), simulation(), simulation()
+    stepper = NetworkStepper(sim, Spoilt(), STEPPER, StepperOptions(project=project))
+    sim.run(2, 0.01, stepper=stepper)
+    plain.run(2, 0.01)
+    good.run(2, 0.01, stepper=NetworkStepper(good, stepnet(), STEPPER, StepperOptions(project=project)))
+    assert [same(sim, plain, world) for world in range(3)] == [True, True, False]
+    np.testing.assert_allclose(state(sim)["velocity"][-20:], state(good)["velocity"][-20:], atol=1e-4)
+    assert (stepper.counts["not_finite"], stepper.counts["too_fast"]) == (2, 2)
+    report = stepper.report()
+    assert report.counts["dropped"] == 4 and "4 fell back to the solver: 2 not finite, 2 with" in report.text
+
+
+def test_worlds_without_contacts_are_not_asked():
+    """In free fall the step is the solver's, to the bit."""
+    builder = dc.ModelBuilder()
+    for height in (5.0, 0.5):
+        builder.add_world(gravity=(0.0, -9.8))
+        ground = builder.add_body(type=dc.BodyType.STATIC)
+        builder.add_chain(ground, [(-5.0, 0.0), (5.0, 0.0)])
+        builder.add_discs([(0.0, height)], radius=0.5)
+    arrays = builder.finalize()
+    sim = dc.Simulation(*arrays)
+    stepper = NetworkStepper(sim, stepnet(), STEPPER)
+    sim.step(0.01, stepper=stepper)
+    assert (stepper.counts["calls"], stepper.counts["skipped"]) == (1, 1)
+    assert sim.state.numpy("velocity")[1, 1] == np.float32(-0.098)
+    assert sim.state.numpy("velocity")[3, 1] > -0.098
+
+
+def test_what_a_network_cannot_step_is_refused(tmp_path: Path):
+    sim = RunOptions().simulation(Chain(), CONFIG)
+    with pytest.raises(ValueError, match="joints; a network steps bodies with contacts alone"):
+        NetworkStepper(sim, stepnet(), STEPPER)
+    with pytest.raises(ValueError, match=r"sim\.dtype is float64"):
+        NetworkStepper(RunOptions(dtype="float64").simulation(Thesis(bodies=2), CONFIG), stepnet(), STEPPER)
+    with pytest.raises(ValueError, match="the manifest has no 'stepper'"):
+        NetworkStepper(simulation(1, steps=0), stepnet(), {})
+    model, manifest = unet()
+    manifest["stepper"]["grid"]["rows"] += 1
+    with pytest.raises(ValueError, match="the network reads"):
+        NetworkStepper(simulation(1, steps=0), model, manifest)
+
+
+def test_a_scene_runs_with_a_network_from_the_command_line(tmp_path: Path, capsys):
+    """The summary counts what it did."""
+    path = tmp_path / "net.safetensors"
+    save_checkpoint(path, stepnet(), STEPPER)
+    command = f"simulate thesis --bodies 6 --steps 60 --out {tmp_path / 'out'} --stepper network --weights {path}"
+    assert main([*command.split(), "--project", "3"]) == 0
+    assert "network in the solver's place" in capsys.readouterr().out
+    assert (tmp_path / "out" / "summary.png").exists()
+    for more, text in (("--start cnn", "has no start"), ("--project -1", "project"), ("--energy 0.5", "energy")):
+        with pytest.raises(SystemExit):
+            main([*command.split(), *more.split()])
+        assert text in capsys.readouterr().err
