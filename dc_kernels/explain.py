@@ -8,7 +8,7 @@ import numpy as np
 
 from dc_kernels.model.enums import BodyType, ShapeType, flag_names
 from dc_kernels.model.settings import counted
-from dc_kernels.solve.rows import LANES, SERIAL_COLOR
+from dc_kernels.solve.rows import LANES, SERIAL_COLOR, has_traits
 from dc_kernels.stages import PHASES, of_phase
 
 if TYPE_CHECKING:
@@ -49,8 +49,12 @@ def explain(sim: Simulation) -> str:
     elif sim.variant == "general":
         why = "asked for by specialize=False" if sim.only_discs else "not all that moves is centred discs"
         lines.append(f"rows: general ({why}); joint rows skipped (no joints)")
+    elif sim.variant == "surfaces":
+        lines.append("rows: contacts, joints and rolling resistance together (surfaces that move, or resist rolling)")
     else:
         lines.append("rows: contacts and joints together")
+    if has_traits(model):
+        lines.append("bodies: with damping, or gravities of their own")
     if not friction:
         lines.append("friction: no shape has any; tangential impulses stay zero")
     if not bounce:

@@ -28,7 +28,7 @@ from dc_kernels.runtime.stepping import shards_of
 from dc_kernels.runtime.threads import GPU_CALLS, OneCaller, uninterrupted
 from dc_kernels.sleep.sleepers import Sleepers
 from dc_kernels.solve.integrate import Motion
-from dc_kernels.solve.rows import only_centred_discs, variant_of
+from dc_kernels.solve.rows import has_traits, only_centred_discs, variant_of
 from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration, check_solve, settings_of_solve
 from dc_kernels.solve.storage import Rows, SolveStats
 from dc_kernels.stages import PHASES, Phase, Turn, kernel_table, needs_of, of_phase
@@ -164,7 +164,14 @@ class Simulation(Driven):
         self.only_discs = only_centred_discs(self.model)
         only_discs = self.only_discs and self.specialize
         self.variant = variant_of(self.model, only_discs)
-        self.kernels = kernel_table(self.backend, self.dtype.name, self.variant, only_discs, config.sleep)
+        self.kernels = kernel_table(
+            self.backend,
+            self.dtype.name,
+            self.variant,
+            only_discs,
+            sleep=config.sleep,
+            traits=has_traits(self.model),
+        )
 
     def adapt_to_model(self, stale: bool) -> None:
         """Take the kernels and the coefficients of a model that has changed; ``stale``: graphs are to be made anew."""

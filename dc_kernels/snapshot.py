@@ -23,7 +23,7 @@ from dc_kernels.measure import contact_slots
 from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig
 from dc_kernels.model.dtypes import float_dtype, numpy_spec
-from dc_kernels.model.fields import CACHE, CONTACTS, SLEEPERS, Field
+from dc_kernels.model.fields import CACHE, CONTACTS, SLEEPERS, TRAITS, Field
 from dc_kernels.model.room import used_slots
 from dc_kernels.model.rules import BrokenRule
 from dc_kernels.model.settings import WrongType, check_choice, shown
@@ -173,7 +173,8 @@ def _write(file: Any, sim: Simulation) -> None:
         groups["sleepers"] = sim.sleepers
         used["sleepers"] = used_slots(sim.contacts.numpy("contact_start"), sim.sleepers.numpy("count"))
         sizes[KEPT] = len(used["sleepers"])
-    names = [*_AXES, *(name for name, group in ((CACHED, "cache"), (KEPT, "sleepers")) if group in groups)]
+    names = [*_AXES, *(name for name in TRAITS if sizes[name])]
+    names += (name for name, group in ((CACHED, "cache"), (KEPT, "sleepers")) if group in groups)
     file.create_group("sizes").attrs.update({name: sizes[name] for name in names})
     file.create_group("config").attrs.update(
         {name: value for name, value in sim.config.to_dict().items() if value is not None}
@@ -182,6 +183,8 @@ def _write(file: Any, sim: Simulation) -> None:
         folder = file.create_group(name)
         for field in group.table.values():
             values = group.numpy(field.name)
+            if field.per in TRAITS and not len(values):
+                continue
             if field.per == "contact":
                 values = values[used.get(name, slots)]
             # a checksum finds damage that HDF5 would not notice
@@ -227,7 +230,7 @@ class _Header:
             if not isinstance(self.device, str):
                 raise WrongType(f"device is {shown(self.device)}; it must be a str")
             sizes = {name: int(value) for name, value in file["sizes"].attrs.items()}
-            self.sizes = {name: sizes[name] for name in _AXES}
+            self.sizes = {**{name: sizes[name] for name in _AXES}, **{name: sizes.get(name, 0) for name in TRAITS}}
             self._counts = {name: sizes.get(name) for name in (CACHED, KEPT)}
         except KeyError as error:
             raise ValueError(f"{path}: an attribute is missing: {error}") from error
@@ -261,6 +264,9 @@ def _read(file: Any, path: str, group: str, table: Mapping[str, Field], header: 
         where = f"{path}: dataset {group}/{field.name}"
         dtype, components = numpy_spec(field, header.real)
         shape = (header.sizes[field.per], *components)
+        if field.per in TRAITS and not shape[0]:
+            arrays[field.name] = np.zeros(shape, dtype)
+            continue
         try:
             dataset = file[group][field.name]
             found = getattr(dataset, "shape", None), getattr(dataset, "dtype", None)

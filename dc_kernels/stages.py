@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 from dc_kernels.model.enums import Activity
-from dc_kernels.runtime.backends import make_kernels
+from dc_kernels.runtime.backends import BACKENDS, kernel_file, make_kernels
 from dc_kernels.runtime.capture import recording
+from dc_kernels.solve.rows import COLUMNS
 
 Phase = Literal["advance", "collide", "solve"]
 PHASES: tuple[Phase, ...] = ("collide", "solve", "advance")
@@ -28,7 +29,7 @@ class Stage(NamedTuple):
     file: str
     """Where its kernels stand below a backend's root."""
     options: tuple[str, ...]
-    """What its kernels are made for beside the scalar: "only_discs", "variant"."""
+    """What its kernels are made for beside the scalar: "only_discs", "traits", "variant"."""
     reads: tuple[str, ...]
     """Groups of arrays that it reads."""
     writes: tuple[str, ...]
@@ -41,7 +42,7 @@ class Stage(NamedTuple):
 
 STEP = (
     Stage(
-        "collide", "predict", "solve.integrate", (), ("model", "state", "motion"), ("motion", "state"),
+        "collide", "predict", "solve.integrate", ("traits",), ("model", "state", "motion"), ("motion", "state"),
         "velocities with forces and gravity applied; how far contacts look ahead", "a world whose flags are set",
     ),
     Stage(
@@ -74,7 +75,7 @@ STEP = (
         "solved impulses back to contacts and joints",
     ),
     Stage(
-        "advance", "displace", "solve.integrate", (), ("model", "state"), ("motion",),
+        "advance", "displace", "solve.integrate", ("traits",), ("model", "state"), ("motion",),
         "what the solved velocities move the bodies by",
     ),
     Stage(
@@ -83,7 +84,8 @@ STEP = (
         "another position correction than ngs; a world without overlap beyond the slop and without joints",
     ),
     Stage(
-        "advance", "commit", "solve.integrate", (), ("model", "joints", "motion"), ("state", "contacts", "cache"),
+        "advance", "commit", "solve.integrate", ("traits",), ("model", "joints", "motion"),
+        ("state", "contacts", "cache"),
         "positions, velocities, time, and the contacts that the next step starts from",
     ),
 )  # fmt: skip
@@ -202,6 +204,15 @@ def needs_of(names: Sequence[str]) -> list[Activity]:
     return needs
 
 
+WORDS = {"surfaces": "surfaces that move or resist rolling"}
+"""What rows are of that a backend may lack, by variant."""
+
+
+def variants_of(backend: str) -> Sequence[str]:
+    """The variants of rows that a backend has, keys of ``rows.COLUMNS``."""
+    return getattr(kernel_file(backend, "solve.pack"), "VARIANTS", tuple(COLUMNS))
+
+
 def markdown(stages: Sequence[Stage] = STEP) -> str:
     """Stages as a table for people."""
     rows = ["| phase | kernel | file | reads | writes | what it does | left out |", "| --- " * 7 + "|"]
@@ -213,7 +224,9 @@ def markdown(stages: Sequence[Stage] = STEP) -> str:
     return "\n".join(rows)
 
 
-def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool, sleep: bool = False) -> dict[str, Any]:
+def kernel_table(
+    backend: str, dtype: str, variant: str, only_discs: bool, *, sleep: bool = False, traits: bool = False
+) -> dict[str, Any]:
     """All kernels of a simulation by name.
 
     Args:
@@ -222,11 +235,15 @@ def kernel_table(backend: str, dtype: str, variant: str, only_discs: bool, sleep
         variant: layout of solver rows, a key of ``rows.COLUMNS``.
         only_discs: whether all that moves are discs about their centre of mass.
         sleep: whether bodies may sleep.
+        traits: whether bodies have damping, or a gravity of their own.
 
     Raises:
         ValueError: where a backend has not got the kernels, naming those that have.
     """
-    options = {"variant": variant, "only_discs": only_discs}
+    having = [name for name in BACKENDS if variant in variants_of(name)]
+    if backend not in having:
+        raise ValueError(f"backend is {backend!r}, which has no rows of {WORDS[variant]}; it must be one of {having}")
+    options = {"variant": variant, "only_discs": only_discs, "traits": traits}
     table: dict[str, Any] = {}
     for file, names in {stage.file: stage.options for stage in (*STEP, *(SLEEP if sleep else ()))}.items():
         table.update(make_kernels(backend, file, dtype, *(options[name] for name in names)))

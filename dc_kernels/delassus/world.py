@@ -16,7 +16,7 @@ from dc_kernels.model.settings import WrongType, checker, shown
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_positive, check_simulation, check_whole
 from dc_kernels.solve.contacts import ContactSolver
-from dc_kernels.solve.rows import read_column
+from dc_kernels.solve.rows import OWN, SURFACED, read_column
 
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
@@ -103,7 +103,9 @@ def from_solver(solver: ContactSolver, dt: float, world: int = 0) -> DelassusPro
 
 def _from_rows(solver: Simulation | ContactSolver, world: int) -> DelassusProblem:
     """Make the problem of a world's packed rows."""
-    if solver.variant == "rows":
+    if solver.variant in SURFACED:
+        raise ValueError("surfaces move or resist rolling, which a Delassus problem knows nothing of")
+    if solver.variant in OWN:
         raise ValueError("rows of own Jacobians have bounds, which a Delassus problem has not: leave them out")
     contacts, joints = solver.contacts, solver.joints
 

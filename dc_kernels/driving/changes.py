@@ -19,7 +19,7 @@ from dc_kernels.model.assemble import Geometry
 from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import BodyType
-from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL
+from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, TRAITS, Field
 from dc_kernels.model.room import rows_of
 from dc_kernels.model.rules import Number
 from dc_kernels.model.settings import numeric
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 Arrays = dict[str, np.ndarray]
 
-ALONE = ("gravity", "origin", "length_scale", "cell_size", "shape_friction", "shape_restitution")
+ALONE = ("gravity", "origin", "length_scale", "cell_size", "shape_friction", "shape_restitution", *Model.traits)
 """Fields that are held to a rule each, and to no other field; categories and masks are held to none."""
 PAIRED = ("length_scale", "cell_size", "body_type", "shape_category", "shape_mask", "shape_radius", "vertices")
 """Fields that candidate pairs depend on."""
@@ -95,6 +95,12 @@ def _given(name: str, values: Any, model: Model, joints: Joints) -> np.ndarray:
             )
         raise KeyError(f"{name} {why}. It may be one of {', '.join(changeable)}")
     field = group.table[name]
+    if field.per in TRAITS and not group.sizes[field.per] and group.sizes[axis := TRAITS[field.per]]:
+        keyword = name.removeprefix("shape_")
+        raise ValueError(
+            f"{name} is not there, as no {axis} was built with any of {', '.join(_beside(field))}; "
+            f"give {keyword} to one {axis} at least when the model is built"
+        )
     scalar, inner = numpy_spec(field, group.dtype)
     shape = (group.sizes[field.per], *inner)
     array = numeric(name, host_view(name, values), f"numbers of shape {shape}")
@@ -102,6 +108,11 @@ def _given(name: str, values: Any, model: Model, joints: Joints) -> np.ndarray:
         one = check_values(name, array, inner, np.dtype(np.float64) if scalar.kind == "f" else scalar)
         array = np.broadcast_to(one, shape)
     return np.array(check_values(name, array, shape, scalar))
+
+
+def _beside(field: Field) -> list[str]:
+    """The fields on the axis of a field."""
+    return [name for name, other in MODEL.items() if other.per == field.per]
 
 
 def _complete(given: Arrays, model: Model) -> None:
@@ -174,7 +185,8 @@ def _worlds_of(name: str, values: np.ndarray | None, model: Model, joints: Joint
     other = (values != to_numpy(group.array(name))).reshape(len(values), -1).any(axis=1)
     if field.per == "world":
         return other
-    start = model.numpy(f"{'shape' if field.per == 'vertex' else field.per}_start")
+    axis = TRAITS.get(field.per, field.per)
+    start = model.numpy(f"{'shape' if axis == 'vertex' else axis}_start")
     if field.per == "vertex":
         start = model.numpy("vertex_start")[start]
     found = np.zeros(worlds, bool)

@@ -15,7 +15,7 @@ import numpy as np
 
 from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import elements, float_dtype, float_name, many_zeros, numpy_spec
-from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, Field
+from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, TRAITS, Field
 from dc_kernels.model.settings import counted
 from dc_kernels.model.worlds import Segments, WorldViews, by_world
 from dc_kernels.runtime.backends import kernel_file, on_numpy
@@ -387,10 +387,16 @@ class Model(ArrayGroup):
 
     table = MODEL
     live = ("gravity", "origin")
+    traits = tuple(name for name, field in MODEL.items() if field.per in TRAITS)
     changeable = (
+        *traits,
         *("gravity", "origin", "length_scale", "cell_size", "body_type", "mass", "inertia", "inv_mass", "inv_inertia"),
         *("shape_radius", "shape_friction", "shape_restitution", "shape_category", "shape_mask", "vertices"),
     )
+
+    def __init__(self, sizes: Mapping[str, int], *memory: Any) -> None:
+        """Allocate (see ``ArrayGroup``); what few scenes have is empty unless ``sizes`` has its axis too."""
+        super().__init__({**dict.fromkeys(TRAITS, 0), **sizes}, *memory)
 
     @property
     def world_count(self) -> int:

@@ -7,7 +7,8 @@ float64 up to the last cast, so that a world far from the origin is as exact as 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, TypedDict
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,10 +33,24 @@ from dc_kernels.model.assemble import (
     Y,
     assemble,
 )
-from dc_kernels.model.checks import ALL_BITS, body_type, fill, number, pair, truth, whole
+from dc_kernels.model.checks import (
+    ALL_BITS,
+    BODY_TRAITS,
+    SHAPE_TRAITS,
+    BodyTraits,
+    Material,
+    body_type,
+    fill,
+    material,
+    number,
+    pair,
+    trait_columns,
+    truth,
+    whole,
+)
 from dc_kernels.model.dtypes import float_dtype
 from dc_kernels.model.enums import BodyType, ShapeType
-from dc_kernels.model.row_table import RowTable
+from dc_kernels.model.row_table import RowTable, Traits
 from dc_kernels.model.settings import numeric, shown
 from dc_kernels.model.shapes import TOLERANCE, box_vertices, convex_polygon, points
 from dc_kernels.model.validate.scene import check_scene
@@ -43,16 +58,6 @@ from dc_kernels.runtime.backends import check_device
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
-
-
-class Material(TypedDict, total=False):
-    """Keywords that every shape takes."""
-
-    density: float  # [kg/m^2] >= 0, default 1; 0 for what should not weigh; without effect on segments
-    friction: float  # Coulomb coefficient [1] >= 0, default 0.5
-    restitution: float  # [1], in [0, 1], default 0
-    category: int  # 32 bits of what the shape is, default 1
-    mask: int  # 32 bits of what it collides with, default all
 
 
 class ModelBuilder:
@@ -72,6 +77,7 @@ class ModelBuilder:
         self._shapes = RowTable(9)
         self._vertices = RowTable(2)
         self._joints = RowTable(7)  # body a, body b, anchor a, anchor b, length
+        self._body_traits, self._shape_traits = Traits(BODY_TRAITS), Traits(SHAPE_TRAITS)
 
     def add_world(self, gravity: Any = (0.0, -9.8), origin: Any = (0.0, 0.0), length_scale: float | None = None) -> int:
         """Begin a new world and return its index.
@@ -103,6 +109,7 @@ class ModelBuilder:
         type: BodyType = BodyType.DYNAMIC,
         mass: float | None = None,
         inertia: float | None = None,
+        **traits: Unpack[BodyTraits],
     ) -> int:
         """Add a body to the latest world and return its index over all worlds.
 
@@ -115,6 +122,7 @@ class ModelBuilder:
             mass: [kg], > 0; None: from the shapes' density. Without effect on bodies that are not dynamic.
             inertia: [kg m^2] about the centre of mass, >= 0, where 0 means that the body does not rotate; None:
                 from the shapes (a given mass spread as their density says), 0 for a point mass without shape.
+            **traits: see ``BodyTraits``; without effect on bodies that are not dynamic.
         """
         where = f"body {self._bodies.count}"
         self._need_world(where)
@@ -124,6 +132,8 @@ class ModelBuilder:
         spin = number("angular_velocity", angular_velocity, where)
         if kind == BodyType.STATIC and (vx or vy or spin):
             raise ValueError(f"velocity of {where} is ({vx}, {vy}), {spin}; a static body must have none")
+        if traits and self._traits(where, spin, inertia, **traits):
+            inertia = 0.0
         return self._bodies.append(
             x,
             y,
@@ -141,7 +151,7 @@ class ModelBuilder:
         where = self._shape_of(body)
         radius = number("radius", radius, where)
         return self._add(
-            body, ShapeType.DISC, np.array([pair("center", center, where)]), radius, _material(where, **material)
+            body, ShapeType.DISC, np.array([pair("center", center, where)]), radius, self._material(where, material)
         )
 
     def add_box(
@@ -174,7 +184,7 @@ class ModelBuilder:
             ShapeType.POLYGON,
             convex_polygon(corners, f"corners of {where}"),
             radius,
-            _material(where, **material),
+            self._material(where, material),
         )
 
     def add_polygon(self, body: int, vertices: Any, radius: float = 0.0, **material: Unpack[Material]) -> int:
@@ -189,7 +199,7 @@ class ModelBuilder:
         where = self._shape_of(body)
         checked = convex_polygon(vertices, f"vertices of {where}")
         radius = number("rounding", radius, where)
-        return self._add(body, ShapeType.POLYGON, checked, radius, _material(where, **material))
+        return self._add(body, ShapeType.POLYGON, checked, radius, self._material(where, material))
 
     def add_capsule(self, body: int, p1: Any, p2: Any, radius: float, **material: Unpack[Material]) -> int:
         """Add the line from ``p1`` to ``p2`` (2,) [m], thickened by ``radius`` [m] > 0; return its shape index."""
@@ -199,7 +209,7 @@ class ModelBuilder:
         length = math.hypot(*(ends[1] - ends[0]))
         if not length > TOLERANCE * radius:
             raise ValueError(f"p1 and p2 of {where} are {length:g} m apart; it must exceed {TOLERANCE:g} of the radius")
-        return self._add(body, ShapeType.POLYGON, ends, radius, _material(where, **material))
+        return self._add(body, ShapeType.POLYGON, ends, radius, self._material(where, material))
 
     def add_chain(self, body: int, vertices: Any, closed: bool = False, **material: Unpack[Material]) -> np.ndarray:
         """Add a chain of segments to a static body and return their shape indices.
@@ -234,7 +244,8 @@ class ModelBuilder:
         if not closed:
             before[0], after[-1] = start[0], end[-1]
         first, n = self._shapes.count, len(start)
-        self._shapes.extend(np.tile(np.array((body, ShapeType.SEGMENT, 4, 0.0, *_material(where, **material))), (n, 1)))
+        row = np.array((body, ShapeType.SEGMENT, 4, 0.0, *self._material(where, material, n)))
+        self._shapes.extend(np.tile(row, (n, 1)))
         self._vertices.extend(np.stack((start, end, before, after), axis=1).reshape(-1, 2))
         return np.arange(first, first + n)
 
@@ -285,6 +296,7 @@ class ModelBuilder:
         restitution: Any = 0.0,
         category: Any = 1,
         mask: Any = ALL_BITS,
+        **traits: Any,
     ) -> np.ndarray:
         """Add n dynamic bodies with a centred disc each, and return their body indices.
 
@@ -299,6 +311,7 @@ class ModelBuilder:
             restitution: [1].
             category: 32 bits.
             mask: 32 bits.
+            **traits: the numbers of ``BodyTraits``, and ``surface_speed``, ``rolling_resistance`` of ``Material``.
         """
         first = self._bodies.count
         self._need_world(f"body {first}")
@@ -307,11 +320,10 @@ class ModelBuilder:
         bodies = np.full((n, 9), np.nan)
         bodies[:, X : Y + 1] = positions
         wanted = f"({n}, 2) or (2,)"
-        speed = np.zeros(2) if velocity is None else numeric("velocity", velocity, f"numbers of shape {wanted}")
+        speed = numeric("velocity", (0.0, 0.0) if velocity is None else velocity, f"numbers of shape {wanted}")
         if speed.shape not in ((n, 2), (2,)):
             raise ValueError(f"velocity has shape {speed.shape}; it must be {wanted}")
-        points(speed.reshape(-1, 2), "velocity", 0)
-        bodies[:, VX : VY + 1] = speed
+        bodies[:, VX : VY + 1] = points(speed.reshape(-1, 2), "velocity", 0)
         fill(bodies[:, ANGLE], "angle", angle)
         fill(bodies[:, SPIN], "angular_velocity", angular_velocity)
         bodies[:, TYPE] = BodyType.DYNAMIC
@@ -325,6 +337,10 @@ class ModelBuilder:
         fill(shapes[:, RESTITUTION], "restitution", restitution)
         fill(shapes[:, CATEGORY], "category", category)
         fill(shapes[:, MASK], "mask", mask)
+        if traits:
+            columns = trait_columns("add_discs", traits, n)
+            self._body_traits.add(first, columns)
+            self._shape_traits.add(self._shapes.count, columns)
         self._bodies.extend(bodies)
         self._shapes.extend(shapes)
         self._vertices.extend(np.zeros((n, 2)))
@@ -352,6 +368,8 @@ class ModelBuilder:
         check_device(device, backend)
         if not self._worlds:
             raise ValueError("the builder has no world: call add_world first")
+        traits = self._body_traits.collect(np.arange(self._bodies.count))
+        surfaces = self._shape_traits.collect(np.argsort(self._shapes.collect()[:, BODY], kind="stable"), "shape_")
         with np.errstate(over="ignore", invalid="ignore"):  # values too large are found when they are assigned
             fields = assemble(
                 self._worlds,
@@ -360,6 +378,7 @@ class ModelBuilder:
                 self._vertices.collect(),
                 self._joints.collect(),
             )
+            fields |= traits | surfaces
             cast = {
                 name: value.astype(real) if value.dtype.kind == "f" and name != "origin" else value
                 for name, value in fields.items()
@@ -367,6 +386,7 @@ class ModelBuilder:
         world, body, shape = len(self._worlds), self._bodies.count, self._shapes.count
         sizes = {"world": world, "world+1": world + 1, "body": body, "body+1": body + 1}
         sizes |= {"shape": shape, "shape+1": shape + 1, "vertex": self._vertices.count}
+        sizes |= {"body trait": body * bool(traits), "shape trait": shape * bool(surfaces)}
         groups = (
             Model(sizes, real, device, backend),
             State(sizes, real, device, backend),
@@ -406,19 +426,25 @@ class ModelBuilder:
         self._vertices.extend(vertices)
         return self._shapes.append(int(body), kind, len(vertices), radius, *material)
 
+    def _material(self, where: str, given: Mapping[str, Any], count: int = 1) -> tuple[float, ...]:
+        """What the keywords of the next ``count`` shapes say; those that few shapes have are kept for them."""
+        if given.keys().isdisjoint(SHAPE_TRAITS):
+            return material(where, **given)
+        traits = {name: np.full(count, number(name, given[name], where)) for name in SHAPE_TRAITS if name in given}
+        found = material(where, **{name: value for name, value in given.items() if name not in traits})
+        self._shape_traits.add(self._shapes.count, traits)
+        return found
 
-def _material(
-    where: str,
-    density: Any = 1.0,
-    friction: Any = 0.5,
-    restitution: Any = 0.0,
-    category: Any = 1,
-    mask: Any = ALL_BITS,
-) -> tuple[float, ...]:
-    return (
-        number("density", density, where),
-        number("friction", friction, where),
-        number("restitution", restitution, where),
-        number("category", category, where),
-        number("mask", mask, where),
-    )
+    def _traits(self, where: str, spin: float, inertia: Any, fixed_rotation: Any = False, **given: Any) -> bool:
+        """Keep what few bodies have for the next one; whether nothing turns it."""
+        if unknown := given.keys() - BODY_TRAITS:
+            raise TypeError(f"add_body() has no argument {min(unknown)!r}")
+        found = {name: np.array([number(name, value, where)]) for name, value in given.items()}
+        fixed = truth(f"fixed_rotation of {where}", fixed_rotation)
+        if fixed and (spin or inertia):
+            raise ValueError(
+                f"angular_velocity of {where} is {spin:g}, inertia {shown(inertia)}; a body of fixed_rotation has an "
+                "angular_velocity of 0, and an inertia of 0 or None"
+            )
+        self._body_traits.add(self._bodies.count, found)
+        return fixed

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Annotated, Any, TypedDict
 
 import numpy as np
 
@@ -21,6 +22,8 @@ MATERIAL: dict[str, Any] = {
     "restitution": Annotated[float, Limits(least=0.0, most=1.0)],
     "category": Bits,
     "mask": Bits,
+    "surface_speed": Finite,
+    "rolling_resistance": NotNegative,
 }
 """What the keywords of every shape may be, by name."""
 FIELDS: dict[str, Any] = {
@@ -35,6 +38,9 @@ FIELDS: dict[str, Any] = {
     "length_scale": Positive,
     "angle": Finite,
     "angular_velocity": Finite,
+    "linear_damping": NotNegative,
+    "angular_damping": NotNegative,
+    "gravity_scale": Finite,
 }
 """What the numbers of bodies, shapes and joints may be, by name."""
 _LABELS = {"rounding": "radius"}
@@ -45,6 +51,32 @@ truth = checker(bool)
 """Returns True or False, or raises a TypeError with the name."""
 whole = checker(int)
 """Returns an integer, or raises a TypeError with the name."""
+
+
+class Material(TypedDict, total=False):
+    """Keywords that every shape takes."""
+
+    density: float  # [kg/m^2] >= 0, default 1; 0 for what should not weigh; without effect on segments
+    friction: float  # Coulomb coefficient [1] >= 0, default 0.5
+    restitution: float  # [1], in [0, 1], default 0
+    category: int  # 32 bits of what the shape is, default 1
+    mask: int  # 32 bits of what it collides with, default all
+    surface_speed: float  # [m/s], of the surface, clockwise: the top of a belt moves to the right, default 0
+    rolling_resistance: float  # [1] >= 0: the most torque over normal force and radius of the round shape, default 0
+
+
+BODY_TRAITS = {"linear_damping": 0.0, "angular_damping": 0.0, "gravity_scale": 1.0}
+SHAPE_TRAITS = {"surface_speed": 0.0, "rolling_resistance": 0.0}
+"""What few bodies, and few shapes, have, by name, with the number of the others."""
+
+
+class BodyTraits(TypedDict, total=False):
+    """Keywords of bodies that few have; a scene without them takes no time and no memory for them."""
+
+    fixed_rotation: bool  # whether nothing turns the body: its inverse inertia is 0; default False
+    linear_damping: float  # [1/s] >= 0, default 0: without forces the velocity falls as exp(-linear_damping t)
+    angular_damping: float  # [1/s] >= 0, default 0: without torques the spin falls as exp(-angular_damping t)
+    gravity_scale: float  # [1], default 1: what the world's gravity is multiplied by for the body
 
 
 def body_type(value: Any, where: str) -> BodyType:
@@ -72,6 +104,28 @@ def number(name: str, value: Any, where: str) -> float:
     return _CHECKS[name](f"{_LABELS.get(name, name)} of {where}", value)
 
 
+def material(
+    where: str,
+    density: Any = 1.0,
+    friction: Any = 0.5,
+    restitution: Any = 0.0,
+    category: Any = 1,
+    mask: Any = ALL_BITS,
+) -> tuple[float, ...]:
+    """Return what the keywords of a shape say, each within its limits.
+
+    Raises:
+        TypeError, ValueError: naming field and ``where``.
+    """
+    return (
+        number("density", density, where),
+        number("friction", friction, where),
+        number("restitution", restitution, where),
+        number("category", category, where),
+        number("mask", mask, where),
+    )
+
+
 def fill(column: np.ndarray, name: str, values: Any) -> None:
     """Write numbers within the limits of their field into a column; a single one fills it.
 
@@ -96,6 +150,20 @@ def fill(column: np.ndarray, name: str, values: Any) -> None:
         place = f"[{i}]" if array.ndim else " of the discs"
         raise ValueError(f"{name}{place} is {value!r}; {limits.demand(value, kind)}")
     column[:] = array
+
+
+def trait_columns(call: str, traits: Mapping[str, Any], count: int) -> dict[str, np.ndarray]:
+    """Return the numbers of what few bodies and shapes have, (count,) each, by name.
+
+    Raises:
+        TypeError, ValueError: naming ``call`` and an argument that it has not got; field, index and limit.
+    """
+    found: dict[str, np.ndarray] = {}
+    for name, values in traits.items():
+        if name not in {**BODY_TRAITS, **SHAPE_TRAITS}:
+            raise TypeError(f"{call}() has no argument {name!r}")
+        fill(found.setdefault(name, np.empty(count)), name, values)
+    return found
 
 
 def pair(name: str, value: Any, where: str) -> tuple[float, float]:

@@ -80,6 +80,9 @@ def field_table(*rows: tuple[Any, ...]) -> dict[str, Field]:
     return {row[0]: Field(*row) for row in rows}
 
 
+TRAITS = {"body trait": "body", "shape trait": "shape"}
+"""Axes of what few scenes have, and the axes that they are as long as where a scene has it; else they are empty."""
+
 # axes: world W, world+1, body, body+1 (behind the bodies: padding bodies of empty solver lanes), shape, shape+1,
 # vertex, joint, contact (capacity), pair (capacity), block (capacity, of LANES solver rows), bucket
 MODEL = field_table(
@@ -109,6 +112,25 @@ MODEL = field_table(
     ("vertex_start", "shape+1", "int32", "1", "first vertex of each shape", Start("vertex")),
     ("vertices", "vertex", "vec2", "m", "in the body's frame, relative to the centre of mass"),
     ("vertex_normals", "vertex", "vec2", "1", "outward normal of the edge from this vertex to the next"),
+    (
+        "linear_damping",
+        "body trait",
+        "real",
+        "1/s",
+        "rate at which it loses its velocity, as exp(-rate t)",
+        NOT_NEGATIVE,
+    ),
+    ("angular_damping", "body trait", "real", "1/s", "rate at which a body loses its spin", NOT_NEGATIVE),
+    ("gravity_scale", "body trait", "real", "1", "what the world's gravity is multiplied by for a body"),
+    ("shape_surface_speed", "shape trait", "real", "m/s", "of the surface, clockwise: on top of a belt to the right"),
+    (
+        "shape_rolling_resistance",
+        "shape trait",
+        "real",
+        "1",
+        "most torque over normal force and radius; a pair has the larger",
+        NOT_NEGATIVE,
+    ),
 )
 
 STATE = field_table(
@@ -222,6 +244,7 @@ ROWS = field_table(
     ("column", "row column", "real", "1", "columns of the rows, see rows.py"),
     ("body", "row pair", "int32", "1", "bodies of the rows"),
     ("impulse", "row pair", "real", "N s", "normal and tangential impulses"),
+    ("limit_slot", "row lane", "int32", "1", "slot of the contact that bounds a row of rolling resistance; -1: none"),
     ("change", "row pair", "real", "N s", "what the last sweep, or its acceleration, changed the impulses by"),
     ("before", "row pair", "real", "N s", "step of the sweep before the last, where a solve pauses"),
     ("direction", "row direction", "real", "N s", "search direction of nonlinear CG"),
@@ -357,6 +380,7 @@ ROW = field_table(
     ("direction_a", "row", "vec2", "1", "what the normal is at body A, of the variant rows"),
     ("softness", "row", "real", "1/kg", "velocity for each normal impulse, of the variant rows"),
     ("square", "row", "real", "(N s)^2", "squared impulse that would stop the row alone; 0 where it never acts"),
+    ("roll", "row", "real", "1", "share of a contact's normal impulse that bounds it, of the variant surfaces"),
 )
 
 GROUPS = {

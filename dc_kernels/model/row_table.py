@@ -1,7 +1,8 @@
-"""Rows of numbers that a builder collects one by one or many at once."""
+"""Numbers that a builder collects one by one or many at once: rows of a table, and what few of its rows have."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -50,3 +51,36 @@ class RowTable:
         if self._rows:
             self._blocks.append(np.array(self._rows, np.float64))
             self._rows = []
+
+
+class Traits:
+    """Columns of numbers that few rows have: what is not given takes no memory, and is neutral."""
+
+    def __init__(self, neutral: dict[str, float]) -> None:
+        """Begin with none.
+
+        Args:
+            neutral: names of the columns, and the number of a row for which none was given.
+        """
+        self.neutral = neutral
+        self._given: list[tuple[str, int, np.ndarray]] = []
+
+    def add(self, first: int, columns: Mapping[str, np.ndarray]) -> None:
+        """Give rows from ``first`` on their numbers, (n,), by name of the column; other names are left alone."""
+        for name, value in self.neutral.items():
+            if name in columns and (columns[name] != value).any():
+                self._given.append((name, first, columns[name]))
+
+    def collect(self, rows: np.ndarray, prefix: str = "") -> dict[str, np.ndarray]:
+        """All columns where a row of any of them is not neutral, with a prefix to their names; else none.
+
+        Args:
+            rows: all rows in the order that is wanted, (n,).
+            prefix: what the names begin with.
+        """
+        if not self._given:
+            return {}
+        found = {name: np.full(len(rows), value) for name, value in self.neutral.items()}
+        for name, first, values in self._given:
+            found[name][first : first + len(values)] = values
+        return {prefix + name: column[rows] for name, column in found.items()}

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.model.fields import Field
+from dc_kernels.model.fields import TRAITS, Field
 from dc_kernels.model.rules import Start
 
 WorldViews = np.ndarray | list[np.ndarray]
@@ -59,6 +59,8 @@ def by_world(
         start, count = slots
         return [values[first : first + n] for first, n in zip(start.tolist(), count.tolist())]
     axis = axis.removesuffix("+1")  # of bodies, behind which lie padding ones
+    if axis in TRAITS and len(values):
+        axis = TRAITS[axis]
     if isinstance(field.rule, Start) or axis not in ("body", "shape", "vertex", "joint"):
         raise ValueError(f"{label} is not divided among worlds")
     if segments is None:

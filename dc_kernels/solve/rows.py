@@ -19,17 +19,27 @@ SERIAL_COLOR = COLORS - 1
 GENERAL = ("nx", "ny", "rAn", "rBn", "rAt", "rBt", "iA", "iB", "en", "et", "bias", "mu", "gap")
 """normal; arms crossed with normal and tangent [m]; inverse inertias; effective masses of both directions [kg]
 (inverse of (2.25)); bias velocity [m/s]; friction; gap plus slop [m]"""
+BOUNDED = ("lo", "hi", "ax", "ay", "soft")
 COLUMNS = {
     "discs": ("nx", "ny", "dA", "dB", "kA", "kB", "en", "et", "bias", "mu", "gap"),
     "general": GENERAL,
     "joints": (*GENERAL, "lo"),
-    "rows": (*GENERAL, "lo", "hi", "ax", "ay", "soft"),
+    "rows": (*GENERAL, *BOUNDED),
+    "surfaces": (*GENERAL, *BOUNDED, "slip", "roll"),
 }
 """Columns by variant. "discs": no normal arm; dA, dB lever arms of the surfaces [m], k = arm / inertia. "joints": lo is
 the least normal impulse, 0 for contacts and -inf for joints. "rows": a caller's own Jacobians too, whose impulses lie
-between lo and hi [N s]; (ax, ay) is at body A what (nx, ny) is at body B, soft the velocity for each impulse."""
-JOINTED = ("joints", "rows")
+between lo and hi [N s]; (ax, ay) is at body A what (nx, ny) is at body B, soft the velocity for each impulse.
+"surfaces": slip is the tangential speed of surfaces that move [m/s]; rows of rolling resistance, behind those of the
+contacts, have roll, the share of the contact's normal impulse that bounds theirs, 0 in all other rows."""
+JOINTED = ("joints", "rows", "surfaces")
 """Variants in which there may be joints."""
+OWN = ("rows", "surfaces")
+"""Variants whose rows have two bounds, softness, and directions of their own at each body."""
+SURFACED = ("surfaces",)
+"""Variants for surfaces that move, or resist rolling."""
+ROLLING_COLOR = 32
+"""Colour of the rows of rolling resistance of the contacts of colour 0, where contacts and joints have no more."""
 
 
 def read_column(columns: np.ndarray, variant: str, name: str, slot: np.ndarray) -> np.ndarray:
@@ -53,8 +63,19 @@ def only_centred_discs(model: Model) -> bool:
     return bool((~moving | centred_disc).all())
 
 
+def has_traits(model: Model) -> bool:
+    """Whether a body has damping, or a gravity of its own."""
+    damped = model.numpy("linear_damping").any() or model.numpy("angular_damping").any()
+    return bool(damped or (model.numpy("gravity_scale") != 1).any())
+
+
 def variant_of(model: Model, only_discs: bool) -> str:
-    """The variant of rows that a scene needs, a key of ``COLUMNS``: joints, discs if there is nothing else, general."""
+    """The variant of rows that a scene needs, a key of ``COLUMNS``: the first of these, or general.
+
+    Surfaces where one moves or resists rolling; joints; discs where there is nothing else.
+    """
+    if model.numpy("shape_surface_speed").any() or model.numpy("shape_rolling_resistance").any():
+        return "surfaces"
     if model.joint_count:
         return "joints"
     return "discs" if only_discs else "general"

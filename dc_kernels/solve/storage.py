@@ -10,7 +10,7 @@ from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import ROWS, STATS
 from dc_kernels.model.room import Room
 from dc_kernels.solve.iteration import PAST
-from dc_kernels.solve.rows import COLORS, COLUMNS, LANES
+from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SURFACED
 
 SPARE_BLOCKS = 10  # blocks beyond full ones: a colour's last block is partly empty, and piles have 6-10 colours
 
@@ -65,7 +65,7 @@ class SolverStorage:
             any_colors: reserve for whatever colours so many contacts may have; else for those of usual piles.
         """
         self.at_once, self._any_colors = at_once, any_colors
-        self._width = len(COLUMNS[variant]) * LANES
+        self._width, self._surfaced = len(COLUMNS[variant]) * LANES, variant in SURFACED
         own_rows = np.zeros(model.world_count, np.int64) if own_rows is None else own_rows
         self._joints = np.diff(model.numpy("joint_start")).astype(np.int64) + own_rows
         self._most_bodies = int(np.diff(model.numpy("body_start")).max(initial=0))
@@ -106,11 +106,12 @@ class SolverStorage:
             "row pair": pairs,
             "row direction": pairs if direction else 0,
             "row past": self.at_once * self.past_width if past else 0,
+            "row lane": self.room.total * LANES if self._surfaced else 0,
         }
 
     def use(self, variant: str, contacts: np.ndarray, config: SolverConfig) -> None:
         """Lay out rows of another variant from now on; the next step makes them."""
-        self._width = len(COLUMNS[variant]) * LANES
+        self._width, self._surfaced = len(COLUMNS[variant]) * LANES, variant in SURFACED
         self.relayout(contacts, config)
 
     def adopt(self, rows: Rows, stats: SolveStats, slots: np.ndarray) -> None:

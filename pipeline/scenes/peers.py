@@ -16,6 +16,7 @@ from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.settings import WrongType, shown
 from dc_kernels.runtime.inputs import check_whole
 from dc_kernels.runtime.optional import require
+from dc_kernels.solve.rows import SURFACED, has_traits, variant_of
 from pipeline.scenes.base import Scene
 
 WELD = 0.0025  # vertices of a polygon that are nearer than this become one in Box2D [m]
@@ -68,6 +69,10 @@ class _World:
             if len(bad):
                 at = self.first + int(bad[0])
                 raise ValueError(f"{name}[{at}] is {self.state[name][at]}; it must be 0, as theirs last for one step")
+        if has_traits(model) or variant_of(model, only_discs=False) in SURFACED:
+            raise ValueError(
+                "the scene has damping, gravity scales, or surfaces that move or resist rolling: theirs differ"
+            )
 
     @property
     def bodies(self) -> range:

@@ -7,27 +7,30 @@ import dc_kernels as dc
 DT = 0.01
 
 
-def scene(dtype="float32", backend="warp"):
-    """A pile of discs and polygons on a chain with a joint, and a world of discs only."""
+def scene(dtype="float32", backend="warp", traits=False):
+    """A pile of discs and polygons on a chain with a joint, and a world of discs only; maybe damped and on belts."""
+    rolls = {"rolling_resistance": 0.1, "linear_damping": 0.2, "gravity_scale": 0.9} if traits else {}
     rng = np.random.default_rng(3)
     builder = dc.ModelBuilder()
     builder.add_world(origin=(100.0, 0.0))
     ground = builder.add_body((100, 0), type=dc.BodyType.STATIC)
     builder.add_chain(ground, ((-1, 3), (-1, 0), (1, 0), (1, 3)), restitution=0.5)
-    discs = builder.add_discs(np.stack((100 + rng.uniform(-0.8, 0.8, 8), np.arange(8) * 0.25 + 0.2), axis=1), 0.12)
+    discs = builder.add_discs(
+        np.stack((100 + rng.uniform(-0.8, 0.8, 8), np.arange(8) * 0.25 + 0.2), axis=1), 0.12, **rolls
+    )
     for i in range(3):
         builder.add_box(builder.add_body((99.5 + 0.4 * i, 2.4), angle=0.1 * i), 0.15, 0.1, radius=0.02)
     builder.add_distance_joint(discs[0], discs[1])
     builder.add_world(gravity=(0.0, -5.0))
     ground = builder.add_body(type=dc.BodyType.STATIC)
     builder.add_chain(ground, ((-1, 3), (-1, 0), (1, 0), (1, 3)))
-    builder.add_discs(np.stack((rng.uniform(-0.8, 0.8, 9), np.arange(9) * 0.25 + 0.2), axis=1), 0.12)
+    builder.add_discs(np.stack((rng.uniform(-0.8, 0.8, 9), np.arange(9) * 0.25 + 0.2), axis=1), 0.12, **rolls)
     return builder.finalize(dtype, backend=backend)
 
 
-def simulation(dtype="float32", backend="warp", **options):
+def simulation(dtype="float32", backend="warp", traits=False, **options):
     options.setdefault("config", dc.SolverConfig(tolerance=1e-5, max_sweeps=60))
-    return dc.Simulation(*scene(dtype, backend), **options)
+    return dc.Simulation(*scene(dtype, backend, traits), **options)
 
 
 def bits(sim):

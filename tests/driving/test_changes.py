@@ -68,7 +68,7 @@ REFUSED = {name for name in {**MODEL, **JOINTS} if name not in (*dc.Model.change
 
 @pytest.mark.parametrize("name", [*dc.Model.changeable, *dc.Joints.changeable])
 def test_a_change_acts_as_in_a_simulation_that_is_built_with_it(name):
-    sim = simulation()
+    sim = simulation("float64", traits=True) if name in dc.Model.traits else simulation()
     sim.run(RUN, DT)
     plain = sim.clone()
     values = new_values(sim, name)

@@ -20,15 +20,15 @@ PENTAGON = [(np.cos(a), np.sin(a)) for a in 2 * np.pi * np.arange(5) / 5]
 
 
 def add_world(builder):
-    """A chain, a kinematic box, two discs with a joint, a pentagon, a capsule."""
+    """A chain, a kinematic box, two discs with a joint, a pentagon, a damped capsule."""
     builder.add_world()
     builder.add_chain(builder.add_body(type=dc.BodyType.STATIC), ((8, 5), (8, 0), (-2, 0), (-2, 5))[::-1])
     builder.add_box(builder.add_body((6, 0.49), type=dc.BodyType.KINEMATIC), 0.5, 0.5)
     discs = builder.add_discs([(0, 0.499), (0.999, 0.499)], 0.5)
     builder.add_distance_joint(discs[0], discs[1], (0, 0.1))
     builder.add_polygon(builder.add_body((3, 0.9), angle=-np.pi / 10), PENTAGON, 0.1)
-    capsule = builder.add_body((6, 1.28))
-    builder.add_capsule(capsule, (-0.3, 0), (0.3, 0), 0.3)
+    capsule = builder.add_body((6, 1.28), linear_damping=0.1)
+    builder.add_capsule(capsule, (-0.3, 0), (0.3, 0), 0.3, rolling_resistance=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -131,6 +131,23 @@ def kinematic(builder: dc.ModelBuilder) -> None:
         builder.add_disc(builder.add_body(position=(-1.4 + 0.7 * (i % 4), 0.31 + 1.95 * (i // 4))), 0.3)
 
 
+def surfaces(builder: dc.ModelBuilder) -> None:
+    """Boxes and discs on a belt against a wall, some of which resist rolling; a joint, damping, a light body."""
+    builder.add_world()
+    add_ground(builder, width=4.0)
+    belt = builder.add_body(type=dc.BodyType.STATIC)
+    builder.add_box(belt, 1.5, 0.1, center=(-0.4, 0.1), surface_speed=-1.5, friction=0.8)
+    bodies = []
+    for i in range(8):
+        trait = {"linear_damping": 0.5, "gravity_scale": 0.2} if i == 3 else {}
+        bodies.append(builder.add_body((-1.6 + 0.5 * i, 0.6 + 0.1 * i), velocity=(0.4 * i, -1.0), **trait))
+        if i % 3 == 0:
+            builder.add_box(bodies[-1], 0.2, 0.15)
+        else:
+            builder.add_disc(bodies[-1], 0.2, rolling_resistance=0.1 * i, friction=0.7)
+    builder.add_distance_joint(bodies[1], bodies[2], length=0.6)
+
+
 def frozen(builder: dc.ModelBuilder) -> None:
     """Three worlds; the one in the middle is made to freeze (see ``simulation``)."""
     for columns in (2, 3, 2):

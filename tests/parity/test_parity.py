@@ -19,7 +19,7 @@ from dc_kernels.model.config import CONFIG
 from dc_kernels.model.enums import CAPACITY_FLAGS, Flag
 from dc_kernels.model.fields import GROUPS, LAUNCH, MOTION, STATE
 from dc_kernels.runtime.backends import argument_names, bind
-from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR
+from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR, has_traits
 from dc_kernels.stages import SLEEP, STEP, kernel_table
 from tests.parity.scenes import (
     SCRATCH,
@@ -33,6 +33,7 @@ from tests.parity.scenes import (
     mixed,
     pendulum,
     simulation,
+    surfaces,
     worlds,
 )
 
@@ -86,7 +87,8 @@ class Pair:
     def __init__(self, sim: dc.Simulation) -> None:
         self.sim = sim
         self.bound = KERNEL_BOUND[sim.dtype.name]
-        self.oracle = kernel_table("numpy", sim.dtype.name, sim.variant, sim.only_discs, sim.config.sleep)
+        options = {"sleep": sim.config.sleep, "traits": has_traits(sim.model)}
+        self.oracle = kernel_table("numpy", sim.dtype.name, sim.variant, sim.only_discs, **options)
 
     def run(self, name: str, dim: int | tuple[int, int] | None = None, **more: Any) -> None:
         """Launch a kernel of both backends on equal arrays and compare all of them; Warp's results remain."""
@@ -226,6 +228,8 @@ RUN_CASES = {
     "pendulum by colour": (pendulum, "color", {}),
     "bounce": (bounce, "world", {"start": "zero", "position_correction": "none"}),
     "kinematic": (kinematic, "color", {}),
+    "surfaces": (surfaces, "world", {}),
+    "surfaces by colour": (surfaces, "color", {"method": "jacobi"}),
     "frozen": (frozen, "world", {}),
     "worlds": (worlds, "world", {"acceleration": "none"}),
     "mixed adaptive": (mixed, "world", {"stretch": 10, "max_sweeps": 60}),

@@ -121,7 +121,14 @@ def check_sleep(scope: dict) -> None:
     assert sim.asleep.sum() == 4 and sim.state.numpy("time")[0] == pytest.approx(1.01)
 
 
+def check_stepping(scope: dict) -> None:
+    sim, crate = scope["sim"], scope["crate"]
+    sim.run(100, 0.01)
+    assert sim.state.numpy("velocity")[crate, 0] == pytest.approx(-2.0, abs=0.01)
+
+
 CHECKS = {
+    "docs/stepping.md": check_stepping,
     "docs/sleep.md": check_sleep,
     "docs/driving.md": check_driving,
     "docs/data.md": check_data,

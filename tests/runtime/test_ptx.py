@@ -20,6 +20,7 @@ OPTIONS = {
     "dtype": ("float32", "float64"),
     "variant": tuple(COLUMNS),
     "only_discs": (False, True),
+    "traits": (False, True),
     "dim": (2, 3),
 }
 """What the factories of kernels take, by parameter, and all its values."""

@@ -21,7 +21,7 @@ def simulation():
         builder.add_chain(builder.add_body(type=dc.BodyType.STATIC), ((-2, 2), (-2, 0), (2, 0), (2, 2)))
         discs = builder.add_discs([(-0.3, 0.099), (0.0, 0.099), (0.199, 0.099)], 0.1)
         builder.add_distance_joint(discs[0], discs[1])
-        builder.add_box(builder.add_body((1.0, 0.0999)), 0.1, 0.1)
+        builder.add_box(builder.add_body((1.0, 0.0999), linear_damping=0.1), 0.1, 0.1, surface_speed=0.1)
     return dc.Simulation(*builder.finalize(backend="numpy"), config=dc.SolverConfig(max_sweeps=5))
 
 

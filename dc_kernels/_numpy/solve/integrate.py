@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,9 @@ from dc_kernels._numpy.common import Kernels
 from dc_kernels.model.enums import BodyType, Flag
 
 
-def kernels(dtype: str) -> Kernels:
-    """``predict``, ``displace`` and ``commit``; the arrays bring their scalar type."""
-    return {"predict": predict, "displace": displace, "commit": commit}
+def kernels(dtype: str, traits: bool = False) -> Kernels:
+    """``predict``, ``displace`` and ``commit``; ``traits``: bodies have damping, gravity scales."""
+    return {"predict": predict_with_traits if traits else predict, "displace": displace, "commit": commit}
 
 
 def predict(
@@ -24,6 +25,38 @@ def predict(
     motion: Any,
 ) -> None:
     """Velocities with forces and gravity applied, with the inverse mass; what the fastest body covers in the step."""
+    _predict(tid, launch, config, model, state, motion, forced)
+
+
+def predict_with_traits(tid: int, launch: Any, config: Any, model: Any, state: Any, motion: Any) -> None:
+    """See ``predict``; bodies have damping and gravity scales."""
+    _predict(tid, launch, config, model, state, motion, damped)
+
+
+def forced(w: int, b: int, model: Any, state: Any, dt: Any) -> list[Any]:
+    """Velocity and spin of a dynamic body after a step's forces."""
+    v = state.velocity[b] + (model.gravity[w] + state.force[b] * model.inv_mass[b]) * dt
+    return [*v, state.angular_velocity[b] + state.torque[b] * model.inv_inertia[b] * dt]
+
+
+def damped(w: int, b: int, model: Any, state: Any, dt: Any) -> list[Any]:
+    """The exact solution of dv/dt = a - rate v for velocity and spin of a dynamic body after a step of constant a."""
+
+    def after(v: Any, a: Any, rate: Any) -> Any:
+        x = rate * dt
+        return v * np.exp(-x) + a * (dt * (-np.expm1(-x) / x if x > 0 else x.dtype.type(1)))
+
+    v = after(
+        state.velocity[b],
+        model.gravity[w] * model.gravity_scale[b] + state.force[b] * model.inv_mass[b],
+        model.linear_damping[b],
+    )
+    return [*v, after(state.angular_velocity[b], state.torque[b] * model.inv_inertia[b], model.angular_damping[b])]
+
+
+def _predict(
+    tid: int, launch: Any, config: Any, model: Any, state: Any, motion: Any, after: Callable[..., list[Any]]
+) -> None:
     w = tid + launch.world_offset
     if state.flags[w]:
         return
@@ -36,9 +69,7 @@ def predict(
             elif model.body_type[b] == BodyType.KINEMATIC:
                 motion.predicted[b] = [*state.velocity[b], state.angular_velocity[b], 0.0]
             else:
-                v = state.velocity[b] + (model.gravity[w] + state.force[b] * model.inv_mass[b]) * dt
-                spin = state.angular_velocity[b] + state.torque[b] * model.inv_inertia[b] * dt
-                motion.predicted[b] = [*v, spin, model.inv_mass[b]]
+                motion.predicted[b] = [*after(w, b, model, state, dt), model.inv_mass[b]]
         squares = (motion.predicted[bodies, :2] ** 2).sum(axis=1)
         dynamic = model.body_type[bodies] == BodyType.DYNAMIC
         most = (

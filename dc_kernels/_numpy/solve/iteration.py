@@ -27,7 +27,8 @@ def start(world: World) -> None:
 
 
 def prepare_sweep(world: World) -> None:
-    """A place to sum up Jacobi's changes."""
+    """A place to sum up Jacobi's changes; bounds of rolling resistance follow the normal impulses."""
+    world.bound_rolling()
     if world.config.method == JACOBI:
         world.motion.summed[world.bodies] = world.motion.solved[world.bodies]
 

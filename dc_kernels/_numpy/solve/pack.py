@@ -10,10 +10,11 @@ from dc_kernels._numpy.common import Kernels
 from dc_kernels._numpy.solve.constraints.contact import make_contact_row
 from dc_kernels._numpy.solve.constraints.distance import make_distance_row
 from dc_kernels._numpy.solve.constraints.jacobian import make_jacobian_row
+from dc_kernels._numpy.solve.constraints.rolling import make_rolling_row
 from dc_kernels._numpy.solve.row import PackedRow, by_lane
 from dc_kernels.model.config import METHODS
 from dc_kernels.model.enums import Flag
-from dc_kernels.solve.rows import COLORS, COLUMNS, LANES
+from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, ROLLING_COLOR, SERIAL_COLOR, SURFACED
 
 
 def kernels(dtype: str, variant: str) -> Kernels:
@@ -41,6 +42,14 @@ def kernels(dtype: str, variant: str) -> Kernels:
         own_rows = np.arange(rows.row_start[w], rows.row_start[w + 1])
         colors = [contacts.color[own_contacts], joints.joint_color[own_joints], rows.row_color[own_rows]]
         colors = np.concatenate(colors)
+        highest = colors.max(initial=-1) + 1
+        rolling: list[tuple[int, int, PackedRow]] = []  # contact, colour, row
+        if variant in SURFACED:
+            for c in own_contacts:
+                if (row := make_rolling_row(c, w, model, motion, contacts)) is not None:
+                    color = contacts.color[c] + ROLLING_COLOR if highest <= ROLLING_COLOR else SERIAL_COLOR
+                    rolling.append((int(c), int(color), row))
+            colors = np.concatenate([colors, np.array([color for _, color, _ in rolling], np.int32)])
         fill = rows.color_fill[w * COLORS : (w + 1) * COLORS]
         fill[:] = np.bincount(colors, minlength=COLORS)
         ends = rows.color_block[w * (COLORS + 1) : (w + 1) * (COLORS + 1)]
@@ -82,9 +91,13 @@ def kernels(dtype: str, variant: str) -> Kernels:
             row = make_jacobian_row(k, model, motion, rows)
             rows.row_slot[k] = place(rows.row_color[k], row)
             squares += row.square
+        rows.limit_slot[ends[0] * LANES : ends[-1] * LANES] = -1
+        for c, color, row in rolling:
+            block, lane = divmod(place(color, row), 2 * LANES)
+            rows.limit_slot[block * LANES + lane] = rows.slot[c]
         rows.scale[w] = np.sqrt(squares)
         rows.deepest[w] = contacts.gap[own_contacts].min(initial=0.0)
-        stats.colors[w] = colors.max(initial=-1) + 1
+        stats.colors[w] = highest
 
     def unpack_impulses(tid: int, launch: Any, model: Any, state: Any, joints: Any, contacts: Any, rows: Any) -> None:
         """Solved impulses back to contacts and joints."""

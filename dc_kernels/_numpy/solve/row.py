@@ -31,6 +31,8 @@ class Row:
     low: Any  # least normal impulse [N s]
     high: Any  # largest normal impulse [N s]
     softness: Any  # [1/kg]
+    slip: Any  # [m/s], of the surface of B against that of A
+    roll: Any  # share of a contact's normal impulse that bounds it, > 0 for rolling resistance
 
     @property
     def is_box(self) -> bool:
@@ -86,7 +88,7 @@ def read_row(variant: str, block: int, lane: int, rows: Any, bodies: Array) -> R
         turn_normal = (-value["iA"] * value["rAn"], value["iB"] * value["rBn"])
         turn_tangent = (-value["iA"] * value["rAt"], value["iB"] * value["rBt"])
     ma, mb = bodies[a, 3], bodies[b, 3]
-    low, softness = (value.get(name, rows.column.dtype.type(0)) for name in ("lo", "soft"))
+    low, softness, slip, roll = (value.get(name, rows.column.dtype.type(0)) for name in ("lo", "soft", "slip", "roll"))
     return Row(
         at=(block, slice(None), lane),
         a=a,
@@ -106,6 +108,8 @@ def read_row(variant: str, block: int, lane: int, rows: Any, bodies: Array) -> R
         low=low,
         high=value.get("hi", rows.column.dtype.type(np.inf)),
         softness=softness,
+        slip=slip,
+        roll=roll,
     )
 
 
@@ -126,6 +130,8 @@ class PackedRow(NamedTuple):
     square: Any  # squared impulse that would stop the row alone [(N s)^2]
     most: Any = np.inf  # largest normal impulse [N s]
     softness: Any = 0.0  # velocity for each normal impulse [1/kg]
+    slip: Any = 0.0  # tangential speed of the surface of B against that of A [m/s]
+    roll: Any = 0.0  # share of a contact's normal impulse that bounds it
 
     def columns(self, variant: str, model: Any) -> list[Any]:
         """Values of the variant's columns."""
@@ -136,7 +142,14 @@ class PackedRow(NamedTuple):
         values |= {"dA": jt[2], "dB": jt[5], "kA": ia * jt[2], "kB": ib * jt[5]}
         values |= {"en": self.normal_mass, "et": self.tangent_mass, "bias": self.bias}
         values |= {"mu": self.friction, "gap": self.gap, "lo": self.least}
-        values |= {"hi": self.most, "ax": -jn[0], "ay": -jn[1], "soft": self.softness}
+        values |= {
+            "hi": self.most,
+            "ax": -jn[0],
+            "ay": -jn[1],
+            "soft": self.softness,
+            "slip": self.slip,
+            "roll": self.roll,
+        }
         return [values[name] for name in COLUMNS[variant]]
 
 
@@ -163,6 +176,7 @@ def sweep_row(row: Row, rows: Any, bodies: Array, omega: float) -> Any:
     impulse[0] = row.within(before[0] - omega * row.effective_mass[0] * speed)
     change[0] = impulse[0] - before[0]
     speed = row.jacobian[1] @ (row.velocity(bodies) + row.response[0] * change[0])
+    speed = speed + row.slip
     limit = row.friction * impulse[0]
     impulse[1] = min(max(before[1] - omega * row.effective_mass[1] * speed, -limit), limit)
     change[1] = impulse[1] - before[1]
@@ -189,7 +203,7 @@ def jacobi_row(row: Row, rows: Any, motion: Any, omega: float) -> Any:
     limit = row.friction * impulse[0]
     if k[1, 1] > 0:
         mixed = k[1, 0] * (impulse[0] - before[0])
-        impulse[1] = min(max(before[1] - omega * (speed[1] + mixed) / k[1, 1], -limit), limit)
+        impulse[1] = min(max(before[1] - omega * (speed[1] + row.slip + mixed) / k[1, 1], -limit), limit)
     change = impulse - before
     row.change(motion.summed, change)
     by_lane(rows.change)[row.at] = change
@@ -201,6 +215,8 @@ def push_row(row: Row, bodies: Array, factor: float, limit: Any) -> Any:
     step = max(factor * (row.jacobian[0] @ row.velocity(bodies) + row.gap), -limit)
     if row.low < 0:
         step = min(step, limit)
+    if row.roll > 0:
+        step = 0.0  # what rolls is where it should be
     push = max(-row.effective_mass[0] * step, row.low)
     row.change(bodies, np.array([push, 0.0], bodies.dtype))
     return abs(push)
@@ -211,6 +227,7 @@ def natural_map_row(row: Row, rows: Any, bodies: Array) -> Any:
     impulse = by_lane(rows.impulse)[row.at]
     un, ut = row.jacobian @ row.velocity(bodies)
     un += row.bias + row.softness * impulse[0]
+    ut += row.slip
     e = row.effective_mass[0]
     if row.is_box:
         return (impulse[0] - row.within(impulse[0] - e * un)) ** 2

@@ -159,7 +159,24 @@ class World:
         block, lane = np.divmod(rows.row_slot[own], 2 * LANES)
         moves = by_lane(rows.column, len(columns))[block, columns.index("en"), lane] > 0
         rows.impulse[rows.row_slot[own]] = rows.row_impulse[own] * moves
+        for row in self.rolling:
+            by_lane(rows.impulse)[row.at] = 0.0
         self.refresh()
+
+    @property
+    def rolling(self) -> list[Row]:
+        """Its rows of rolling resistance."""
+        return [row for row in self.own_rows if row.roll > 0]
+
+    def bound_rolling(self) -> None:
+        """Bounds of the rows of rolling resistance follow the normal impulses of their contacts."""
+        columns = COLUMNS[self.variant]
+        for row in self.rolling:
+            block, _, lane = row.at
+            row.high = row.roll * self.rows.impulse[self.rows.limit_slot[block * LANES + lane]]
+            row.low = -row.high
+            for name, value in (("lo", row.low), ("hi", row.high)):
+                by_lane(self.rows.column, len(columns))[block, columns.index(name), lane] = value
 
     def extrapolate(self, alpha: Any) -> None:
         """Move on: x <- clamp(x + alpha change); change is then what x moved by, and velocities follow."""

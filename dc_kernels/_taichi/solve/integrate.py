@@ -14,10 +14,40 @@ NONFINITE = int(Flag.NONFINITE)
 
 
 @cache
-def kernels(dtype: str) -> dict[str, Any]:
-    """``predict``, ``displace`` and ``commit``; one thread a world."""
+def kernels(dtype: str, traits: bool = False) -> dict[str, Any]:
+    """``predict``, ``displace`` and ``commit``; one thread a world; ``traits``: bodies have damping, gravity scales."""
     t = group_types(dtype)
     real, vec2, vec4 = t.real, t.vec2, t.vec4
+
+    @ti.func
+    def damped(v, a, rate, dt):
+        """What v has become after dt where dv/dt = a - rate v: exact, whatever rate and dt."""
+        x = rate * dt
+        kept = ti.exp(-x)
+        share = (1.0 - kept) / ti.max(x, real(0.1))  # of dt, in which a acts undamped
+        if x < 0.1:  # the difference above has few digits: Taylor's series of (1 - exp(-x)) / x
+            share = 1.0 - x / 7.0
+            for k in ti.static((6, 5, 4, 3, 2)):
+                share = 1.0 - x / k * share
+        return v * kept + a * (dt * share)
+
+    if traits:
+
+        @ti.func
+        def moved(b, g, dt, m, model: t.Model, state: t.State):
+            a = g * model.gravity_scale[b] + state.force[b] * m
+            v = damped(state.velocity[b], a, model.linear_damping[b], dt)
+            turning = state.torque[b] * model.inv_inertia[b]
+            spin = damped(state.angular_velocity[b], turning, model.angular_damping[b], dt)
+            return vec4(v[0], v[1], spin, m)
+
+    else:
+
+        @ti.func
+        def moved(b, g, dt, m, model: t.Model, state: t.State):
+            v = state.velocity[b] + (g + state.force[b] * m) * dt
+            spin = state.angular_velocity[b] + state.torque[b] * model.inv_inertia[b] * dt
+            return vec4(v[0], v[1], spin, m)
 
     @kernel
     def predict(
@@ -48,9 +78,7 @@ def kernels(dtype: str) -> dict[str, Any]:
                 p = vec4(0.0, 0.0, 0.0, 0.0)
                 if kind == DYNAMIC:
                     m = model.inv_mass[b]
-                    v = state.velocity[b] + (g + state.force[b] * m) * dt
-                    spin = state.angular_velocity[b] + state.torque[b] * model.inv_inertia[b] * dt
-                    p = vec4(v[0], v[1], spin, m)
+                    p = moved(b, g, dt, m, model, state)
                 elif kind != STATIC:
                     p = vec4(state.velocity[b][0], state.velocity[b][1], state.angular_velocity[b], 0.0)
                 motion.predicted[b] = p

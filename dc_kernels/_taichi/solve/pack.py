@@ -11,11 +11,14 @@ from dc_kernels._taichi.solve.constraints.distance import distance_row
 from dc_kernels._taichi.solve.constraints.jacobian import jacobian_row
 from dc_kernels.model.config import METHODS
 from dc_kernels.model.enums import Flag
-from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES
+from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, SURFACED
 
 ROW_OVERFLOW = int(Flag.ROW_OVERFLOW)
 JACOBI = METHODS["jacobi"]
 INFINITY = float("inf")
+
+VARIANTS = tuple(name for name in COLUMNS if name not in SURFACED)
+"""Variants of rows that there are kernels for."""
 
 
 @cache

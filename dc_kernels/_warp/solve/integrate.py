@@ -16,15 +16,27 @@ NONFINITE = wp.constant(int(Flag.NONFINITE))
 
 
 @cache
-def kernels(dtype: str) -> dict[str, Any]:
-    """``predict``, ``displace`` and ``commit``; one thread a world."""
+def kernels(dtype: str, traits: bool = False) -> dict[str, Any]:
+    """``predict``, ``displace`` and ``commit``; one thread a world; ``traits``: bodies have damping, gravity scales."""
     t = group_types(dtype)
     real, vec2, vec4 = t.real, t.vec2, t.vec4
-    module = kernel_module("integrate", dtype)
+    module = kernel_module("integrate", dtype, *(["traits"] if traits else []))
     contiguous = contiguous_groups(dtype)
 
     @wp.func_native(native_code("collide/copy_contacts.h", dtype=dtype))
     def copy_contacts(contacts: t.Contacts, cache: t.Cache, i0: wp.int32, i1: wp.int32): ...
+
+    @wp.func(module=module)
+    def damped(v: Any, a: Any, rate: real, dt: real):
+        """What v has become after dt where dv/dt = a - rate v: exact, whatever rate and dt."""
+        x = rate * dt
+        kept = wp.exp(-x)
+        share = (real(1.0) - kept) / wp.max(x, real(0.1))  # of dt, in which a acts undamped
+        if x < real(0.1):  # the difference above has few digits: Taylor's series of (1 - exp(-x)) / x
+            share = real(1.0) - x / real(7.0)
+            for k in range(6, 1, -1):
+                share = real(1.0) - x / real(k) * share
+        return v * kept + a * (dt * share)
 
     @wp.kernel(module=module, enable_backward=False)
     def predict(
@@ -57,8 +69,14 @@ def kernels(dtype: str) -> dict[str, Any]:
             kind = model.body_type[b]
             if kind == DYNAMIC:
                 m = model.inv_mass[b]
-                v = state.velocity[b] + (g + state.force[b] * m) * dt
-                spin = state.angular_velocity[b] + state.torque[b] * model.inv_inertia[b] * dt
+                if wp.static(traits):
+                    a = g * model.gravity_scale[b] + state.force[b] * m
+                    v = damped(state.velocity[b], a, model.linear_damping[b], dt)
+                    turning = state.torque[b] * model.inv_inertia[b]
+                    spin = damped(state.angular_velocity[b], turning, model.angular_damping[b], dt)
+                else:
+                    v = state.velocity[b] + (g + state.force[b] * m) * dt
+                    spin = state.angular_velocity[b] + state.torque[b] * model.inv_inertia[b] * dt
                 motion.predicted[b] = vec4(v[0], v[1], spin, m)
             elif kind == STATIC:
                 motion.predicted[b] = vec4(real(0.0), real(0.0), real(0.0), real(0.0))

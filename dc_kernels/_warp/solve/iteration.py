@@ -12,6 +12,7 @@ from dc_kernels._warp.solve.ranges import range_functions
 from dc_kernels._warp.solve.world import world_functions
 from dc_kernels.model.config import ACCELERATIONS, METHODS, STOPS
 from dc_kernels.solve.iteration import BEST, GROWTH, NEVER, RETREAT, Stretch
+from dc_kernels.solve.rows import SURFACED
 
 JACOBI = wp.constant(METHODS["jacobi"])
 AITKEN = wp.constant(ACCELERATIONS["aitken"])
@@ -39,6 +40,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     copy, squares = range_functions(dtype).copy, range_functions(dtype).squares
     world = world_functions(dtype, variant)
     refresh, natural_map, is_still = world.refresh, world.natural_map, world.is_still
+    bound_rolling, surfaced = world.bound_rolling, variant in SURFACED
     huge = real(3e38)
 
     @wp.func(module=module)
@@ -61,8 +63,13 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             iteration[w].finished = 1
 
     @wp.func(module=module)
-    def prepare_sweep(span: t.Span, config: t.Config, motion: t.Motion):
-        """Copy the velocities to ``motion.summed``, where Jacobi's rows add their changes up during a sweep."""
+    def prepare_sweep(span: t.Span, config: t.Config, motion: t.Motion, rows: t.Rows):
+        """Copy the velocities to ``motion.summed``, where Jacobi's rows add their changes up during a sweep.
+
+        Rows of rolling resistance are bounded by what the normal impulses are before it.
+        """
+        if wp.static(surfaced):
+            bound_rolling(span, rows)
         if config.method == JACOBI:
             for b in range(span.first_body, span.last_body):
                 motion.summed[b] = motion.solved[b]

@@ -21,16 +21,17 @@ from dc_kernels._warp.common import scalar_types
 from dc_kernels._warp.native import SCALARS, in_parts, native_code
 from dc_kernels.runtime.sequences import SEATS
 from dc_kernels.solve.iteration import ASTRAY, FAR, MOST_SUMS, MOVING, SUMMED
-from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, SERIAL_COLOR
+from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SERIAL_COLOR, SURFACED
 
 
 def row_macros(variant: str) -> dict[str, Any]:
     """What ``native/solve/row.h`` asks for: the variant, its number of columns, and the place of each in a block."""
     columns = COLUMNS[variant]
     places = {f"AT_{name}": i * LANES for i, name in enumerate(columns)}
-    for name in ("lo", "hi"):
+    for name in ("lo", "hi", "roll"):
         places.setdefault(f"AT_{name}", 0)  # named, and never read, where rows have no such column
-    kinds = {"DISCS": variant == "discs", "JOINTS": variant in JOINTED, "OWN": variant == "rows"}
+    kinds = {"DISCS": variant == "discs", "JOINTS": variant in JOINTED}
+    kinds |= {"OWN": variant in OWN, "SURFACES": variant in SURFACED}
     return {"LANES": LANES, "COLUMNS": len(columns), **kinds, **places}
 
 
@@ -150,6 +151,24 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         team: wp.uint64,
     ) -> real: ...
 
+    @wp.func_native(native_code("solve/bound.h", dtype=dtype, FORGET=False, **macros))
+    def bound(
+        columns: wp.array(dtype=real),
+        limit_slot: wp.array(dtype=wp.int32),
+        impulse: wp.array(dtype=real),
+        b0: wp.int32,
+        b1: wp.int32,
+    ): ...
+
+    @wp.func_native(native_code("solve/bound.h", dtype=dtype, FORGET=True, **macros))
+    def forget_rolling(
+        columns: wp.array(dtype=real),
+        limit_slot: wp.array(dtype=wp.int32),
+        impulse: wp.array(dtype=real),
+        b0: wp.int32,
+        b1: wp.int32,
+    ): ...
+
     return SimpleNamespace(
         sweep=sweep,
         apply=apply,
@@ -158,6 +177,8 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         move_on=move_on,
         natural_map=natural_map,
         moving=moving,
+        bound=bound,
+        forget_rolling=forget_rolling,
     )
 
 

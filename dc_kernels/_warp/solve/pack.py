@@ -15,16 +15,19 @@ from dc_kernels._warp.native import native_code
 from dc_kernels._warp.solve.constraints.contact import contact_rows
 from dc_kernels._warp.solve.constraints.distance import distance_row
 from dc_kernels._warp.solve.constraints.jacobian import jacobian_row
+from dc_kernels._warp.solve.constraints.rolling import KEY_BITS, rolling_rows
 from dc_kernels._warp.solve.lanes import row_macros
 from dc_kernels._warp.solve.ranges import ranges_code
 from dc_kernels.model.config import METHODS
 from dc_kernels.model.enums import Flag
-from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES
+from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, OWN, ROLLING_COLOR, SERIAL_COLOR, SURFACED
 
 ROW_OVERFLOW = wp.constant(int(Flag.ROW_OVERFLOW))
 JACOBI = wp.constant(METHODS["jacobi"])
 N_COLORS = wp.constant(COLORS)
 N_LANES = wp.constant(LANES)
+ROLLING = wp.constant(ROLLING_COLOR)
+SERIAL = wp.constant(SERIAL_COLOR)
 
 
 @cache
@@ -35,12 +38,14 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     Row = t.Row
     module = kernel_module("rows", dtype, variant)
     contiguous = contiguous_groups(dtype)
-    jointed, own = variant in JOINTED, variant == "rows"
+    jointed, own, surfaced = variant in JOINTED, variant in OWN, variant in SURFACED
     infinity = real(float("inf"))
     width = wp.constant(len(COLUMNS[variant]) * LANES)
     make_contact_rows = contact_rows(dtype, variant)
     make_distance_row = distance_row(dtype, variant)
     make_jacobian_row = jacobian_row(dtype, variant)
+    rolling = rolling_rows(dtype, variant)
+    resistance_of, make_rolling_row = rolling.resistance_of, rolling.make_rolling_row
 
     def code(*names: str) -> str:
         return native_code("prelude.h", *(f"pack/{name}.h" for name in names), dtype=dtype, **row_macros(variant))
@@ -48,7 +53,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     @wp.func_native(code("store_row"))
     def store_row(columns: wp.array(dtype=real), r: wp.int32, row: Row): ...
 
-    @wp.func_native(native_code("pack/lay_out.h", dtype=dtype, COLORS=COLORS, **row_macros(variant)))
+    surface = ["pack/surface.h"] if surfaced else []
+    laid = {"COLORS": COLORS, "ROLLING_COLOR": ROLLING_COLOR, **KEY_BITS, **row_macros(variant)}
+
+    @wp.func_native(native_code(*surface, "pack/lay_out.h", dtype=dtype, **laid))
     def lay_out(
         w: wp.int32, padding_body: wp.int32, model: t.Model, joints: t.Joints, contacts: t.Contacts, rows: t.Rows
     ) -> wp.int32: ...
@@ -140,6 +148,16 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 row = make_jacobian_row(k, model, motion, rows)
                 rows.row_slot[k] = place(w, rows.row_color[k], jacobi, row, rows)
                 scale += row.square
+        if wp.static(surfaced):
+            for c in range(start, end):
+                resistance = resistance_of(c, w, model, contacts)
+                if resistance > real(0.0):
+                    color = SERIAL
+                    if used <= ROLLING:
+                        color = contacts.color[c] + ROLLING
+                    row = make_rolling_row(c, w, resistance, model, contacts)
+                    i = place(w, color, jacobi, row, rows)
+                    rows.limit_slot[i / (2 * N_LANES) * N_LANES + i % N_LANES] = rows.slot[c]
         rows.scale[w] = wp.sqrt(scale)
         rows.deepest[w] = least_of(contacts.gap, start, end)
         stats.colors[w] = used

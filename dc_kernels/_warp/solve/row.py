@@ -12,7 +12,7 @@ from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.laws import linear_speed, natural_map_squared, relative_speed
 from dc_kernels.solve.iteration import ASTRAY, FAR, MOVING
-from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES
+from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SURFACED
 
 N_LANES = wp.constant(LANES)
 IN_ALL = wp.constant(MOVING)
@@ -31,14 +31,14 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
     module = kernel_module("solver", dtype, variant)
     columns = COLUMNS[variant]
     discs = variant == "discs"
-    jointed, own = variant in JOINTED, variant == "rows"
+    jointed, own, surfaced = variant in JOINTED, variant in OWN, variant in SURFACED
     width = wp.constant(len(columns) * LANES)
     at = {name: wp.constant(i * LANES) for i, name in enumerate(columns)}
     NX, NY, EN, ET, BIAS, MU, GAP = (at[c] for c in ("nx", "ny", "en", "et", "bias", "mu", "gap"))
     # the variant that lacks a column never reads it
     RAN, RBN, RAT, RBT, IA, IB = (at.get(c, 0) for c in ("rAn", "rBn", "rAt", "rBt", "iA", "iB"))
     DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
-    HI, AX, AY, SOFT = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft"))
+    HI, AX, AY, SOFT, SLIP, ROLL = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft", "slip", "roll"))
     infinity = real(float("inf"))
 
     @wp.func(module=module)
@@ -57,6 +57,8 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         tangent = vec2(column[r + NY], -column[r + NX])
         if wp.static(discs):
             return relative_speed(tangent, va, vb, -column[r + DA], column[r + DB])
+        elif wp.static(surfaced):
+            return relative_speed(tangent, va, vb, column[r + RAT], column[r + RBT]) + column[r + SLIP]
         else:
             return relative_speed(tangent, va, vb, column[r + RAT], column[r + RBT])
 
@@ -255,6 +257,9 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         step = wp.max(factor * (normal_speed(rows.column, r, va, vb) + rows.column[r + GAP]), -limit)
         if wp.static(jointed):
             step = wp.min(step, limit)
+        if wp.static(surfaced):
+            if rows.column[r + ROLL] > real(0.0):  # what rolls is where it should be
+                step = real(0.0)
         dn = wp.max(-(rows.column[r + EN] * step), least_normal(rows.column, r))
         bodies[a] = normal_change(rows.column, r, va, 0, dn)
         bodies[b] = normal_change(rows.column, r, vb, 1, dn)

@@ -78,7 +78,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 done = PAUSES
         omega = relaxation(config)
         while done == GOES_ON:
-            prepare_sweep(span, config, motion)
+            prepare_sweep(span, config, motion, rows)
             largest = sweep(span, config, omega, motion, rows)
             done = conclude_sweep(span, largest, config, motion, rows, stats)
             if is_set(launch.cut) == 1:
@@ -141,7 +141,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         w = wp.tid() + launch.world_offset
         if state.flags[w] != 0 or stats.iteration[w].finished != 0:
             return
-        prepare_sweep(span_of(w, 0, config, model, motion, rows), config, motion)
+        prepare_sweep(span_of(w, 0, config, model, motion, rows), config, motion, rows)
         stats.change[w] = real(0.0)
 
     @wp.kernel(module=colors, enable_backward=False)

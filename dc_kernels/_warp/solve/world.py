@@ -12,12 +12,13 @@ from dc_kernels._warp.solve.ranges import range_functions, ranges_code
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels.model.config import METHODS, STOPS
 from dc_kernels.solve.iteration import ASTRAY, FALL, NEVER
-from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, SERIAL_COLOR
+from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, OWN, ROLLING_COLOR, SERIAL_COLOR, SURFACED
 
 ENDS = wp.constant(COLORS + 1)
 N_COLORS = wp.constant(COLORS)
 N_LANES = wp.constant(LANES)
 SERIAL = wp.constant(SERIAL_COLOR)
+ROLLING = wp.constant(ROLLING_COLOR)
 JACOBI = wp.constant(METHODS["jacobi"])
 BY_RESIDUAL = wp.constant(STOPS["residual"])
 NO_PAUSE = wp.constant(NEVER)
@@ -38,7 +39,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     sweep_lanes, apply_lanes, natural_map_lanes = lanes.sweep, lanes.apply, lanes.natural_map
     extrapolate_lanes, move_on, moving_lanes = lanes.extrapolate, lanes.move_on, lanes.moving
     restore = range_functions(dtype).restore
-    jointed, own = variant in JOINTED, variant == "rows"
+    bound_lanes, forget_rolling = lanes.bound, lanes.forget_rolling
+    jointed, own, surfaced = variant in JOINTED, variant in OWN, variant in SURFACED
     tiny = real(1e-30)
     never = real(-1e18)  # no change is as small
     columns = COLUMNS[variant]
@@ -91,6 +93,12 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                 span.still = never
         span.fall = real(FALL) * wp.length(model.gravity[w]) * dt
         return span
+
+    @wp.func(module=module)
+    def bound_rolling(span: Span, rows: t.Rows):
+        """Bounds of the rows of rolling resistance follow the normal impulses of their contacts."""
+        first = rows.color_block[span.world * ENDS + ROLLING]
+        bound_lanes(rows.column, rows.limit_slot, rows.impulse, first, span.last)
 
     @wp.func(module=module)
     def sweep(span: Span, config: t.Config, omega: real, motion: t.Motion, rows: t.Rows):
@@ -179,6 +187,9 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                 i = rows.row_slot[k]
                 if rows.column[i / (2 * N_LANES) * width + i % N_LANES + EN] > real(0.0):
                     rows.impulse[i] = rows.row_impulse[k]
+        if wp.static(surfaced):
+            rolling = rows.color_block[w * ENDS + ROLLING]
+            forget_rolling(rows.column, rows.limit_slot, rows.impulse, rolling, span.last)
         refresh(span, motion, rows)
 
     @wp.func(module=module)
@@ -229,6 +240,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     return SimpleNamespace(
         span_of=span_of,
         is_still=is_still,
+        bound_rolling=bound_rolling,
         sweep=sweep,
         apply=apply,
         extrapolate=extrapolate,

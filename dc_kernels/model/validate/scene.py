@@ -6,7 +6,7 @@ import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State
 from dc_kernels.model.enums import BodyType, ShapeType
-from dc_kernels.model.fields import JOINTS, KEY_SHAPE_BITS, MODEL, STATE
+from dc_kernels.model.fields import JOINTS, KEY_SHAPE_BITS, MODEL, STATE, TRAITS
 from dc_kernels.model.rules import INVERSE_TOLERANCE, BrokenRule, Index, Start, refuse
 from dc_kernels.model.settings import WrongType, checker
 from dc_kernels.model.validate.arrays import Layout, check_field, check_start, parts_of, sane
@@ -68,6 +68,12 @@ def check_model(model: Arrays, label: str = "model.", backend: str = "numpy") ->
     lengths = {field.per: len(model[name]) for name, field in MODEL.items()}
     if lengths["world"] < 1:
         raise BrokenRule(label.rstrip("./"), "has no world; it must have one at least")
+    for trait, axis in TRAITS.items():
+        if lengths[trait] not in (0, lengths[axis]):
+            name = next(name for name, field in MODEL.items() if field.per == trait)
+            raise BrokenRule(
+                f"{label}{name}", f"has {lengths[trait]}; it must have 0, or {lengths[axis]}: one a {axis}"
+            )
     lengths["joint"] = int(model["joint_start"][-1])  # check_joints holds the joints to it
     for name, field in MODEL.items():
         if isinstance(field.rule, Start):

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 
 from dc_kernels._numpy.common import dot, tangent
+from dc_kernels._numpy.solve.constraints.rolling import slip_of
 from dc_kernels._numpy.solve.laws import direction
 from dc_kernels._numpy.solve.row import PackedRow, effective_mass, velocities
 from dc_kernels.model.config import POSITION_CORRECTIONS
+from dc_kernels.solve.rows import SURFACED
 
 BAUMGARTE = POSITION_CORRECTIONS["baumgarte"]
 OPEN = 1e6  # a row that lets this many times the gap close within the step never acts
@@ -47,5 +49,7 @@ def make_contact_row(
             bias = max(bias, e * before)
         elif before < -threshold:
             bias = min(bias, e * before)  # Newton's impact law, of the speed before the step's forces
+    slip = slip_of(c, w, model, contacts) if variant in SURFACED else g.dtype.type(0)
+    ut = ut + slip
     square = (en * (un + bias)) ** 2 + (en * ut) ** 2 if counted else 0.0
-    return PackedRow(a, b, n, jn, jt, en, et, bias, contacts.friction[c], g + slop, 0.0, square)
+    return PackedRow(a, b, n, jn, jt, en, et, bias, contacts.friction[c], g + slop, 0.0, square, slip=slip)

@@ -2,7 +2,7 @@
 // stop each of them alone [(N s)^2], in the order of the contacts. Empty lanes of a colour's last block are zero and
 // point at the padding body. What a row holds is said in solve/constraints/contact.py. Parameters: config, model,
 // state, motion, contacts, rows, w, padding_body. Macros: those of solve/row.h, BAUMGARTE, OPEN, COLORS. Stands behind
-// prelude.h, predicted.h, solve/bodies.h and side.h.
+// prelude.h, predicted.h, solve/bodies.h and side.h, and surface.h where SURFACES is 1.
 auto inverse_or_zero = [&](Number x) { return pick(x > 0, (Real)1 / x, zero); };
 const Real* const normals = (const Real*)contacts.normal.data;
 const Real* const arms_a = (const Real*)contacts.arm_a.data;
@@ -100,7 +100,17 @@ auto fill = [&](const int* c, Real* to, int* between) {
     store(to + AT_soft, zero);
 #endif
     Real alone[SIDE];
-    store(alone, counted * ((en * (un + bias)) * (en * (un + bias)) + (en * ut) * (en * ut)));
+#if SURFACES
+    const int order[] = {0, 1, 2, 3, 4, 5, 6, 7};
+    Real slips[SIDE];
+    for (int i = 0; i < SIDE; ++i) slips[i] = slip_of(c[i]);
+    const Number slip = values_at(slips, order), along = ut + slip;
+    store(to + AT_slip, slip);
+    store(to + AT_roll, zero);
+#else
+    const Number along = ut;
+#endif
+    store(alone, counted * ((en * (un + bias)) * (en * (un + bias)) + (en * along) * (en * along)));
     for (int i = 0; i < SIDE; ++i) square[c[i]] = alone[i];
 };
 

@@ -1,7 +1,9 @@
 // Blocks of each colour of a world's contacts, joints and own rows, which are given room by `fill`: the colours used,
 // or -1 without room; then no row is of any colour yet. Where rows are made one by one, the empty lanes of a colour's
-// last block are zero and point at the padding body.
-// Parameters: w, padding_body, model, joints, contacts, rows. Macros: those of solve/row.h, COLORS.
+// last block are zero and point at the padding body. Rows of rolling resistance have the colours from ROLLING_COLOR on,
+// which are not counted, or the serial one where the others have more than so many.
+// Parameters: w, padding_body, model, joints, contacts, rows. Macros: those of solve/row.h, COLORS, ROLLING_COLOR.
+// Stands behind surface.h where SURFACES is 1.
 const int i0 = contacts.contact_start.data[w], i1 = i0 + contacts.contact_count.data[w];
 // two counts at a time, as neighbours often have one colour and would wait for each other
 int of[2][COLORS] = {};
@@ -17,6 +19,12 @@ int* const fill = rows.color_fill.data + (size_t)w * COLORS;
 int* const ends = rows.color_block.data + (size_t)w * (COLORS + 1);
 const int first = rows.block_start.data[w];
 int block = first, used = 0;
+#if SURFACES
+for (int k = 0; k < COLORS; ++k) used = of[0][k] + of[1][k] > 0 ? k + 1 : used;
+const int colors = used;
+for (int c = i0; c < i1; ++c)
+    if (resistance_of(c) > 0) ++of[0][used <= ROLLING_COLOR ? color[c] + ROLLING_COLOR : COLORS - 1];
+#endif
 for (int k = 0; k < COLORS; ++k) {
     const int count = of[0][k] + of[1][k];
     fill[k] = count;
@@ -35,5 +43,9 @@ for (int k = 0; k < used; ++k) {
     for (size_t i = last * COLUMNS * LANES; i < (last + 1) * COLUMNS * LANES; ++i) rows.column.data[i] = 0;
     for (size_t i = last * 2 * LANES; i < (last + 1) * 2 * LANES; ++i) rows.body.data[i] = padding_body;
 }
+#endif
+#if SURFACES
+for (size_t i = (size_t)first * LANES; i < (size_t)block * LANES; ++i) rows.limit_slot.data[i] = -1;
+return colors;
 #endif
 return used;

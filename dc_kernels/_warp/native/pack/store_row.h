@@ -30,3 +30,7 @@ to[AT_ax] = row.direction_a[0];
 to[AT_ay] = row.direction_a[1];
 to[AT_soft] = row.softness;
 #endif
+#if SURFACES
+to[AT_slip] = 0;
+to[AT_roll] = row.roll;
+#endif

@@ -13,6 +13,9 @@ for (int b = first; b < last; ++b) {
 #if JOINTS
     step = smaller(step, zero + limit);
 #endif
+#if SURFACES
+    step = load(block + AT_roll) > zero ? zero : step;  // what rolls is where it should be
+#endif
     const Vector dn = larger(-(load(block + AT_en) * step), least(block));
     apply_normal(row, A, B, dn);
     most = larger(most, magnitude(dn));

@@ -1,5 +1,5 @@
-// What a row's columns do to the velocities of its bodies. Macros: DISCS, JOINTS, OWN, COLUMNS, and AT_name for
-// each column's place in a block.
+// What a row's columns do to the velocities of its bodies. Macros: DISCS, JOINTS, OWN, SURFACES, COLUMNS, and AT_name
+// for each column's place in a block.
 #if !defined(__CUDA_ARCH__)
 struct Row {
     Vector nx, ny;
@@ -10,6 +10,9 @@ struct Row {
 #endif
 #if OWN
     Vector ax, ay;
+#endif
+#if SURFACES
+    Vector slip;
 #endif
 };
 auto load_row = [&](const Real* block) {
@@ -33,6 +36,9 @@ auto load_row = [&](const Real* block) {
     row.ax = load(block + AT_ax);
     row.ay = load(block + AT_ay);
 #endif
+#if SURFACES
+    row.slip = load(block + AT_slip);
+#endif
     return row;
 };
 auto normal_speed = [&](const Row& row, const Bodies& a, const Bodies& b) {
@@ -50,6 +56,8 @@ auto tangent_speed = [&](const Row& row, const Bodies& a, const Bodies& b) {
     const Vector speed = row.ny * (b.x - a.x) - row.nx * (b.y - a.y);
 #if DISCS
     return speed + (row.dB * b.w + row.dA * a.w);
+#elif SURFACES
+    return speed + (row.rBt * b.w - row.rAt * a.w) + row.slip;
 #else
     return speed + (row.rBt * b.w - row.rAt * a.w);
 #endif

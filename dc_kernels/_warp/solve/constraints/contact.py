@@ -10,9 +10,10 @@ import warp as wp
 
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.native import native_code
+from dc_kernels._warp.solve.constraints.rolling import KEY_BITS
 from dc_kernels._warp.solve.lanes import row_macros
 from dc_kernels.model.config import POSITION_CORRECTIONS
-from dc_kernels.solve.rows import COLORS
+from dc_kernels.solve.rows import COLORS, SURFACED
 
 OPEN = 1e6  # a row that lets this many times the gap close within the step never acts
 
@@ -30,8 +31,15 @@ def contact_rows(dtype: str, variant: str) -> Any:
     with e times its speed at most (Moreau 1988), without which several impacts at once can gain energy.
     """
     t = group_types(dtype)
-    macros = {**row_macros(variant), "COLORS": COLORS, "BAUMGARTE": POSITION_CORRECTIONS["baumgarte"], "OPEN": OPEN}
-    headers = ("prelude.h", "predicted.h", "solve/bodies.h", "side.h", "pack/contacts.h")
+    macros = {
+        **row_macros(variant),
+        "COLORS": COLORS,
+        "BAUMGARTE": POSITION_CORRECTIONS["baumgarte"],
+        "OPEN": OPEN,
+        **KEY_BITS,
+    }
+    surface = ["pack/surface.h"] if variant in SURFACED else []
+    headers = ("prelude.h", "predicted.h", "solve/bodies.h", "side.h", *surface, "pack/contacts.h")
 
     @wp.func_native(native_code(*headers, dtype=dtype, **macros))
     def make_contact_rows(
