@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import itertools
 import pkgutil
 import re
 
@@ -32,7 +31,6 @@ CPU_ONLY = {
 }
 """Kernels whose work is native code in lanes of the CPU: on a GPU they do nothing, and have to be written anew for it.
 ``repeat_launches`` calls compiled functions of the CPU, too."""
-MINUTES = {"solve.schedules"}  # of a solve with all its methods, 4 s a variant
 
 
 def factories():
@@ -46,15 +44,17 @@ def factories():
 
 
 def variants():
-    """A test of each factory with its first options, slow ones with others; float64 with the first of others only."""
+    """Tests of each factory in which each value of each option occurs: in float32 all but the last, float64 with that.
+
+    Kernels differ in the scalar type by its name alone, and a variant takes up to 6 s.
+    """
     for file, name, factory in factories():
         parameters = list(inspect.signature(factory).parameters)
-        first = [OPTIONS[parameter][0] for parameter in parameters]
-        for i, options in enumerate(itertools.product(*(OPTIONS[parameter] for parameter in parameters))):
-            if "float64" in options and sum(a != b for a, b in zip(options, first)) > 1:
-                continue
-            marks = [pytest.mark.slow] if i or file in MINUTES else []
-            yield pytest.param(file, name, options, marks=marks, id="-".join(map(str, (file, name, *options))))
+        values = [OPTIONS[parameter] for parameter in parameters]
+        count = max((len(choices) for choices in values), default=1)
+        for k in range(count):
+            options = tuple(choices[k] if len(choices) == count else choices[k == count - 1] for choices in values)
+            yield pytest.param(file, name, options, id="-".join(map(str, (file, name, *options))))
 
 
 def stores(text):
