@@ -539,7 +539,7 @@ def test_kernels_agree_with_the_oracle(dtype):
     sim = simulation(2, dataclasses.replace(SLEEP_CONFIG, acceleration="none"), dtype=dtype)
     sim.run(4, DT)
     assert not sim.asleep.any()
-    pair = Pair(sim)
+    pair, own = Pair(sim), {stage.kernel for stage in SLEEP}
     sim.state.worlds("velocity")[1, list(LINKED)] = (8.0, 0.0)
     for k in range(48):
         if k == 40:
@@ -548,7 +548,11 @@ def test_kernels_agree_with_the_oracle(dtype):
         sim.storage.integrator.set_time_step(DT)
         for phase in ("collide", "solve", "advance"):
             for name in of_phase(phase, sleep=True):
-                pair.run(name)
+                # the others are compared elsewhere, and here where there is something that they must leave alone
+                if name in own or k in (0, 40, 47):
+                    pair.run(name)
+                else:
+                    pair.launch(name)
     sleeping = sim.sleepers.numpy("sleeping")
     assert sleeping[0] == 7 and 0 < sleeping[1] < 9
 

@@ -40,8 +40,10 @@ def undrawn(monkeypatch) -> None:
 
 
 @pytest.mark.parametrize(("network", "rate"), [("convfc", 0.05), ("pressure", 0.02), ("peak", 5e-3), ("unet", 5e-3)])
-def test_a_training_writes_whole_files_and_learns(data, tmp_path, network, rate):
+def test_a_training_writes_whole_files_and_learns(data, tmp_path, request, network, rate):
     """Of the same few states, seen again and again, the network learns some."""
+    if network != "unet":
+        request.getfixturevalue("undrawn")
     chosen = options(data, tmp_path, stride=20, epochs=12, dropout=0.0, loss="contact_mse", log_every=3, rate=rate)
     summary = train_grid_network(network, chosen, progress=False)
     names = {"best.safetensors", "last.safetensors", "training.safetensors", "metrics.jsonl", "train.json"}
