@@ -26,11 +26,11 @@ WEIGHTS = ("sph/radial.h", "grid/weights.h")
 
 
 def grid_code(dtype: str, *names: str) -> str:
-    """The body of a native function: the common prelude, ``grid/window.h``, and further headers in order."""
+    """The body of a native function: the common prelude, what all stencils need, and further headers in order."""
     constants = {f"{name.upper()}_CONSTANT": constant(name, 2) for name in KERNELS}
     layout = {"BAND": BAND, "CHUNK": CHUNK, "TILE_ROWS": TILE_ROWS, "TILE_COLUMNS": TILE_COLUMNS}
     macros = {**radial_macros(dtype), **constants, **layout, "WINDOW_ROWS": WINDOW_ROWS, "AHEAD": AHEAD}
-    return native_code("prelude.h", "grid/window.h", *names, dtype=dtype, **macros)
+    return native_code("prelude.h", "grid/axis.h", "grid/window.h", *names, dtype=dtype, **macros)
 
 
 @cache

@@ -17,7 +17,6 @@ auto fold = [](Vector v) {
     const auto two = four.lo + four.hi;
     return two.x + two.y;
 };
-auto clip = [](Real v, Real low, Real high) { return v < low ? low : (v > high ? high : v); };
 
 Real x, y;
 int r0, r1, first, vectors;
