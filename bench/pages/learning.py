@@ -80,5 +80,15 @@ def learning(record: Record) -> str:
         f"In wall time {record['batch']} worlds take {record['wall_ratio']:.1f} times as long as from the cache "
         f"({batch['learned']:.1f} s in place of {batch['builtin']:.1f} s, of which {split}), and one thesis world "
         f"{record['world_s']:.1f} s (from the cache {figure(record['world_builtin_s'])} s; 1 to 2 minutes in 2018). "
-        "For speed start from the cache, without a network.",
+        f"{even_times(record)}For speed start from the cache, without a network.",
+    )
+
+
+def even_times(record: Record) -> str:
+    """Say what an even share takes; nothing of a record that has not timed it."""
+    if "even_wall_ratio" not in record:
+        return ""
+    return (
+        f"With an even share in all calls it is {record['even_wall_ratio']:.1f} times ({record['batch_s']['even']:.1f} "
+        f"s), and {figure(record['world_even_s'])} s. "
     )

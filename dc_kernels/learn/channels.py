@@ -87,6 +87,24 @@ class Output(IntEnum):
 LOCAL, IMAGE, OUTPUT = (tuple(column.name.lower() for column in table) for table in (Feature, Channel, Output))
 
 
+class Answer(IntEnum):
+    """How a world that is read is answered."""
+
+    NOTHING = 0
+    EVEN = 1
+    """All contacts move by a share of 1 + A times their step, A that near the contact."""
+    NETWORK = 2
+    """Contacts move as an output says (``Output``)."""
+
+
+SHARE = 1.0
+"""Share of Aitken's step that an even answer moves all contacts by, and to which a ContactNet adds its own [1]."""
+FOREVER = 1e30
+"""Sweeps that are left where their steps do not shrink [1]."""
+RUNAWAY = 1e4
+"""Ratio of a correction to the impulses of a solve that it may not reach, as float32 has 7 digits [1]."""
+
+
 class Scale(IntEnum):
     """Columns of the scales of a world that ``SolveReader.scale`` holds."""
 

@@ -9,6 +9,8 @@ from dc_kernels.model.fields import field_table
 READING = field_table(
     ("active", "world", "int32", "1", "worlds that are asked for"),
     ("packed_start", "world+1", "int32", "1", "first row of each of them"),
+    ("answer", "world", "int32", "1", "code of channels.Answer: how each of them is answered"),
+    ("least", "world", "real", "N s", "the least that the larger RMS of step and impulses has been in the solve"),
     ("grid_origin", "world", "vec2", "m", "lower left node of the grid"),
     ("scale", "world", "vec4", "N s", "RMS of the step and of the impulses, A [1], RMS expected of the correction"),
     ("squares", "world,sweep,grid row,grid column", "real", "(N s)^2", "of the last step and the one before, splatted"),
@@ -31,7 +33,48 @@ SETTINGS = field_table(
     ("cap", "launch", "real", "1", "largest extrapolation A"),
     ("rate_spacing", "launch", "real", "m", "between the nodes that rates are taken at"),
     ("limit", "launch", "real", "1", "largest RMS of a correction that is taken, over that expected"),
+    ("share", "launch", "real", "1", "of Aitken's step, that an even answer moves all contacts by"),
 )
+
+NETWORK = field_table(
+    ("weight", "number", "real", "1", "of all layers, in the order in which they are read (``network.pack``)"),
+    ("width", "scale", "int32", "1", "channels of the trunk at each scale"),
+    ("hidden", "layer", "int32", "1", "widths of the head's hidden layers"),
+    ("scratch", "world,number", "real", "1", "maps of a world at work; a thread uses the row of its first world"),
+    ("share", "launch", "real", "1", "of Aitken's step, which is added to the answer"),
+    ("spacing", "launch", "real", "m", "of the grid"),
+    ("rows", "launch", "int32", "1", "of the grid's nodes"),
+    ("columns", "launch", "int32", "1", "of the grid's nodes"),
+)
+
+# of each world: where its calls stand in the solve under way, and counts over all solves
+CALLS = field_table(
+    ("asking", "world", "int32", "1", "1 while calls are made for it"),
+    ("waiting", "world", "int32", "1", "1 where a correction was taken that is still to be judged"),
+    ("pause", "world", "int32", "1", "calls to leave out"),
+    ("made", "world", "int32", "1", "calls in this solve"),
+    ("failures", "world", "int32", "1", "corrections of this solve that were refused, or failed"),
+    ("before", "world", "real", "(N s)^2", "squared step of the sweep before the correction"),
+    ("calls", "world", "int64", "1", "calls"),
+    ("asked", "world", "int64", "1", "calls that went to the network"),
+    ("refused", "world", "int64", "1", "corrections that were not taken"),
+    ("failed", "world", "int64", "1", "corrections after which the step of a sweep had not shrunk"),
+    ("undone", "world", "int64", "1", "failed corrections that were taken back"),
+)
+RULES = field_table(
+    ("middle", "launch", "int32", "1", "1: calls are made while solving"),
+    ("most", "launch", "int32", "1", "largest number of calls of a world in a solve"),
+    ("trust", "launch", "int32", "1", "calls that may fail beyond two in three before a world is left to the solver"),
+    ("pays", "launch", "real", "1", "sweeps left from which on the network is asked"),
+    ("harm", "launch", "real", "1", "least ratio of steps from which on a correction is taken back"),
+    ("tolerance", "launch", "real", "N s", "of the solve"),
+)
+
+
+class Calls(ArrayGroup):
+    """Where the calls of each world stand (``CALLS``)."""
+
+    table = CALLS
 
 
 class Reading(ArrayGroup):

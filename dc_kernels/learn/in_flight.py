@@ -11,8 +11,9 @@ sim.resume(pause=20)
 
 from __future__ import annotations
 
+import itertools
 import math
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import numpy as np
 
@@ -20,10 +21,10 @@ from dc_kernels.grid.gather import gather_kernel
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.splat import Splat, allocate_image, points_group
 from dc_kernels.grid.stencil import BILINEAR, Stencil
-from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
+from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT, SHARE, Answer
 from dc_kernels.learn.groups import SETTINGS, Reading
 from dc_kernels.model.arrays import kernel_array, to_torch
-from dc_kernels.model.settings import Limits, checker
+from dc_kernels.model.settings import Limits, check_choice, checker
 from dc_kernels.runtime.backends import kernel_file, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_count, check_simulation
@@ -33,6 +34,8 @@ from dc_kernels.runtime.program import Fed, Kernel, Program
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
 
+What = Literal["steps", "features", "images"]
+READS = get_args(What)
 GATHERS = 8  # numbers of channels whose gathers are kept
 RATE_NODES = 3  # spacings between the nodes that rates are taken at: 6 diameters at a spacing of 2
 PLACES = ("place", "place_a", "place_b")
@@ -60,6 +63,8 @@ class SolveReader:
         before, known: impulses before and after the last correction, (slots of ``sim.contacts``, 2) [N s].
         active, packed_start: the worlds asked for, and the first row of each.
         asked, count: worlds and contacts of the last ``read``.
+        answer: how each of them is answered (``channels.Answer``); what was read as "steps" evenly, (W,).
+        version: grows when all these arrays are made anew.
     """
 
     def __init__(
@@ -90,7 +95,7 @@ class SolveReader:
         self.threads = max(1, min(sim.threads if threads is None else check_count("threads", threads), worlds))
         self.image = allocate_image(worlds, len(IMAGE), grid, sim.dtype)
         self._point_count = np.zeros(worlds, np.int32)
-        self.asked = self.count = 0
+        self.asked = self.count = self.version = 0
         with sim.calls:
             self._bind()
 
@@ -100,20 +105,25 @@ class SolveReader:
         with self.sim.calls:
             self._keep_bound()
             np.copyto(self.known, self.sim.contacts.numpy("impulse"))
+            self._least.fill(np.inf)
 
-    def read(self, worlds: np.ndarray, *, begin: bool) -> int:
+    def read(self, worlds: np.ndarray, *, begin: bool, what: What = "images") -> int:
         """Fill features and images of these worlds, whose solve is paused.
 
         Args:
             worlds: indices, ascending.
             begin: whether no sweep has been done.
+            what: "steps": steps, rates and scales only; "features": and the columns of the contacts, with their places;
+                "images": and the images.
 
         Returns:
             The number of their contacts.
 
         Raises:
-            ValueError: for a world that is not there, out of order or not paused, or acceleration "nncg".
+            ValueError: for a world that is not there, out of order or not paused, acceleration "nncg", or another
+                ``what``.
         """
+        check_choice("what", what, READS)
         refuse_recording("a solve that is read", "the host reads what the kernels leave")
         with self.sim.calls:
             self._check(worlds)
@@ -126,7 +136,9 @@ class SolveReader:
             self.packed_start[asked + 1 :] = self.count
             self._point_count[:asked] = counts
             self._point_count[asked:] = 0
-            self._read[begin]()
+            self.answer[:asked] = Answer.EVEN if what == "steps" else Answer.NETWORK
+            self.answer[asked:] = Answer.NOTHING
+            self._read[what == "images", bool(begin)]()
             return self.count
 
     def features(self) -> Any:
@@ -172,7 +184,9 @@ class SolveReader:
             output: (count, len(OUTPUT)), contiguous, of the simulation's dtype, on the CPU, read where it lies.
 
         Returns:
-            Whether each world took its correction, bool (asked,): not one with NaN or inf, or beyond ``limit``.
+            Whether each world took its correction, bool (asked,): not one with NaN or inf, or beyond ``limit``; and
+            none where ``limit`` allows for what is so large beside impulses and steps, as they were when they were
+            read since ``begin``, that velocities would lose all their digits in it.
 
         Raises:
             ValueError: for an output of another dtype, shape, layout or device.
@@ -183,7 +197,30 @@ class SolveReader:
             raise ValueError(f"output has shape {shape}; it must be ({self.count}, {len(OUTPUT)})")
         with self.sim.calls:
             self._correct(output, pointer)
-            return np.asarray(self.sim.stats.numpy("replaced")[self.active[: self.asked]] != 0)
+            return self.taken()
+
+    def taken(self) -> np.ndarray:
+        """Return whether each world read took the correction that was made last, bool (asked,)."""
+        return np.asarray(self.sim.stats.numpy("replaced")[self.active[: self.asked]] != 0)
+
+    def correction_kernel(self, output: Any, begin: bool) -> Kernel:
+        """Return what corrects the impulses of the worlds read by an output (room, len(OUTPUT)), as kernels take it."""
+        return Kernel(self._table["correct_impulses"], {**self._values[begin], "output": output})
+
+    def features_kernel(self, begin: bool) -> Kernel:
+        """Return what reads the worlds that are asked for, each as ``answer`` says."""
+        return Kernel(self._table["solve_features"], self._values[begin])
+
+    def take_all(self) -> None:
+        """Take all worlds as asked for, by their own numbers; kernels then read and answer as ``answer`` says."""
+        with self.sim.calls:
+            self._keep_bound()
+            counts = self.sim.contacts.numpy("contact_count")
+            self.asked = self.worlds
+            self.active[:] = np.arange(self.worlds)
+            np.cumsum(counts, out=self.packed_start[1:])
+            self.count = int(self.packed_start[-1])
+            self._point_count[:] = counts
 
     # ------------------------------------------------------------------ set-up
 
@@ -243,6 +280,7 @@ class SolveReader:
         if sim.config.acceleration == "nncg":
             raise ValueError("config.acceleration is 'nncg'; a solve that is read keeps the step of each sweep")
         self._bound = (sim.layout_version, sim.config)
+        self.version += 1
         self._table = in_flight_kernels(sim.backend, sim.dtype.name, sim.variant)
         self._room = room = sim.contacts.sizes["contact"]
         groups = kernel_file(backend, "groups")
@@ -253,6 +291,8 @@ class SolveReader:
             {**sizes, "sweep": 2, "grid row": rows, "grid column": columns}, dtype, backend=backend
         )
         self.active, self.packed_start, self.scale = map(reading.numpy, ("active", "packed_start", "scale"))
+        self.answer, self._least = map(reading.numpy, ("answer", "least"))
+        self._least.fill(np.inf)
         self.local, self.image_value = map(reading.numpy, ("local", "image_value"))
         self.place, self.place_a, self.place_b = map(reading.numpy, PLACES)
         self.step, self.rate, self.before, self.known = map(reading.numpy, ("step", "rate", "before", "known"))
@@ -265,10 +305,11 @@ class SolveReader:
             "rate_spacing": RATE_NODES * self.grid.spacing,
             "limit": self.limit,
         }
-        # for a solve that goes on, and for one that begins
-        settings = [
-            groups.group("reading_settings", dtype.name, SETTINGS, {**given, "begin": begin}) for begin in (0, 1)
-        ]
+
+        def settings(begin: bool) -> Any:
+            numbers = {**given, "begin": int(begin), "share": 0.0 if begin else SHARE}
+            return groups.group("reading_settings", dtype.name, SETTINGS, numbers)
+
         values = {**sim.values, "reading": groups.array_group(reading, "reading")}
         self.image.fill(0)
         splat = Splat(
@@ -280,17 +321,15 @@ class SolveReader:
             backend=backend,
             threads=self.threads,
         )
+        self._values = [{**values, "settings": settings(begin)} for begin in (False, True)]
         output = self._array(np.zeros((1, len(OUTPUT)), dtype))
-        self._correct = self._fed(
-            Kernel(self._table["correct_impulses"], {**values, "settings": settings[0], "output": output}), "output"
-        )
-        features = self._table["solve_features"]
-        self._read = [
-            Program(
-                [Kernel(features, {**values, "settings": each}), splat],
+        self._correct = self._fed(self.correction_kernel(output, begin=False), "output")
+        self._read = {
+            (images, begin): Program(
+                [self.features_kernel(begin), *([splat] if images else [])],
                 worlds=self.worlds,
                 backend=backend,
                 threads=self.threads,
             )
-            for each in settings
-        ]
+            for images, begin in itertools.product((False, True), repeat=2)
+        }

@@ -13,7 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
+from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT, SHARE
+from dc_kernels.learn.layers import Layers
 from dc_kernels.model.settings import Positive, Settings
 from dc_kernels.runtime.optional import require
 from pipeline.networks.models import Channels
@@ -24,8 +25,6 @@ nn = torch.nn
 F = torch.nn.functional
 Module: Any = nn.Module  # a name that mypy takes as a base
 
-SHARE = 1.0
-"""Share of Aitken's step with which the network begins [1]."""
 BEGIN, ACCELERATED = LOCAL.index("begin"), LOCAL.index("accelerated")
 STEP, FREE, CARRIED = (
     slice(OUTPUT.index(f"{part}_n"), OUTPUT.index(f"{part}_t") + 1) for part in ("step", "free", "carried")
@@ -113,6 +112,30 @@ class ContactNet(Module):
         """Return corrections (n, len(OUTPUT)); ``gather`` reads an image at the contacts and at their bodies."""
         return self.head(local, gather(self.trunk(images)))
 
+    def in_lanes(self, accelerated: bool) -> Layers | None:
+        """Return the weights for kernels, for a solver that extrapolates by itself or not.
+
+        None: a class that has another ``trunk`` or ``head`` runs by torch.
+        """
+        if type(self).trunk is not ContactNet.trunk or type(self).head is not ContactNet.head:
+            return None
+
+        def of(layer: Any) -> tuple[Any, Any]:
+            return layer.weight.detach().numpy(), layer.bias.detach().numpy()
+
+        gain = float(self.gain[int(accelerated)])
+        weight, bias = of(self.last)
+        return Layers(
+            down=[of(layer) for layer in self.down],
+            up=[of(layer) for layer in self.up],
+            near=tuple(part.reshape(len(part), -1) if part.ndim > 1 else part for part in of(self.near)),
+            own=of(self.own),
+            places=[layer.weight.detach().numpy() for layer in self.places],
+            hidden=[of(layer) for layer in self.layers],
+            last=(gain * weight, gain * bias),
+            share=SHARE,
+        )
+
 
 class EvenShare(Module):
     """Answers with an equal share of Aitken's step for all contacts: what a network has to beat."""
@@ -130,6 +153,11 @@ class EvenShare(Module):
         output = local.new_zeros(len(local), len(OUTPUT))
         output[:, STEP] = even_share(local)[:, None]
         return output
+
+    @property
+    def is_even(self) -> bool:
+        """Whether kernels may answer in its place; not in a class with another ``head``."""
+        return type(self).head is EvenShare.head
 
 
 def even_share(local: Any) -> Any:

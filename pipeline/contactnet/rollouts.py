@@ -82,7 +82,7 @@ def record(model: Any, setting: Setting, seed: int, generator: np.random.Generat
     config = dc.SolverConfig.preset("accurate", **settings)  # type: ignore[arg-type]
     run = RunOptions(worlds=setting.worlds, seed=seed)
     sim = run.simulation(Thesis(bodies=setting.bodies), config)
-    solve = LearnedSolve(sim, model, CallOptions())
+    solve = LearnedSolve(sim, model, CallOptions(begin=True, pays=0.0))
     recorder = Recorder(solve, generator)
     solve.watch = recorder.watch
     fall = int(FALL / run.dt)

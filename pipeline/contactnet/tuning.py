@@ -76,7 +76,7 @@ class Snapshot:
         self.start = self.sim.contacts.numpy("impulse").copy()
         self.sim.solve()
         self.base = self.sim.stats.numpy("sweeps").copy()
-        self.solve = LearnedSolve(self.sim, model, CallOptions())
+        self.solve = LearnedSolve(self.sim, model, CallOptions(begin=True, pays=0.0))
 
     def cost(self) -> np.ndarray:
         """Return the log of the sweeps over those from the cache, of the worlds that need more than a few."""

@@ -6,6 +6,9 @@
     learned.solve()  # in the place of sim.solve()
     sim.advance()
 
+An answer costs some hundred sweeps of its world. So the network is asked where the rate of the last sweeps says that
+many are left; else a call moves each contact by an even share of Aitken's step, which costs next to nothing.
+
 Whatever the network answers, the solve ends as it would without it, at a bounded cost. A correction with NaN or inf, or
 far beyond what the last sweeps let expect, is not taken. One that failed, after which the step of a sweep is no smaller
 than it was before, makes the world leave out a call; where it has grown much, it is taken back. A world most of whose
@@ -16,26 +19,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 import dc_kernels as dc
+from dc_kernels.learn.calls import CallsInFlight
+from dc_kernels.learn.channels import Answer as How
 from dc_kernels.learn.channels import Scale
 from dc_kernels.learn.in_flight import SolveReader
 from dc_kernels.model.settings import MAX_INT, Limits, Settings, Whole
 from dc_kernels.runtime.optional import require
+from pipeline.starts.answers import Answer, InLanes, answer_of
 from pipeline.starts.start import Clock, Report, Started
 
 TRUST = 4
 """Calls that may fail beyond two in three before a world is left to the solver [1]."""
-RUNAWAY = 1e4
-"""Ratio of a correction to the impulses that it may not reach, as float32 has 7 digits [1]."""
 EVERY, EVERY_ACCELERATED = 12, 15
 """Sweeps between two calls with plain sweeps, and where the solver extrapolates by itself [1]."""
+PAYS = 240.0
+"""Sweeps left from which on a network is asked. On tuning worlds as many are made as with 0, in half the time [1]."""
 PARTS = ("solve", "splat", "network", "gather", "start")
-COUNTS = ("solves", "empty", "early", "calls", "refused", "failed", "undone")
+COUNTS = ("solves", "empty", "early", "calls", "asked", "refused", "failed", "undone")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,10 +52,14 @@ class CallOptions(Settings):
 
     every: Annotated[int, Limits(least=2, most=MAX_INT)] | None = None
     """Sweeps between two calls; None: 12, or 15 where the solver extrapolates by itself [1]."""
-    begin: bool = True
-    """Call the network before the first sweep."""
+    begin: bool | None = None
+    """Ask the network before the first sweep; None: with plain sweeps only, as what it answers there costs as many
+    sweeps as it saves where the solver extrapolates by itself."""
     middle: bool = True
-    """Call the network while the solve has not converged."""
+    """Call while the solve has not converged."""
+    pays: Annotated[float, Limits(least=0.0, size=math.inf)] = PAYS
+    """Sweeps that are left, as the rate of the last two tells, from which on the network is asked; with fewer left all
+    contacts move by an even share of Aitken's step. 0: it is always asked [1]."""
     most: Whole = 60
     """Largest number of calls of a world in a solve [1]."""
     harm: Annotated[float, Limits(least=1.0, size=math.inf)] = 3.0
@@ -69,21 +79,28 @@ class CallStats:
     early: np.ndarray
     """Solves that were done in the first sweeps, so that no call came while solving."""
     calls: np.ndarray
-    """Calls of the network."""
+    """Calls: of the network, or for an even share."""
+    asked: np.ndarray
+    """Calls that went to the network."""
     refused: np.ndarray
     """Corrections not taken: not finite, or too large."""
     failed: np.ndarray
     """Corrections after which the step of a sweep had not shrunk."""
     undone: np.ndarray
     """Failed corrections that were taken back."""
-    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PARTS, 0.0))
-    """Wall time by part [s]; reading features counts as "splat", writing corrections as "gather"."""
+    seconds: dict[str, float]
+    """Wall time by part [s]; reading features counts as "splat", writing corrections as "gather". In lanes all of a
+    call in mid-solve is one launch, which counts as "network"."""
 
     @classmethod
-    def zeros(cls, worlds: int) -> CallStats:
-        """Return counts of 0 for a number of worlds."""
-        counts: dict[str, Any] = {name: np.zeros(worlds, np.int64) for name in COUNTS}
-        return cls(**counts)
+    def of(cls, calls: CallsInFlight, seconds: dict[str, float]) -> CallStats:
+        """Return counts that are those of the calls, where these have them."""
+        table = calls.calls.table
+        counts: dict[str, Any] = {
+            name: calls.calls.numpy(name) if name in table else np.zeros(calls.reader.worlds, np.int64)
+            for name in COUNTS
+        }
+        return cls(**counts, seconds=seconds)
 
     def totals(self) -> dict[str, Any]:
         """Return the sums over the worlds, by name, and "seconds"."""
@@ -134,20 +151,24 @@ class LearnedSolve:
         Raises:
             ValueError: for a simulation that the network cannot read.
         """
-        self._torch = torch = require("torch", "pipeline")
+        require("torch", "pipeline")
         if sim.dtype != np.float32:
             raise ValueError(f"sim.dtype is {sim.dtype}; the network reads float32")
         self.sim, self.options = sim, options or CallOptions()
         self.model = model.eval()
         grid = grid or grid_of(sim, model.config.spacing)
         self.reader = SolveReader(sim, grid, limit=self.options.limit)
-        trunk = torch.compile(model.trunk) if compile else model.trunk
-        self._trunk = _in_bfloat16(torch, trunk) if bfloat16 else trunk
-        self._head = torch.compile(model.head) if compile else model.head
         plain = sim.config.acceleration == "none"
         self.every = self.options.every or (EVERY if plain else EVERY_ACCELERATED)
-        self.stats = CallStats.zeros(sim.model.world_count)
-        self.clock = Clock(self.stats.seconds)
+        self.clock = Clock(dict.fromkeys(PARTS, 0.0))
+        self._network = answer_of(self.reader, self.model, self.clock, compile=compile, bfloat16=bfloat16)
+        self._even = InLanes(self.reader)
+        is_even = isinstance(self._network, InLanes) and self._network.model is None
+        # an even share of no step is nothing
+        self.begin = (plain and not is_even) if self.options.begin is None else self.options.begin
+        rules = {name: getattr(self.options, name) for name in ("middle", "most", "harm")}
+        self._calls = CallsInFlight(self.reader, **rules, trust=TRUST, pays=math.inf if is_even else self.options.pays)
+        self.stats = CallStats.of(self._calls, self.clock.seconds)
         self.watch: Callable[[np.ndarray, bool], None] | None = None
         """Called with the worlds, and whether no sweep is done, when their features are read: for training."""
 
@@ -162,7 +183,7 @@ class LearnedSolve:
 
     def _solve(self, started: Started) -> None:
         """Solve; ``started`` is called before the first sweep."""
-        sim, options, stats = self.sim, self.options, self.stats
+        sim, options, stats, calls = self.sim, self.options, self.stats, self._calls
         self._timed("solve", sim.solve, pause=0)
         running = sim.running
         stats.solves += 1
@@ -171,113 +192,52 @@ class LearnedSolve:
             started()
             return
         self.reader.begin()
-        worlds = len(running)
-        self._waiting = np.zeros(worlds, bool)  # for the verdict on a call
-        self._before = np.zeros(worlds)  # squared step of the sweep before it
-        self._size = np.full(worlds, np.inf)  # of steps and impulses, the least so far [N s]
-        self._failures = np.zeros(worlds, np.int64)
-        self._pause = np.zeros(worlds, np.int64)  # calls to leave out
-        asking = running.copy()  # worlds that calls are made for
-        calls = np.zeros(worlds, np.int64)
-        if options.begin and options.most:
-            calls += self._call(asking, begin=True)
+        calls.begin(running)
+        lanes = self._network if isinstance(self._network, InLanes) else None
+        if lanes is not None:
+            lanes.refresh()
+        if self.begin and options.most:
+            self._ask_first(np.flatnonzero(running))
         started()
+        at_once = lanes if self.watch is None else None
+        if at_once is not None:
+            self.reader.take_all()
         first = True
         while running.any():
-            more = bool(asking.any()) and (options.middle or bool(self._waiting.any()))
+            more = bool(calls.asking.any()) and (options.middle or bool(calls.waiting.any()))
             self._timed("solve", sim.resume, pause=self.every if more else None)
             was, running = running, sim.running
             if first:
                 stats.early += was & ~running
                 first = False
-            if not running.any() or not more:
+            if not more or not running.any():
                 continue
-            asking &= running
-            self._judge(asking)
-            if options.middle:
-                asking &= (calls < options.most) & (3 * self._failures < 2 * calls + 3 * TRUST)
-                calls += self._call(asking & (self._pause == 0), begin=False)
-                self._pause = np.maximum(self._pause - 1, 0)
-            else:
-                asking[:] = False
+            if at_once is not None:
+                self._timed("network", calls.round, at_once.lanes)
+                continue
+            calls.decide()
+            answer = calls.answer
+            self._ask(np.flatnonzero(answer == How.NETWORK), self._network, begin=False)
+            self._ask(np.flatnonzero(answer == How.EVEN), self._even, begin=False)
 
-    def _call(self, asking: np.ndarray, begin: bool) -> np.ndarray:
-        """Correct the impulses of the worlds ``asking``, (W,); returns those that were asked for, bool (W,)."""
-        worlds = np.flatnonzero(asking)
+    def _ask_first(self, worlds: np.ndarray) -> None:
+        """Correct the impulses of worlds, (n,), before the first sweep."""
+        self._timed("splat", self.reader.read, worlds, begin=True, what="steps")
+        steps = self.reader.scale[: len(worlds), Scale.STEP]
+        # where no contact would take a step beyond the tolerance, the first sweep is the last
+        needed = steps * np.sqrt(np.diff(self.reader.packed_start[: len(worlds) + 1])) >= self.sim.config.ends_at[1]
+        self._ask(worlds[needed], self._network, begin=True)
+
+    def _ask(self, worlds: np.ndarray, answer: Answer, *, begin: bool) -> None:
+        """Correct the impulses of worlds, (n,), and count."""
         if not len(worlds):
-            return asking
-        reader = self.reader
-        contacts = self._read(worlds, begin)
-        if begin:
-            # where no contact would take a step beyond the tolerance, the first sweep is the last
-            needed = reader.scale[: len(worlds), Scale.STEP] * np.sqrt(contacts) >= self.sim.config.ends_at[1]
-            if not needed.all():
-                asking = asking.copy()
-                asking[worlds[~needed]] = False
-                worlds = worlds[needed]
-                if not len(worlds):
-                    return asking
-                contacts = self._read(worlds, begin)
+            return
+        what = "features" if self.watch is not None and answer.reads == "steps" else answer.reads
+        self._timed("splat", self.reader.read, worlds, begin=begin, what=what)
         if self.watch is not None:
             self.watch(worlds, begin)
-        with self._torch.inference_mode():
-            trunk = self._timed("network", self._trunk, reader.images())
-            near = self._timed("gather", reader.gather, trunk.contiguous())
-            output = self._timed("network", self._head, reader.features(), near)
-            lost = self._lost(worlds)
-            if lost.any():
-                output[self._torch.from_numpy(np.repeat(lost, np.diff(reader.packed_start[: len(worlds) + 1])))] = (
-                    np.nan
-                )
-        taken = self._timed("gather", reader.correct, output)
-        if begin:
-            self._before[worlds] = contacts * reader.scale[: len(worlds), Scale.STEP].astype(float) ** 2
-        else:
-            self._before[worlds] = self._step()[worlds]
-        self._waiting[worlds] = taken
-        self.stats.calls[worlds] += 1
-        refused = worlds[~taken]
-        self._pause[refused] = 2
-        self._failures[refused] += 1
-        self.stats.refused[refused] += 1
-        return asking
-
-    def _read(self, worlds: np.ndarray, begin: bool) -> np.ndarray:
-        """Read the features of some worlds; returns the contacts of each, (asked,)."""
-        self._timed("splat", self.reader.read, worlds, begin=begin)
-        return np.diff(self.reader.packed_start[: len(worlds) + 1])
-
-    def _lost(self, worlds: np.ndarray) -> np.ndarray:
-        """Tell whether a correction could be so large that velocities lose all their digits in it, bool (asked,)."""
-        scale = self.reader.scale[: len(worlds)].astype(float)
-        self._size[worlds] = np.minimum(self._size[worlds], scale[:, [Scale.STEP, Scale.IMPULSE]].max(axis=1))
-        return self.options.limit * scale[:, Scale.EXPECTED] > RUNAWAY * self._size[worlds]
-
-    def _step(self) -> np.ndarray:
-        """Return the squared step of the last sweep of each world, (W,) [N^2 s^2]."""
-        return self.sim.stats.numpy("iteration")["step_last"]
-
-    def _judge(self, asking: np.ndarray) -> None:
-        """Take back what did harm; a world whose sweeps take no smaller steps leaves out a call."""
-        judged = self._waiting & asking
-        if not judged.any():
-            return
-        self._waiting[:] = False
-        now, before = self._step(), self._before
-        harmed = judged & ~(now < self.options.harm**2 * before)
-        if harmed.any():
-            first = self.sim.contacts.numpy("contact_start")
-            count = self.sim.contacts.numpy("contact_count")
-            impulse, known = self.sim.contacts.numpy("impulse"), self.reader.known
-            for w in np.flatnonzero(harmed):
-                part = slice(first[w], first[w] + count[w])
-                impulse[part] = known[part] = self.reader.before[part]
-            self.sim.stats.numpy("replaced")[harmed] = 1
-            self.stats.undone += harmed
-        failed = judged & ~(now < before)
-        self._pause[failed] = 1
-        self._failures += failed
-        self.stats.failed += failed
+        self._timed("network", answer, begin=begin)
+        self._calls.settle(begin=begin)
 
     def _timed(self, part: str, function: Any, *arguments: Any, **options: Any) -> Any:
         """Call a function, whose wall time counts for a part."""
@@ -298,7 +258,8 @@ class LearnedSolve:
         share = {name: f"{100.0 * total[name] / solves:.1f} %" for name in ("empty", "early")}
         return "\n".join(
             [
-                f"network: {total['calls'] / solves:.2f} calls a solve, of {total['solves']} solves",
+                f"network: {total['calls'] / solves:.2f} calls a solve, of {total['solves']} solves; asked in "
+                f"{total['asked'] / solves:.2f}, an even share of Aitken's step in the others",
                 f"  skipped: no contact in {share['empty']}, done in the first {self.every} sweeps or so in "
                 f"{share['early']}",
                 f"  of the corrections {total['refused']} were refused, {total['failed']} failed and {total['undone']} "
@@ -309,14 +270,3 @@ class LearnedSolve:
 
 def _nothing() -> None:
     """Stand for a callback that nobody has given."""
-
-
-def _in_bfloat16(torch: Any, trunk: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Let the convolutions of a trunk run in bfloat16; its answer is float32."""
-
-    def run(images: Any) -> Any:
-        with torch.autocast("cpu", torch.bfloat16):
-            answer = trunk(images)
-        return answer.float()
-
-    return run

@@ -101,7 +101,8 @@ def _network_maker(name: str) -> Maker:
     if hasattr(model, "trunk") and hasattr(model, "head"):  # it corrects a solve in flight
         from pipeline.starts.learned import CallOptions, LearnedSolve
 
-        options = CallOptions(middle=CNN.get(name.lower(), True))
+        middle = CNN.get(name.lower(), True)
+        options = CallOptions(begin=None if middle else True, middle=middle)
         return lambda sim: LearnedSolve(sim, model, options)
     from pipeline.starts.grid_network import GridNetworkStart
 

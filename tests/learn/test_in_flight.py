@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dc_kernels as dc
-from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
+from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT, SHARE
 from dc_kernels.learn.in_flight import RATE_NODES, SolveReader, in_flight_kernels
 from dc_kernels.model.arrays import ArrayGroup, to_numpy
 from dc_kernels.runtime.backends import argument_names, bind
@@ -125,6 +125,7 @@ def run_oracle(reader: SolveReader, kernel: str, begin: bool = False, **more: An
         cap=reader.cap,
         rate_spacing=RATE_NODES * reader.grid.spacing,
         limit=reader.limit,
+        share=0.0 if begin else SHARE,
     )
     for name in OUT if kernel == "solve_features" else ():
         getattr(values["reading"], name).fill(np.nan)

@@ -9,7 +9,7 @@ import numpy as np
 
 from dc_kernels._numpy.common import Array, Kernels, dot
 from dc_kernels._numpy.solve.row import by_lane
-from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT
+from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT, RUNAWAY, Answer
 from dc_kernels.solve.rows import COLUMNS, LANES
 
 TINY = 1e-20  # keeps what is divided by away from 0
@@ -86,7 +86,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         k = tid + world_offset
         packed = slice(reading.packed_start[k], reading.packed_start[k + 1])
         count = packed.stop - packed.start
-        if not count:
+        if not count or reading.answer[k] == Answer.NOTHING:
             return
         w = reading.active[k]
         seen = _see(contacts.contact_start[w], count, contacts, rows, motion)
@@ -104,9 +104,12 @@ def kernels(dtype: str, variant: str) -> Kernels:
                 np.add.at(total, (node[..., 1], node[..., 0]), weight * (value**2).sum(axis=1)[:, None])
             near = _aitken(*((weight * total[node[..., 1], node[..., 0]]).sum(axis=1) for total in sums), settings.cap)
         reading.rate[packed] = near
+        reading.least[w] = min(reading.least[w], max(sigma, size))
         wide = 1.0 + extrapolation
         reading.scale[k] = sigma, size, extrapolation, sigma * wide
         reading.step[packed] = s
+        if reading.answer[k] != Answer.NETWORK:
+            return
 
         reading.body_sum[model.body_start[w] : model.body_start[w + 1]] = 0.0
         for b, sign in zip(seen.bodies, (-1.0, 1.0)):
@@ -168,7 +171,7 @@ def correct_impulses(
     """Add (1 + A near) o_step s + (1 + A) sigma (o_free + o_carried x / RMS of x), and stop at the friction cone."""
     k = tid + world_offset
     packed = slice(reading.packed_start[k], reading.packed_start[k + 1])
-    if packed.start == packed.stop:
+    if packed.start == packed.stop or reading.answer[k] == Answer.NOTHING:
         return
     w = reading.active[k]
     first = contacts.contact_start[w]
@@ -176,12 +179,15 @@ def correct_impulses(
     x = contacts.impulse[mine].astype(float)
     reading.before[mine] = reading.known[mine] = x
     _, size, _, expected = reading.scale[k].astype(float)
-    given = dict(zip(OUTPUT, output[packed].astype(float).T))
+    even = np.full((packed.stop - packed.start, len(OUTPUT)), [settings.share] * 2 + [0.0] * 4)
+    answer = even if reading.answer[k] == Answer.EVEN else output[packed].astype(float)
+    given = dict(zip(OUTPUT, answer.T))
     by_step, free, carried = (np.stack([given[f"{part}_n"], given[f"{part}_t"]], axis=1) for part in PARTS)
     with np.errstate(all="ignore"):  # what is not finite is refused below
         by_step = (1.0 + reading.rate[packed, None]) * by_step * reading.step[packed]
         change = by_step + expected * (free + carried * x / size)
-        taken = _rms(change) <= settings.limit * expected
+        most = settings.limit * expected
+        taken = _rms(change) <= most <= RUNAWAY * reading.least[w]
     if taken:
         contacts.impulse[mine] = reading.known[mine] = project(x + change, contacts.friction[mine])
         stats.replaced[w] = 1

@@ -51,7 +51,7 @@ def recorded(acceleration: str = "none", begin: bool = False):
     sim = RunOptions(worlds=3, seed=3).simulation(Thesis(bodies=40), dc.SolverConfig(acceleration=acceleration))
     sim.run(110, 0.01)
     sim.collide(0.01)
-    solve = LearnedSolve(sim, EvenShare(), CallOptions(every=12))
+    solve = LearnedSolve(sim, EvenShare(), CallOptions(every=12, begin=True))
     recorder = Recorder(solve, np.random.default_rng(0))
     recorder.share = 1
     seen = {}
@@ -80,7 +80,7 @@ def test_a_correction_is_that_of_the_kernel(begin):
             self.output = 0.5 * torch.randn(len(local), len(OUTPUT), generator=torch.Generator().manual_seed(1))
             return self.output
 
-    solve = LearnedSolve(sim, Drawn(), CallOptions(every=12, begin=begin))
+    solve = LearnedSolve(sim, Drawn(), CallOptions(every=12, begin=begin, pays=0.0))
     found = []
 
     def watch(worlds: np.ndarray, first: bool) -> None:

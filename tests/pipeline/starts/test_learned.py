@@ -27,7 +27,7 @@ from pipeline.starts.start import step  # noqa: E402
 
 DT = 0.01
 STEPS = 120
-OPTIONS = CallOptions()
+OPTIONS = CallOptions(begin=True, pays=0.0)  # every call asks the network
 # Sweeps of a run with any network over those without one. A correction that is not taken back makes the step of a sweep
 # less than ``harm`` times larger, which costs at most ln(harm) of the ln(first step / tolerance), here about ln(1e3),
 # that a whole solve takes, and a world whose calls fail is soon left to the solver. The worst here takes 8.
@@ -111,7 +111,7 @@ class Run:
 
     def __init__(self, sim: dc.Simulation, network: Any = None, options: CallOptions | None = None) -> None:
         self.sim = sim
-        self.solve = None if network is None else LearnedSolve(sim, network, options)
+        self.solve = None if network is None else LearnedSolve(sim, network, options or OPTIONS)
         sweeps, change, residual = [], [], []
         for _ in range(STEPS):
             sim.collide(DT)
@@ -186,7 +186,7 @@ def test_every_solve_ends_at_the_same_answer(friction, network, acceleration):
     unseen by the solver: they are compared with those of the impulses too.
     """
     sim = simulation(Thesis(bodies=12, friction=friction), acceleration)
-    solve = LearnedSolve(sim, Stub(NETWORKS[network]))
+    solve = LearnedSolve(sim, Stub(NETWORKS[network]), OPTIONS)
     tight = replace(sim.config, tolerance=3e-7, acceleration="aitken")
     errors: dict[str, list[float]] = {"plain": [], "network": []}
     sim.run(40, DT)  # until they touch
@@ -224,7 +224,7 @@ def test_a_correction_that_does_harm_is_taken_back():
     sim.solve()
     impulse, sweeps = sim.contacts.numpy("impulse").copy(), sim.stats.numpy("sweeps").copy()
     assert (sweeps > 20).all()
-    options = CallOptions(most=1, middle=False, harm=1.0, every=6)
+    options = CallOptions(begin=True, most=1, middle=False, harm=1.0, every=6)
     solve = LearnedSolve(sim, Stub(NETWORKS["just taken"]), options)
     sim.contacts.assign("impulse", start)
     solve.solve()
@@ -264,7 +264,7 @@ def test_calls_at_the_start_only_and_in_mid_solve_only():
     for begin, middle in ((True, False), (False, True)):
         seen.clear()
         sim.contacts.assign("impulse", start)
-        LearnedSolve(sim, Stub(answer), CallOptions(begin=begin, middle=middle)).solve()
+        LearnedSolve(sim, Stub(answer), CallOptions(begin=begin, middle=middle, pays=0.0)).solve()
         assert len(seen) == 1 if begin else len(seen) > 1
         assert all((value == float(begin)).all() for value in seen)
 
@@ -280,7 +280,7 @@ def test_worlds_that_need_no_network_never_reach_it():
     sim = dc.Simulation(*builder.finalize(), config=dc.SolverConfig(acceleration="none", tolerance=1e-5))
     sim.run(24, DT)  # the piles lean and slide
     network = Stub(NETWORKS["good"])
-    solve = LearnedSolve(sim, network, CallOptions(begin=False))
+    solve = LearnedSolve(sim, network, CallOptions(begin=False, pays=0.0))
     for _ in range(10):
         step(solve, DT)
         assert (sim.stats.numpy("sweeps")[2:] > 10).all()
@@ -297,7 +297,7 @@ def test_no_world_is_called_more_often_than_asked():
     sim = simulation(Thesis(bodies=30))
     sim.run(STEPS, DT)
     sim.collide(DT)
-    solve = LearnedSolve(sim, Stub(NETWORKS["zero"]), CallOptions(most=3, every=2))
+    solve = LearnedSolve(sim, Stub(NETWORKS["zero"]), CallOptions(begin=True, most=3, every=2, pays=0.0))
     solve.solve()
     assert (sim.stats.numpy("sweeps") > 10).all()
     np.testing.assert_array_equal(solve.stats.calls, 3)
@@ -341,7 +341,7 @@ def test_room_may_grow_on_the_way():
 
 def test_totals_and_explain_add_up():
     sim = simulation(Thesis(bodies=12))
-    solve = LearnedSolve(sim, Stub(NETWORKS["alternate"]))
+    solve = LearnedSolve(sim, Stub(NETWORKS["alternate"]), OPTIONS)
     began = time.perf_counter()
     for _ in range(STEPS):
         step(solve, DT)
