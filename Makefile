@@ -5,7 +5,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 JOBS ?= 2
-BENCHES ?= sweep worlds scaling protocol transfer roundtrip neighbors generate learning train startup backends foreign accuracy error_time fc2d stability house
+BENCHES ?= sweep worlds scaling protocol transfer roundtrip neighbors generate learning stepper train startup backends foreign accuracy error_time fc2d stability house
 ARGS ?=
 
 BIN := $(VENV)/bin

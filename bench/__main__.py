@@ -23,6 +23,7 @@ MODULES = {
     "queries": "speed.queries",
     "generate": "speed.generate",
     "learning": "learning.learning",
+    "stepper": "learning.stepper",
     "train": "speed.train",
     "startup": "speed.startup",
     "overhead": "speed.overhead",

@@ -10,7 +10,7 @@ import numpy as np
 from dc_kernels.binding import Binding
 from dc_kernels.collide.broadphase import Pairs
 from dc_kernels.collide.contacts import Cache
-from dc_kernels.driving.between import Stepper, check_between
+from dc_kernels.driving.between import Stepper, check_between, run_between
 from dc_kernels.driving.driven import Driven
 from dc_kernels.explain import describe, explain
 from dc_kernels.model.arrays import Contacts, Joints, Model, State
@@ -325,19 +325,8 @@ class Simulation(Driven):
             self.storage.integrator.set_time_step(dt)
             if plain:
                 self._run_steps(steps)
-                return
-            for _ in range(steps):
-                if start is None and stepper is None:
-                    self._run_steps(1)
-                else:
-                    self.collide(dt)
-                    if start is not None:
-                        start(self)
-                        self.check_start()
-                    (stepper or self).solve()
-                    self.advance()
-                if callback is not None:
-                    callback(self)
+            else:
+                run_between(self, steps, dt, start, callback, stepper)
         finally:
             self.calls.end()
 

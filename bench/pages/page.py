@@ -30,6 +30,7 @@ SECTIONS = {
     "stability": ("Stability", solving.stability),
     "faults": ("Faults looked for", solving.faults),
     "learning": ("Learned starts and corrections", learning.learning),
+    "stepper": ("A network in the solver's place", learning.stepper),
     "generate": ("Data sets", speed.generate),
     "train": ("Training", speed.train),
     "transfer": ("Particles to grid and back", transfer.transfer),

@@ -39,3 +39,19 @@ def check_between(sim: Any, start: Any, callback: Any, stepper: Any) -> None:
         if getattr(stepper, "sim", None) is not sim:
             raise ValueError("the stepper was made for another simulation")
     refuse_recording("a step with start, stepper or callback", "these run in Python")
+
+
+def run_between(sim: Any, steps: int, dt: float, start: Any, callback: Any, stepper: Any) -> None:
+    """Make steps of dt [s] one by one, with what a program has to say within them or after each."""
+    for _ in range(steps):
+        if start is None and stepper is None:
+            sim.run(1, dt)
+        else:
+            sim.collide(dt)
+            if start is not None:
+                start(sim)
+                sim.check_start()
+            (stepper or sim).solve()
+            sim.advance()
+        if callback is not None:
+            callback(sim)

@@ -100,7 +100,7 @@ class StepperTraining:
             self.model.parameters(), options.optimizer, options.rate, weight_decay=options.weight_decay
         )
         self.schedule = make_schedule(self.optimizer, options.schedule, options.steps, decay=options.decay, warm=0.1)
-        self.done, self.spent = 0, 0.0
+        self.done, self.spent, self.began = 0, 0.0, time.perf_counter()
         self.best: float | None = None
         self.metrics: dict[str, float] = {}
         self.commit = commit()
@@ -166,7 +166,7 @@ class StepperTraining:
     def run(self, stop: Stop, progress: bool) -> dict[str, Any]:
         """Train to the end or until ``stop``, write all files, and return the summary."""
         options = self.options
-        began, losses = time.perf_counter(), []
+        losses: list[float] = []
         bar = progress_bar(total=options.steps, initial=self.done, desc=f"train {self.network}", show=progress)
         with bar:
             while self.done < options.steps:
@@ -179,10 +179,10 @@ class StepperTraining:
                 last = self.done == options.steps or stop.is_set()
                 if last or self.done % options.save_every == 0:
                     self._validate()
-                    self._save(began)
+                    self._save()
                 if stop.is_set():
                     break
-        return self._finish(began)
+        return self._finish()
 
     def _line(self, losses: list[float]) -> dict[str, float]:
         """Return what the log says of some steps."""
@@ -303,7 +303,7 @@ class StepperTraining:
 
     def manifest(self) -> dict[str, Any]:
         """Return what the network's file says of it."""
-        dt = sorted({round(every * float(one), 9) for every in self.options.every for one in self.held.dt})
+        dt = sorted({float(f"{every * one:.6g}") for every in self.options.every for one in self.held.dt})
         grid = {**asdict(self.grid), "origin": [float(x) for x in self.grid.origin]}
         out = str(self.options.out)
         return plain(
@@ -314,21 +314,19 @@ class StepperTraining:
                 "data": self.data,
                 "step": self.done,
                 "metrics": self.metrics,
-                "minutes": self.spent / 60.0,
+                "minutes": self._seconds() / 60.0,
                 "commit": self.commit,
                 "versions": all_versions(),
             }
         )
 
-    def _save(self, began: float) -> None:
+    def _seconds(self) -> float:
+        """Return the wall time of the training so far, with that of earlier runs [s]."""
+        return self.spent + time.perf_counter() - self.began
+
+    def _save(self) -> None:
         """Write the network and what the training continues from."""
-        now = time.perf_counter()
-        progress = {
-            "step": self.done,
-            "best": self.best,
-            "metrics": self.metrics,
-            "spent": self.spent + now - began,
-        }
+        progress = {"step": self.done, "best": self.best, "metrics": self.metrics, "spent": self._seconds()}
         save_checkpoint(self.options.out / LAST, self.model, self.manifest())
         state = self.options.out / STATE
         save_training(state, self.model, self.optimizer, self.schedule, progress, self.identity())
@@ -346,10 +344,9 @@ class StepperTraining:
         if self.done > self.options.steps:
             raise ValueError(f"steps is {self.options.steps}; the training in {self.options.out} has done {self.done}")
 
-    def _finish(self, began: float) -> dict[str, Any]:
+    def _finish(self) -> dict[str, Any]:
         """Draw the curves, write and return the summary."""
         options = self.options
-        self.spent += time.perf_counter() - began
         files = [name for name in (BEST, LAST, STATE) if (options.out / name).exists()]
         summary = {
             "network": self.network,

@@ -69,6 +69,7 @@ def test_archives_hold_all_files(archives):
         "dc_kernels/_warp/native/prelude.h",
         "dc_kernels/py.typed",
         "pipeline/contactnet/contactnet.safetensors",
+        "pipeline/stepper/stepnet.safetensors",
     ):
         assert name in package
     assert package <= of_wheel
