@@ -20,6 +20,8 @@ BEGIN, END = "<!-- figures: python -m bench.run --pages -->", "<!-- end of figur
 SECTIONS = {
     "worlds": ("Thesis worlds", speed.worlds),
     "games": ("Scenes of games", games.games),
+    "skips": ("What a scene does without", speed.skips),
+    "sleep": ("Sleep", speed.sleep),
     "sweep": ("One sweep", speed.sweep),
     "scaling": ("Everything but the solve", speed.scaling),
     "threads": ("Threads within a world", speed.threads),

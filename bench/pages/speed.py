@@ -6,6 +6,7 @@ from bench.cases import SCALING_WORLDS, SWEEP_PILES
 from bench.pages.markdown import Record, figure, paragraphs, table
 from bench.peers.peers import PEER_TEXT
 from bench.speed.overhead import SIZES
+from bench.speed.skips import ROWS as SKIPS
 from bench.speed.threads import SETTINGS
 from bench.speed.threads import SIZES as PILES
 
@@ -159,3 +160,39 @@ def overhead(record: Record) -> str:
         f"{figure(record['threads2_penalty_us'])} us:",
         table(("discs at rest", "`threads=1` [us]", "`threads=2` [us]"), shared),
     )
+
+
+def skips(record: Record) -> str:
+    """Show what features cost a scene that has them for one body."""
+    rows = [
+        (
+            SKIPS[name].what,
+            found["without_us"],
+            found["with_us"],
+            found["ratio"],
+            found["difference_mm"],
+            SKIPS[name].reason,
+        )
+        for name, found in record["rows"].items()
+        if name in SKIPS
+    ]
+    header = ("one body, or a setting", "without [us]", "with [us]", "with over without", "difference [mm]", "why")
+    return paragraphs(
+        "A pile of discs at rest, and the pile with a feature given to a disc that lies apart or with a setting turned "
+        "on: what a scene saves that does without.",
+        table(header, rows),
+    )
+
+
+def sleep(record: Record) -> str:
+    """Show what sleep saves, what it costs, and what is different after it."""
+    columns = ("bodies", "asleep_us", "asleep_step_us", "awake_slowdown", "half_share")
+    rows = [
+        (name, *(found[column] for column in (*columns, "wake_difference", "hit_difference")))
+        for name, found in record["scenes"].items()
+    ]
+    header = (
+        *("scene", "bodies", "a step asleep: `run` [us]", "`step` [us]", "awake, sleep on over off"),
+        *("every second world asleep over awake", "moved by waking [mm]", "by a hit [mm]"),
+    )
+    return paragraphs("Piles at rest that sleep, and the same awake.", table(header, rows))

@@ -11,6 +11,7 @@ import dc_kernels as dc
 from bench import __main__ as command
 from bench import cases, run, timing
 from bench.peers import peers
+from bench.speed import skips
 from bench.speed import worlds as bench_worlds
 from pipeline import scenes
 
@@ -162,3 +163,12 @@ def test_figure_of_the_engines(tmp_path):
     assert overlap == [record["overlap_mean_mm"], *(record[f"{name}_overlap_mm"] for name in peers.PEERS)]
     run.draw(record, tmp_path / "worlds.png")
     assert (tmp_path / "worlds.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_skips_leave_the_others_alone(monkeypatch):
+    monkeypatch.setattr(skips, "QUICK_DISCS", 5)
+    monkeypatch.setattr(skips, "QUICK_ROUNDS", 1)
+    monkeypatch.setattr(skips, "ROWS", {name: skips.ROWS[name] for name in ("friction", "restitution", "history")})
+    values = skips.measure(quick=True)
+    assert values["largest_difference_mm"] == 0.0 < values["least_ratio"]
+    assert all(row.what in skips.report(values) for row in skips.ROWS.values())
