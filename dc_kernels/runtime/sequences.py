@@ -18,10 +18,12 @@ from dc_kernels.model.dtypes import aligned_zeros
 from dc_kernels.model.enums import Activity
 from dc_kernels.runtime.backends import Launch, bind, kernel_file, make_kernels
 from dc_kernels.runtime.capture import recording
+from dc_kernels.runtime.threads import Trial
 
 SEATS = 64  # threads that may share one world
 NAP = 50  # that a member who finds nothing sleeps between two looks [us]
-PATIENCE = 10_000  # naps after which it leaves, even if nobody told it to
+PATIENCE = 200_000  # naps after which it leaves, even if nobody told it to
+FOR_GOOD = 2**64 - 1  # that a leader rests from jobs [ticks]
 CACHE_LINE = 16  # int32: what threads write, each for itself, lies so far apart
 
 
@@ -117,6 +119,7 @@ class Rounds:
     Attributes:
         halt: an int32, not 0 once a round has halted; several shards may share it.
         sweeps: over all bodies, that a round may make.
+        helped: whether helpers within worlds shorten a round.
     """
 
     def __init__(
@@ -143,7 +146,7 @@ class Rounds:
             sweeps: over all bodies, that a round may make.
             once: launches at the beginning that only the first of the rounds taken in one call makes.
         """
-        self._once = once
+        self._once, self.helped = once, Trial()
         self.launches, self.watch, self.peak, self.halt, self.sweeps = list(launches), watch, peak, halt, sweeps
         self._worlds = slice(first, first + count)
         self._done = aligned_zeros((CACHE_LINE,), np.dtype(np.int64))
@@ -291,6 +294,7 @@ class Teams:
         head[:, 0], head[:, 1], head[:, 3] = give_way, sleep, _address_of_take()
         head.view(np.uint32)[:, 4:6] = nap, min(size, SEATS)
         self._over = aligned_zeros((CACHE_LINE,), np.dtype(np.int32))
+        self._rest, self._open = self._memory[:, 1].view(np.uint64)[:, 3], True
         self._process = os.getpid()
         table = np.array(self.addresses, np.uint64)
         self._serve = _bind("serve", {"teams": table, "over": self._over, "patience": PATIENCE})
@@ -299,8 +303,14 @@ class Teams:
         """Prepare for members; those of a process that forked are not there."""
         if self._process != os.getpid():
             self._process = os.getpid()
-            self._memory[:, 1:] = 0
+            self._memory[:, 1:], self._open = 0, True
         self._over[0] = 0
+
+    def open_jobs(self, wanted: bool) -> None:
+        """Let leaders open jobs, or take their loops alone; between two launches."""
+        if wanted != self._open:
+            self._open = wanted
+            self._rest[:] = 0 if wanted else FOR_GOOD
 
     def serve(self) -> None:
         """Be a member of all teams, until ``end`` is called."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -207,23 +208,39 @@ class Shards:
             ended.wait()
 
     def _run(self, rounds: Sequence[Rounds], longest: int) -> None:
-        """Take the rounds ``left``, of which ``longest`` is the most, with helpers where there are any."""
+        """Take the rounds ``left``, of which ``longest`` is the most, with helpers where they gain anything."""
         teams = self._teams
         if teams is None:
-            self._run_unhelped(rounds, longest)
+            self._take_rounds(rounds, longest)
             return
-        teams.begin()
-        run_helped(lambda: self._run_unhelped(rounds, longest), teams.serve, self.helpers, teams.end)
+        trial, begun = rounds[-1].helped, time.perf_counter()
+        many = len(rounds) == 1 and longest > 1  # helpers that have come are tried between rounds
+        if many or trial.other:
+            teams.begin()
+            teams.open_jobs(True)
+            run_helped(lambda: self._take_rounds(rounds, longest, teams), teams.serve, self.helpers, teams.end)
+        else:
+            teams.open_jobs(False)
+            self._take_rounds(rounds, longest)
+        if not many:
+            trial.took((time.perf_counter() - begun) / longest)
 
-    def _run_unhelped(self, rounds: Sequence[Rounds], longest: int) -> None:
+    def _take_rounds(self, rounds: Sequence[Rounds], longest: int, teams: Teams | None = None) -> None:
         shards, whole = rounds[: len(self.ranges)], rounds[-1]
         if self.threads > 1 and self.bodies * longest >= WORTH_THREADS:
             self._share(shards)
         elif longest == min(self.left):
             at_once, n = 1 if longest == 1 else self._at_once(whole), len(self.left)
+            tried = teams if longest > 1 and len(rounds) == 1 else None
             while longest and not (whole.halt[0] or self._stop):
+                begun = time.perf_counter()
+                if tried is not None:
+                    tried.open_jobs(whole.helped.other)
                 whole.take(min(longest, at_once))
-                longest -= whole.count()
+                done = whole.count()
+                longest -= done
+                if tried is not None:
+                    whole.helped.took((time.perf_counter() - begun) / max(done, 1))
                 self.left = [longest] * n
                 if self._is_idle():
                     # what is written between two calls was seen in the first round, and a world takes 0.5 us

@@ -28,6 +28,12 @@ SLICE = 1e8  # units of work that take 0.1 to 0.3 s together
 LOOK = 0.2
 """Longest that a thread waits for another without a look whether it was interrupted [s]: a real signal ends a wait, but
 ``_thread.interrupt_main``, and Ctrl-C under Windows, only set a flag, which a thread that waits for good never sees."""
+FIRST_TRIES, TRIES = 3, 2
+"""Times that each of two ways is taken in the first trial, and in later ones."""
+LEAST_TAKES, MOST_TAKES = 64, 1024
+"""Takes of the chosen way between two trials, the more the more often it has won in a row."""
+CLEARLY = 0.97
+"""Of the time of the other: a change of ways that gains less is not made."""
 GPU_CALLS = threading.RLock()
 """What calls that work on a GPU hold: Warp copies from there on another stream, which it makes current for all threads,
 so that of two at once one may leave it so."""
@@ -183,6 +189,46 @@ def run_helped(work: Callable[[], Any], help_out: Callable[[], Any], helpers: in
 def usable_cores() -> int:
     """Count the cores that this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Trial:
+    """A choice between two ways to one result, the usual and another, by which is the faster here and now.
+
+    Both ways are taken in turn during a trial, so that work which grows or shrinks meanwhile counts for both. A trial
+    costs the difference of ``TRIES`` takes in ``LEAST_TAKES`` at most.
+
+    Attributes:
+        other: whether the other way is to be taken next.
+    """
+
+    def __init__(self) -> None:
+        """Begin with a trial, the other way first."""
+        self.other = self._chosen = True
+        self._spent = [0.0, 0.0]  # in the trial under way, in the usual way and the other
+        self._left = 2 * FIRST_TRIES  # takes of the trial, or of the chosen way before the next one
+        self._wait = LEAST_TAKES
+        self._trying = True
+
+    def took(self, seconds: float) -> None:
+        """Count a take of the way that ``other`` says, and choose the next."""
+        self._left -= 1
+        if self._trying:
+            self._spent[self.other] += seconds
+            if self._left:
+                self.other = not self.other
+                return
+            self._choose()
+        elif self._left == 0:
+            self._spent = [0.0, 0.0]
+            self._trying, self._left, self.other = True, 2 * TRIES, not self._chosen
+
+    def _choose(self) -> None:
+        now, instead = self._spent[self._chosen], self._spent[not self._chosen]
+        if instead < CLEARLY * now:
+            self._chosen, self._wait = not self._chosen, LEAST_TAKES
+        else:
+            self._wait = min(2 * self._wait, MOST_TAKES)
+        self._trying, self._left, self.other = False, self._wait, self._chosen
 
 
 def run_apart(work: Callable[[], Any], interrupted: Callable[[threading.Event], Any]) -> None:

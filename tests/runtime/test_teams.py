@@ -21,6 +21,7 @@ JOB, MEMBERS = 1, 2  # lines of a team's memory: the leader's, and that of the m
 def as_many_cores_as_asked_for(monkeypatch):
     monkeypatch.setattr(stepping, "usable_cores", lambda: 8)
     monkeypatch.setattr(stepping, "WORTH_HELP", 100)
+    monkeypatch.setattr(threads.Trial, "took", lambda *_: None)  # helpers are always asked, whether it pays or not
 
 
 def heap(discs=1600, worlds=1, shape="disc", **options):
@@ -133,6 +134,24 @@ def test_a_member_that_never_comes_is_not_waited_for(monkeypatch):
     hasty = heap(threads=2)
     hasty.run(STEPS, 0.01)
     assert ends(hasty) == ends(alone)
+
+
+def test_the_bits_are_those_of_one_thread_while_both_ways_are_tried(monkeypatch):
+    asked = []
+
+    def took(trial, _):
+        asked.append(trial.other)
+        trial.other = len(asked) % 3 == 0
+
+    monkeypatch.setattr(threads.Trial, "took", took)
+    monkeypatch.setattr(stepping, "AT_ONCE", 1)
+    alone, sim = heap(), heap(threads=2)
+    for one in (alone, sim):
+        one.run(12, 0.01)
+        one.step(0.01)
+        one.step(0.01)
+    assert set(asked) == {True, False}
+    assert ends(sim) == ends(alone)
 
 
 def test_a_small_world_and_a_schedule_by_colours_take_one_thread(monkeypatch):

@@ -317,3 +317,33 @@ def test_a_task_may_share_its_own_work():
 
     many = 4 * (os.cpu_count() or 1)
     assert on_a_thread(lambda: threads.map_threads(task, range(many), many)) == [1225] * many
+
+
+def takes_of(trial, seconds, count):
+    """The ways that are taken, True for the other, if each takes what ``seconds`` says."""
+    taken = []
+    for _ in range(count):
+        taken.append(trial.other)
+        trial.took(seconds[trial.other])
+    return taken
+
+
+@pytest.mark.parametrize("gains", [True, False])
+def test_the_faster_way_is_taken_and_the_other_tried_now_and_then(gains):
+    trial = threads.Trial()
+    seconds = {gains: 1.0, not gains: 2.0}
+    taken = takes_of(trial, seconds, 2 * threads.FIRST_TRIES)
+    assert taken == [True, False] * threads.FIRST_TRIES
+    taken = takes_of(trial, seconds, 10_000)
+    assert set(taken[: threads.LEAST_TAKES]) == {gains}
+    slow = taken.count(not gains)
+    assert 2 * threads.TRIES <= slow <= threads.TRIES * (10_000 / threads.MOST_TAKES + 10)
+    # what was slow has become fast
+    taken = takes_of(trial, {gains: 2.0, not gains: 1.0}, threads.MOST_TAKES + 2 * threads.TRIES + threads.LEAST_TAKES)
+    assert set(taken[-threads.LEAST_TAKES :]) == {not gains}
+
+
+def test_a_way_that_gains_nothing_is_not_changed_to():
+    trial = threads.Trial()
+    taken = takes_of(trial, {True: 1.0, False: 0.99}, 5_000)
+    assert taken[-1] and taken.count(False) < 50
