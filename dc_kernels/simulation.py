@@ -113,15 +113,10 @@ class Simulation(Driven):
         state, self.joints = check_scene(model, state, joints)
         joints = self.joints
         model.fixed = joints.fixed = True
-        self.model = model
-        self.state = state
-        self.built = state.copy()
+        self.model, self.state, self.built = model, state, state.copy()
         self._segments = segments_of_worlds(model.views())
-        self.dtype = model.dtype
-        self.device = model.device
-        self.backend = model.backend
-        self.schedule = options.schedule
-        self.on_overflow = options.on_overflow
+        self.dtype, self.device, self.backend = model.dtype, model.device, model.backend
+        self.schedule, self.on_overflow = options.schedule, options.on_overflow
         threads = options.threads if self.device == "cpu" else 1
         teams = schedule == "world"
         self._shards = shards_of(self.backend, model.world_count, model.body_count, threads, teams=teams)
@@ -165,12 +160,7 @@ class Simulation(Driven):
         only_discs = self.only_discs and self.specialize
         self.variant = variant_of(self.model, only_discs)
         self.kernels = kernel_table(
-            self.backend,
-            self.dtype.name,
-            self.variant,
-            only_discs,
-            sleep=config.sleep,
-            traits=has_traits(self.model),
+            self.backend, self.dtype.name, self.variant, only_discs, sleep=config.sleep, traits=has_traits(self.model)
         )
 
     def adapt_to_model(self, stale: bool) -> None:
