@@ -66,6 +66,7 @@ RULES = field_table(
     ("most", "launch", "int32", "1", "largest number of calls of a world in a solve"),
     ("trust", "launch", "int32", "1", "calls that may fail beyond two in three before a world is left to the solver"),
     ("pays", "launch", "real", "1", "sweeps left from which on the network is asked"),
+    ("small", "launch", "int32", "1", "contacts up to which it is always asked"),
     ("harm", "launch", "real", "1", "least ratio of steps from which on a correction is taken back"),
     ("tolerance", "launch", "real", "N s", "of the solve"),
 )

@@ -40,6 +40,8 @@ EVERY, EVERY_ACCELERATED = 12, 15
 """Sweeps between two calls with plain sweeps, and where the solver extrapolates by itself [1]."""
 PAYS = 240.0
 """Sweeps left from which on a network is asked. On tuning worlds as many are made as with 0, in half the time [1]."""
+SMALL = 500
+"""Contacts of a world up to which answers gained sweeps before the first sweep and, with Aitken, in all calls [1]."""
 PARTS = ("solve", "splat", "network", "gather", "start")
 COUNTS = ("solves", "empty", "early", "calls", "asked", "refused", "failed", "undone")
 
@@ -53,13 +55,14 @@ class CallOptions(Settings):
     every: Annotated[int, Limits(least=2, most=MAX_INT)] | None = None
     """Sweeps between two calls; None: 12, or 15 where the solver extrapolates by itself [1]."""
     begin: bool | None = None
-    """Ask the network before the first sweep; None: with plain sweeps only, as what it answers there costs as many
-    sweeps as it saves where the solver extrapolates by itself."""
+    """Ask the network before the first sweep; None: in worlds of up to ``SMALL`` contacts, as in larger ones its answer
+    there costs sweeps."""
     middle: bool = True
     """Call while the solve has not converged."""
-    pays: Annotated[float, Limits(least=0.0, size=math.inf)] = PAYS
+    pays: Annotated[float, Limits(least=0.0, size=math.inf)] | None = None
     """Sweeps that are left, as the rate of the last two tells, from which on the network is asked; with fewer left all
-    contacts move by an even share of Aitken's step. 0: it is always asked [1]."""
+    contacts move by an even share of Aitken's step. 0: it is always asked; None: 240, but 0 in worlds of up to
+    ``SMALL`` contacts where the solver extrapolates by itself [1]."""
     most: Whole = 60
     """Largest number of calls of a world in a solve [1]."""
     harm: Annotated[float, Limits(least=1.0, size=math.inf)] = 3.0
@@ -164,10 +167,16 @@ class LearnedSolve:
         self._network = answer_of(self.reader, self.model, self.clock, compile=compile, bfloat16=bfloat16)
         self._even = InLanes(self.reader)
         is_even = isinstance(self._network, InLanes) and self._network.model is None
+        begin, pays, small = self.options.begin, self.options.pays, 0
         # an even share of no step is nothing
-        self.begin = (plain and not is_even) if self.options.begin is None else self.options.begin
+        self.begin = not is_even if begin is None else begin
+        self._first_most = SMALL if begin is None else MAX_INT
+        if is_even:
+            pays = math.inf
+        elif pays is None:
+            pays, small = PAYS, 0 if plain else SMALL
         rules = {name: getattr(self.options, name) for name in ("middle", "most", "harm")}
-        self._calls = CallsInFlight(self.reader, **rules, trust=TRUST, pays=math.inf if is_even else self.options.pays)
+        self._calls = CallsInFlight(self.reader, **rules, trust=TRUST, pays=pays, small=small)
         self.stats = CallStats.of(self._calls, self.clock.seconds)
         self.watch: Callable[[np.ndarray, bool], None] | None = None
         """Called with the worlds, and whether no sweep is done, when their features are read: for training."""
@@ -225,7 +234,8 @@ class LearnedSolve:
         self._timed("splat", self.reader.read, worlds, begin=True, what="steps")
         steps = self.reader.scale[: len(worlds), Scale.STEP]
         # where no contact would take a step beyond the tolerance, the first sweep is the last
-        needed = steps * np.sqrt(np.diff(self.reader.packed_start[: len(worlds) + 1])) >= self.sim.config.ends_at[1]
+        contacts = np.diff(self.reader.packed_start[: len(worlds) + 1])
+        needed = (steps * np.sqrt(contacts) >= self.sim.config.ends_at[1]) & (contacts <= self._first_most)
         self._ask(worlds[needed], self._network, begin=True)
 
     def _ask(self, worlds: np.ndarray, answer: Answer, *, begin: bool) -> None:

@@ -49,7 +49,8 @@ def decide_calls(
         left = 0.0 if now < before else FOREVER
         if done < now < before:
             left = math.log(now / done) / math.log(before / now)
-        reading.answer[w] = Answer.EVEN if left < rules.pays else Answer.NETWORK
+        enough = contacts.contact_count[w] <= rules.small or left >= rules.pays
+        reading.answer[w] = Answer.NETWORK if enough else Answer.EVEN
 
 
 def settle_calls(tid: int, world_offset: int, begin: int, reading: Any, stats: Any, calls: Any) -> None:

@@ -78,7 +78,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             calls.pause[w] = calls.pause[w] - 1
             return
         reading.answer[w] = Answer.NETWORK
-        if sweeps_left(w, rules.tolerance, stats) < rules.pays:
+        if contacts.contact_count[w] > rules.small and sweeps_left(w, rules.tolerance, stats) < rules.pays:
             reading.answer[w] = Answer.EVEN
 
     @wp.kernel(module=module, enable_backward=False)
