@@ -200,22 +200,22 @@ class StepReader:
         self.sim, self.grid = sim, grid
         model = sim.model
         self._start = model.numpy("body_start").astype(np.int64)
-        world = np.repeat(np.arange(model.world_count), np.diff(self._start))
-        dynamic = model.numpy("body_type") == BodyType.DYNAMIC
-        count = np.bincount(world[dynamic], minlength=model.world_count)
-        mass = np.where(dynamic, model.numpy("mass"), 0.0)
-        mean = np.bincount(world, mass, model.world_count) / np.maximum(count, 1)
-        self._fixed = {
-            "inv_mass": np.where(dynamic, model.numpy("inv_mass"), 0.0).astype(np.float32),
-            "inv_inertia": np.where(dynamic, model.numpy("inv_inertia"), 0.0).astype(np.float32),
-            "mass": (mass / np.where(mean > 0, mean, 1.0)[world]).astype(np.float32),
-        }
         walls = np.zeros((model.world_count, 1, *grid.shape), np.float32)
         of_world, row, column = wall_nodes(model, sim.state, grid)
         walls[of_world, 0, row, column] = 1.0
         self._walls = walls
-        gravity = np.linalg.norm(model.numpy("gravity").astype(np.float64), axis=1)
-        self._gravity, self._size = gravity, model.numpy("length_scale").astype(np.float64)
+
+    def _masses(self, rows: Any, body_start: np.ndarray) -> dict[str, np.ndarray]:
+        """Return what the model says of the masses of bodies now, by name of a view's field."""
+        model = self.sim.model
+        dynamic = model.numpy("body_type")[rows] == BodyType.DYNAMIC
+        mass = np.where(dynamic, model.numpy("mass")[rows], 0.0)
+        world = np.repeat(np.arange(len(body_start) - 1), np.diff(body_start))
+        count = np.bincount(world[dynamic], minlength=len(body_start) - 1)
+        mean = np.bincount(world, mass, len(count)) / np.maximum(count, 1)
+        inverse = {name: np.where(dynamic, model.numpy(name)[rows], 0.0) for name in ("inv_mass", "inv_inertia")}
+        found = {**inverse, "mass": mass / np.where(mean > 0, mean, 1.0)[world]}
+        return {name: values.astype(np.float32) for name, values in found.items()}
 
     def rows(self, worlds: np.ndarray | None) -> Any:
         """Return the rows of the bodies of some worlds in the arrays of the simulation; None: those of all."""
@@ -245,8 +245,8 @@ class StepReader:
         slots = rows_of(contacts.numpy("contact_start"), chosen, count)
         shift = np.repeat(body_start[:-1] - self._start[chosen], counts)
         dt = sim.motion.numpy("step_dt")[chosen].astype(np.float64)
-        gravity = self._gravity[chosen]
-        unit = np.where(gravity > 0, gravity * dt**2, FLOATING * self._size[chosen])
+        gravity = np.linalg.norm(sim.model.numpy("gravity")[chosen].astype(np.float64), axis=1)
+        unit = np.where(gravity > 0, gravity * dt**2, FLOATING * sim.model.numpy("length_scale")[chosen])
         speed = np.repeat(unit / dt, sizes)[:, None].astype(np.float32)
         predicted = sim.motion.numpy("predicted")[rows, :3]
         force = (predicted[:, :2] - sim.state.numpy("velocity")[rows]) / speed
@@ -258,7 +258,7 @@ class StepReader:
             "force": force,
             "speed": speed,
             "position": sim.state.numpy("position")[rows],
-            **{name: values[rows] for name, values in self._fixed.items()},
+            **self._masses(rows, body_start),
             "body_start": body_start.astype(np.int32),
             "body_a": a.astype(np.int64),
             "body_b": b.astype(np.int64),

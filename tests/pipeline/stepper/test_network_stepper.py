@@ -157,6 +157,20 @@ def test_worlds_whose_answer_is_no_good_fall_back_to_the_solver(project: int):
     assert report.counts["dropped"] == 4 and "4 fell back to the solver: 2 not finite, 2 with" in report.text
 
 
+def test_a_changed_model_is_read_as_it_is():
+    """Masses and gravity as they are in the step, in the worlds that are asked for."""
+    sim = simulation(steps=0)
+    reader = NetworkStepper(sim, stepnet(), STEPPER).reader
+    mass = sim.model.numpy("mass").copy()
+    mass[-1] *= 2.0
+    sim.change_model(mass=mass, gravity=np.tile([0.0, -4.9], (3, 1)))
+    sim.collide(0.01)
+    view = reader.read(np.array([2]))
+    assert float(view.inv_mass[-1]) == pytest.approx(1.0 / mass[-1])
+    assert float(view.mass[-1]) == pytest.approx(2.0 * float(view.mass[-2]))
+    assert float(view.speed[-1, 0]) == pytest.approx(0.049)
+
+
 def test_worlds_without_contacts_are_not_asked():
     """In free fall the step is the solver's, to the bit."""
     builder = dc.ModelBuilder()
