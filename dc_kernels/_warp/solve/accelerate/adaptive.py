@@ -18,6 +18,9 @@ to a natural map of 1e-4, geometric mean of the scenes' means, of which this tak
   on 54: with friction a pile's active set cycles.
 - The methods in turns without a choice: 218, and twice as many states at the cap. Stretches of 30: 227, of 80 to 240:
   203-221. One iterate to look back on: 219; three: 202; five: 209.
+- Sweeping only blocks of rows that still move, or one of whose bodies does, by more than the default stop's tolerance:
+  while 1 000 discs hit each other these are 99 % of the blocks after 32 sweeps and 85 % after 96 (rows: 45 and 18 %),
+  of 10 000 discs 98 % after 96. The rows of a block lie apart, and what moves is everywhere.
 - Newton's method on the states that hit a cap: see ``delassus.newton``; worth its factorisations for 1e-6 and less.
 """
 
