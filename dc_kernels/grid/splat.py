@@ -14,14 +14,16 @@ from dc_kernels.grid.layout import BAND, CHUNK, TILE_COLUMNS, TILE_ROWS
 from dc_kernels.grid.stencil import Stencil
 from dc_kernels.model.arrays import kernel_array, to_numpy
 from dc_kernels.model.dtypes import aligned_zeros, float_dtype
-from dc_kernels.runtime.backends import Launch, bind, has_kernels, host_threads, kernel_file, make_kernels
+from dc_kernels.runtime.backends import BACKENDS, Launch, bind, has_kernels, host_threads, kernel_file, make_kernels
 from dc_kernels.runtime.capture import HOST, recording, refuse_recording
 from dc_kernels.runtime.memory import check_memory
 from dc_kernels.runtime.program import Kernel, Stage
 from dc_kernels.runtime.threads import run_shards, shard_worlds, slices_of
 
-LONG = 8  # slices, beyond which a splat goes by tiles whatever the size of its image
+LONG = 8  # slices of work, beyond which a splat goes by tiles whatever the size of its image
 MOST_REACHED = 1e8  # entries of tiles, up to which it does so
+FINER = 4  # launches for a slice: a weight may take 8 ns
+MOST_COUNTED = 2**24  # numbers by which entries of tiles are counted in parts
 TILED_BYTES = 2**23  # of a world's channels, beyond which tiles are faster: 6 MB took 49 and 71 ns, 64 MB 250 and 70
 
 
@@ -120,10 +122,11 @@ class Splat:
         count, channels = value.shape
         channels *= bins
         window = stencil.window(grid.spacing)
-        self._slices = slices_of(count * channels * stencil.nodes(grid.spacing))
+        nodes = stencil.nodes(grid.spacing)
+        self._slices = slices_of(count * channels * nodes)
+        reached = count * (window / TILE_COLUMNS + 1.0) * (window / TILE_ROWS + 1.0)
         if tiled is None:
-            # what takes a second goes by tiles, between which an interrupt may arrive, unless points reach too many
-            reached = count * (window / TILE_COLUMNS + 1.0) * (window / TILE_ROWS + 1.0)
+            # what takes long goes by tiles, which threads share, unless points reach too many
             tiled = rows * columns * channels * dtype.itemsize > TILED_BYTES
             tiled |= self._slices > LONG and reached < MOST_REACHED
             # tiles are counted on the host
@@ -141,7 +144,14 @@ class Splat:
         }
         self.touched: Any = None
         self._lock = threading.Lock()
+        self._most = 0  # points of a world that one launch adds; 0: all
         if not self.tiled:
+            if BACKENDS[backend].compiled and self._slices > 1 and not recording():
+                self._most = -(-count // (FINER * self._slices))
+                self._points = points
+                self._part = {name: to_numpy(getattr(points, name)).copy() for name in ("start", "count")}
+                part = {name: getattr(points, name) for name in POINTS} | self._part
+                self.values["points"] = kernel_file(backend, "groups").group("points", dtype.name, POINTS, part)
             self.touched = kernel_array(np.zeros((worlds, -(-rows // BAND)), np.int32), backend)
             self.values["touched"] = self.touched
             shards = shard_worlds(worlds, max(host_threads(backend, threads), 1 if recording() else self._slices))
@@ -150,20 +160,25 @@ class Splat:
         threads = self.threads = host_threads(backend, threads)
         self._tile_rows, self._tile_columns = -(-rows // TILE_ROWS), -(-columns // TILE_COLUMNS)
         tiles = self._tile_rows * self._tile_columns
+        self._parts = max(threads, min(FINER * slices_of(reached), MOST_COUNTED // max(worlds * tiles, 1)))
+        self._entry = channels * min(nodes, float(TILE_ROWS * TILE_COLUMNS))
+        options: dict[str, Any] = {"bins": bins, "channel_offset": channel_offset, "backend": backend, "tiled": False}
+        self._make_untiled = functools.partial(Splat, stencil, grid, points, value, image, threads=threads, **options)
+        self._untiled: Splat | None = None
         self.tiles = {
-            "slot": np.zeros((threads, worlds * tiles), np.int32),
+            "slot": np.zeros((self._parts, worlds * tiles), np.int32),
             "start": np.zeros(worlds * tiles + 1, np.int32),
             "lost": np.zeros(worlds * tiles, np.int32),
             "touched": np.zeros(worlds * tiles, np.int32),
             "scratch": aligned_zeros((threads, channels * TILE_ROWS * (TILE_COLUMNS + 2 * window)), dtype),
         }
-        self.values.update(world_tiles=tiles, chunks=threads)
+        self.values.update(world_tiles=tiles, chunks=self._parts)
         self._reserve(count + count // 2)
 
     @property
     def per_world(self) -> Kernel | None:
-        """The kernel that does all of this with a thread a world; None with tiles."""
-        return None if self.tiled else Kernel(self.table["splat_worlds"], self.values)
+        """The kernel that does all of this with a thread a world; None with tiles, and where it takes long."""
+        return None if self.tiled or self._most else Kernel(self.table["splat_worlds"], self.values)
 
     def clear_also(self, world: np.ndarray, row: np.ndarray, column: np.ndarray) -> Stage:
         """Return what makes the next call clear these nodes, (n,) each, whatever reached them in the call before."""
@@ -187,14 +202,15 @@ class Splat:
         self.values["tiles"] = kernel_file(self.backend, "groups").group("tiles", dtype, TILES, arrays)
         worlds, threads = len(self.missed), self.threads
         self._count, self._list = (
-            [self._bind(name, worlds, chunk=chunk) for chunk in range(threads)]
+            [self._bind(name, worlds, chunk=chunk) for chunk in range(self._parts)]
             for name in ("count_tiles", "list_tiles")
         )
         # more shards than threads would need more buffers; tiles are many, and those of a shard lie side by side
         shards = [
-            (slot, first, shard_worlds(count, self._slices))
+            (slot, first, shard_worlds(count, FINER * self._slices))
             for slot, (first, count) in enumerate(shard_worlds(len(self.tiles["lost"]), threads))
         ]
+        self._edges = np.array([first + part for _, first, parts in shards for part, _ in parts])
         # slice by slice, each by all threads
         self._tiled = [
             [
@@ -212,12 +228,45 @@ class Splat:
             ValueError: for a splat by tiles whose points reach 2^31 tiles or more in all.
             RuntimeError: for a splat by tiles in a recording.
         """
+        if self._most:
+            with self._lock:  # two calls at once would add other points than theirs
+                self._splat_parts()
+            return
         if not self.tiled:
             run_shards(self._launches, self.threads)
             return
         refuse_recording("a splat by tiles", f"{HOST}; one that is bound in the recording has none")
         with self._lock:  # two calls at once would count into the same tiles
             self._splat_tiles()
+
+    def _splat_parts(self) -> None:
+        """Add so many points of each world at a time, in their order: an interrupt arrives between two parts."""
+        refuse_recording("a splat that takes long", f"{HOST}; one that is bound in the recording is one launch")
+        start, count = (to_numpy(getattr(self._points, name)) for name in ("start", "count"))
+        touched, missed = to_numpy(self.touched), np.zeros_like(self.missed)
+        reached = np.zeros_like(touched)
+        try:
+            for first in range(0, max(int(count.max(initial=0)), 1), self._most):
+                self._part["start"][:] = start + np.minimum(first, count)
+                self._part["count"][:] = np.clip(count - first, 0, self._most)
+                run_shards(self._launches, self.threads)
+                missed += self.missed
+                reached |= touched
+                touched[:] = 0  # else the next part would clear what this one has added
+        finally:
+            touched |= reached
+        self.missed[...] = missed
+
+    def _splat_untiled(self) -> None:
+        """Splat part by part onto an image that is cleared, and that the next splat by tiles clears as a whole."""
+        if self._untiled is None:
+            self._untiled = self._make_untiled()
+        first, channels = self.values["channel_offset"], self.values["bins"] * self.values["value"].shape[1]
+        to_numpy(self.values["image"])[:, first : first + channels] = 0
+        to_numpy(self._untiled.touched)[:] = 0
+        self.tiles["touched"][:] = 1
+        self._untiled()
+        self.missed[...] = self._untiled.missed
 
     def _splat_tiles(self) -> None:
         slot, start = self.tiles["slot"], self.tiles["start"]
@@ -228,10 +277,13 @@ class Splat:
         total = int(ends[-1])
         if total > 2**31 - 1 - TILE_ROWS:
             raise ValueError(f"the points reach {total} tiles in all; there may be 2^31: splat fewer worlds at once")
-        starts = np.concatenate([[0], ends[:-1]]).reshape(-1, self.threads)
+        starts = np.concatenate([[0], ends[:-1]]).reshape(-1, self._parts)
         slot[...] = starts.T
         start[:-1] = starts[:, 0]
         start[-1] = total
+        if slices_of(float(np.diff(start[self._edges], append=total).max()) * self._entry) > 1:
+            self._splat_untiled()  # too many reach one tile for an interrupt to wait until it is done
+            return
         if total > self.room:
             self._reserve(total + total // 8)
         run_shards(self._list, self.threads)

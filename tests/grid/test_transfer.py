@@ -627,3 +627,37 @@ def test_slices_between_which_an_interrupt_may_arrive_keep_the_bits(monkeypatch,
     monkeypatch.setattr("dc_kernels.runtime.threads.SLICE", 1e6)
     np.testing.assert_array_equal(splat(points, values, grid, **options), whole)
     np.testing.assert_array_equal(gather(whole, points, grid, **options), back)
+
+
+@pytest.mark.parametrize("backend", ["warp", "taichi"])
+@pytest.mark.parametrize("limit", [0.0, 1e8])
+def test_points_that_reach_too_many_tiles_or_crowd_in_one_are_splatted_part_by_part(monkeypatch, backend, limit):
+    """What the call before touched is cleared also where that was interrupted between two parts."""
+    draw = np.random.default_rng(6)
+    grid, stencil = Grid(rows=40, columns=70, spacing=0.1), Stencil(h=0.5)
+    points = draw.uniform(-1.0, 8.0, (4000, 2)).astype(np.float32)
+    values, start = draw.normal(size=(4000, 2)).astype(np.float32), [0, 10, 4000]
+    whole, out = (np.zeros((2, 2, *grid.shape), np.float32) for _ in range(2))
+    options = {"backend": backend}
+    at_once = Transfer(grid, stencil, **options).at(points, start=start).splat(values, whole)
+    at_once()
+    monkeypatch.setattr("dc_kernels.runtime.threads.SLICE", 5e4)
+    monkeypatch.setattr("dc_kernels.grid.splat.MOST_REACHED", limit)
+    bound = Transfer(grid, stencil, **options).at(points, start=start).splat(values, out)
+    assert bound.tiled == (limit > 0.0)
+    calls = []
+
+    def interrupt(launches, threads):
+        calls.append(launches)
+        if len(calls) == 15:
+            raise KeyboardInterrupt
+        for launch in launches:
+            launch()
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("dc_kernels.grid.splat.run_shards", interrupt)
+        bound()
+    for _ in range(2):
+        bound()
+        np.testing.assert_array_equal(out, whole)
+    assert bound.missed.tolist() == at_once.missed.tolist() and bound.missed[1] > 0
