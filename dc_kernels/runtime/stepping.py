@@ -134,9 +134,8 @@ class Shards:
                 longer than ``GRACE``, sweeps end early: then ``cut_flag`` is set.
         """
         whole, recorded = rounds[-1], recording()
-        alone = count == 1 and len(rounds) == 1 and not (recorded or self.helpers)
-        if alone and not self.disturbed and self.bodies * whole.sweeps <= SWEPT:
-            return self._run_once(whole)
+        if count == 1 and not recorded and (only := self.brief(rounds)) is not None:
+            return self.run_once(only)
         self.left = [count] * len(self.ranges) if isinstance(count, int) else list(count)
         longest = max(self.left)
         self.halted = False
@@ -172,8 +171,16 @@ class Shards:
                 self._timer.join()
             self.disturbed, self._stop, self._timer, self.cut_flag[0] = False, False, None, 0
 
-    def _run_once(self, only: Rounds) -> bool:
-        """What ``run`` does where there is one short round of one shard: in small worlds all else takes longer."""
+    def brief(self, rounds: Sequence[Rounds]) -> Rounds | None:
+        """Rounds of which ``run_once`` takes one: of one shard, and so short that no interrupt waits; else None."""
+        alone = len(rounds) == 1 and not (self.helpers or self.disturbed)
+        return rounds[0] if alone and self.bodies * rounds[0].sweeps <= SWEPT else None
+
+    def run_once(self, only: Rounds) -> bool:
+        """Do what ``run`` does with one round of ``brief``, outside of recordings; whether it halts.
+
+        In small worlds all else that ``run`` does takes longer.
+        """
         left = self.left = [1]
         self.halted = False
         try:

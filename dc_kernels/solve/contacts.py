@@ -29,8 +29,8 @@ from dc_kernels.solve.exchange import (
     make_exchange,
     offsets,
     own_rows,
+    refuse_incomplete,
     refuse_lacking,
-    refuse_shared,
     share_all,
     stays,
     view_of,
@@ -195,7 +195,6 @@ class ContactSolver(InPlace):
         self._shared |= share_all(self.contacts, {**touch, **surface}, numbers=surface, needed=NEEDED)
         self._shared |= share_all(self.joints, lines, writes=WRITTEN, needed=LINES if lines else ())
         self._shared |= share_all(self.rows, own, writes=WRITTEN, numbers=own)
-        self._has_positions = position is not None
         given = dict(zip(PER_CALL, (velocity, angular_velocity, impulse, velocity_before, angular_velocity_before)))
         given |= {"count": count, "point": point, "color": color}
         self._given, self._at = {name: array for name, array in given.items() if array is not None}, dict[str, int]()
@@ -248,6 +247,7 @@ class ContactSolver(InPlace):
         groups: dict[str, ArrayGroup] = {name: getattr(self, name) for name in GROUPS_TAKEN}
         self._binding.renew(self._config, groups, self._storage.past_width, self._in_turn)
         self._rounds: dict[tuple[Call, SolverConfig | None], list[Rounds]] = {}
+        self._brief: dict[Call, Rounds] = {}  # of calls that need no look while nothing else is given
         self._exchanges: list[Launch] = []  # launches that take the arrays of a call
         self._moved = False  # whether a call was given others than those that are shared
 
@@ -274,8 +274,7 @@ class ContactSolver(InPlace):
 
     def _provide(self, config: SolverConfig) -> bool:
         """Allocate what settings need and have not got yet; whether there was any."""
-        summed = self._integrator.provide(config.method)
-        return self._storage.provide(config) or summed
+        return any([self._integrator.provide(config.method), self._storage.provide(config)])
 
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
         """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
@@ -283,9 +282,8 @@ class ContactSolver(InPlace):
 
     def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments of the kernels for worlds from ``first`` on, with ``changed`` settings or numbers."""
-        own = {"discs": self.discs, "kept": changed.get("kept", 0)}
         rest = {name: value for name, value in changed.items() if name != "kept"}
-        return {**self._binding.launch_values(first, rest), **own}
+        return {**self._binding.launch_values(first, rest), "discs": self.discs, "kept": changed.get("kept", 0)}
 
     def pack(
         self,
@@ -375,36 +373,33 @@ class ContactSolver(InPlace):
 
     def _run(self, call: Call, config: SolverConfig | None, given: Sequence[Any] | None) -> None:
         """Take the arrays of a call, run its kernels, and say what they found out of range."""
-        if given is not None:
-            for name, array in zip(PER_CALL, given):
-                if array is not None and not stays(array, self._given.get(name), self._at.get(name)):
-                    self._take(name, array)
-        if not self._complete:
-            self._check_complete()
-        if self._moved and recording():
-            self._bind_all()
-        rounds = self._rounds.get((call, config)) or self._bind(call, config)
+        only = self._brief.get(call) if given is None and config is None else None
+        if self._shards.disturbed or recording():
+            only = None
+        rounds = self._rounds_of(call, config, given) if only is None else []
         self._packed = False
-        if self._shards.run(rounds, 1):
+        if self._shards.run(rounds, 1) if only is None else self._shards.run_once(only):
             groups = {name: getattr(self, name) for name in GROUPS_TAKEN}
-            raise_fault(
-                groups, self._given, kept=call == "solve kept", positions=self._has_positions, discs=self.discs > 0
-            )
+            kept, positions = call == "solve kept", "position" in self._shared
+            raise_fault(groups, self._given, kept=kept, positions=positions, discs=self.discs > 0)
         self._packed = True
 
-    def _check_complete(self) -> None:
-        """Raise ValueError, naming what is missing, unless all is given that a call needs."""
-        for name in VELOCITIES:
-            if name not in self._given:
-                raise ValueError(f"{name} is missing; it must be given here or to the constructor")
-        if (BEFORE[0] in self._given) != (BEFORE[1] in self._given):
-            raise ValueError(f"{' and '.join(BEFORE)} go together")
-        refuse_shared(self._shared)
-        self._complete = True
+    def _rounds_of(self, call: Call, config: SolverConfig | None, given: Sequence[Any] | None) -> list[Rounds]:
+        """Take the arrays of a call; its launches."""
+        for name, array in zip(PER_CALL, given or ()):
+            if array is not None and not stays(array, self._given.get(name), self._at.get(name)):
+                self._take(name, array)
+        if not self._complete:
+            refuse_incomplete(self._given, self._shared)
+            self._complete = True
+        if self._moved and recording():
+            self._bind_all()
+        return self._rounds.get((call, config)) or self._bind(call, config)
 
     def _take(self, name: str, array: Any) -> None:
         """Let bound launches work on another array, which errors name."""
         self._complete = False
+        self._brief.clear()
         if name in BEFORE:
             self.exchange.sizes["body before"] = self.exchange.sizes["body"]
         view = view_of(self.exchange, name, array, writes=name in WRITTEN)
@@ -421,6 +416,7 @@ class ContactSolver(InPlace):
         """Bind the launches of a kind of call with settings of its own."""
         if len(self._rounds) >= SOLVES:
             self._rounds.clear()
+            self._brief.clear()
             self._exchanges.clear()
         if config is not None:
             check_iteration(config, self._config)
@@ -447,4 +443,6 @@ class ContactSolver(InPlace):
         watch, sweeps = Watch(self.state.flags, STOPS, ()), (config or self._config).max_sweeps
         bound = self._shards.rounds(launches, watch, together=False, sweeps=sweeps)
         self._rounds[call, config] = bound
+        if config is None and (only := self._shards.brief(bound)) is not None:
+            self._brief[call] = only
         return bound

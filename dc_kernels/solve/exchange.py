@@ -176,14 +176,23 @@ def share_all(
     return views
 
 
-def refuse_shared(arrays: Mapping[str, np.ndarray]) -> None:
-    """Refuse arrays that a solve writes to where they lie in the memory of another.
+def refuse_incomplete(given: Container[str], arrays: Mapping[str, np.ndarray]) -> None:
+    """Refuse a call without all that it needs, or that writes to an array which lies in the memory of another.
 
     Velocities may be their own of before the step's forces, which are read first.
 
+    Args:
+        given: names of what is exchanged.
+        arrays: all that are given, by name.
+
     Raises:
-        ValueError: naming both.
+        ValueError: naming what is missing, or both.
     """
+    for name in VELOCITIES:
+        if name not in given:
+            raise ValueError(f"{name} is missing; it must be given here or to the constructor")
+    if (BEFORE[0] in given) != (BEFORE[1] in given):
+        raise ValueError(f"{' and '.join(BEFORE)} go together")
     written = {name: array for name, array in arrays.items() if name in WRITTEN}
     read = {name: array for name, array in arrays.items() if name not in WRITTEN}
     for name, before in zip(VELOCITIES, BEFORE):
