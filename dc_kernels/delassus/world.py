@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dc_kernels.delassus.assemble import assemble_rows
+from dc_kernels.delassus.kept import KeptSolvers
 from dc_kernels.delassus.problem import DelassusProblem
 from dc_kernels.delassus.search import DelassusSolution
 from dc_kernels.delassus.solver import solve
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
 
 _problem, _solution = checker(DelassusProblem), checker(DelassusSolution)
+_kept = KeptSolvers()
 OPEN = 1e5  # times its gap over dt: a bias above that is a row that never acts (see _warp/rows.py)
 
 
@@ -59,7 +61,8 @@ def from_contacts(
     W = J M^-1 J^T, and q = J v + b of the velocities and the bias b of gaps, restitution and position correction.
     Joints follow the contacts as bilateral rows. Open gaps of bouncing pairs, which the solver's rows leave alone in
     this step, are left out; ``slot`` says which contacts and joints the others are. Arrays of float64 give
-    W and q their digits.
+    W and q their digits. The solver that this takes is kept for the next call with as many bodies, as many contacts to
+    the next power of two, and equal settings.
 
     Args:
         body_a: see ``ContactSolver``, as the next four.
@@ -75,13 +78,15 @@ def from_contacts(
         ValueError: naming argument, index and limit, or a contact or joint between bodies that nothing moves.
     """
     refuse_recording("from_contacts", "the host reads what the kernels leave")
-    return from_solver(ContactSolver(body_a, body_b, point, normal, gap, **options), dt, world)
+    given = {"body_a": body_a, "body_b": body_b, "point": point, "normal": normal, "gap": gap}
+    with _kept.solver({**given, **options}) as solver:
+        return from_solver(solver, dt, world)
 
 
 def from_solver(solver: ContactSolver, dt: float, world: int = 0) -> DelassusProblem:
     """Make the problem of the contacts and joints that the arrays of a solver now hold (see ``from_contacts``).
 
-    To make a solver takes some milliseconds; with one that is there, the matrix of 100 contacts takes half of one.
+    With a solver that is there the matrix of 100 contacts takes half a millisecond.
 
     Args:
         solver: whose rows are made anew, as ``solver.pack(dt)`` does.
