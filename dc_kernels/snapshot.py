@@ -7,7 +7,8 @@ keep every bit, so a run that goes on from a snapshot on the same device equals 
 
 A step that was not finished, in a world that froze or after an OverflowError, leaves its contacts in ``contacts``,
 while the next step starts from those of the last finished one. Only then the group ``cache`` holds the latter.
-Where bodies may sleep, the group ``sleepers`` says which do, and holds their contacts.
+Where bodies may sleep, the group ``sleepers`` says which do, and holds their contacts. ``stats`` says what the last
+solve took; files without it, of earlier versions, are read as well.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from dc_kernels.measure import contact_slots
 from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig
 from dc_kernels.model.dtypes import float_dtype, numpy_spec
-from dc_kernels.model.fields import CACHE, CONTACTS, SLEEPERS, TRAITS, Field
+from dc_kernels.model.fields import CACHE, CONTACTS, ITERATION, SLEEPERS, STATS, TRAITS, Field
 from dc_kernels.model.room import used_slots
-from dc_kernels.model.rules import BrokenRule
+from dc_kernels.model.rules import BrokenRule, refuse
 from dc_kernels.model.settings import WrongType, check_choice, shown
 from dc_kernels.model.validate.scene import check_joints, check_model, check_state
 from dc_kernels.runtime.backends import BACKENDS
@@ -33,6 +34,7 @@ from dc_kernels.runtime.files import file_name, write_file
 from dc_kernels.runtime.hdf5 import image, reading
 from dc_kernels.runtime.inputs import check_count, check_file
 from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.threads import usable_cores
 
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
@@ -44,6 +46,9 @@ SCHEMA = "deep-contact snapshot"
 SCHEMA_VERSION = 1
 CACHED = "cached contact"
 KEPT = "sleeping contact"
+SOLVED = {name: STATS[name] for name in ("sweeps", "change", "residual", "colors")}
+SOLVED["finished"] = ITERATION["finished"]
+"""What is kept of the last solve."""
 _AXES = ("world", "body", "shape", "vertex", "joint", "contact")
 
 
@@ -74,7 +79,7 @@ def save(sim: Simulation, path: str | os.PathLike[str] | BinaryIO) -> None:
 def load(
     make: Callable[..., Made],
     path: str | os.PathLike[str] | BinaryIO,
-    threads: int = 1,
+    threads: int | None = None,
     *,
     device: str | None = None,
     backend: str | None = None,
@@ -85,7 +90,8 @@ def load(
     Args:
         make: the class ``Simulation``, or what makes one of the constructor's arguments.
         path: of the file, or a binary file that is open, read from where it stands to its end.
-        threads: of the simulation; the result does not depend on it.
+        threads: of the simulation; the result does not depend on it. None: as many as it was saved with, but no more
+            than there are cores.
         device: "cpu" or a CUDA device of Warp; None: the one it was saved from.
         backend: "warp", "numpy" or "taichi"; None: the one it was saved from.
         **options: of the constructor of ``Simulation``, in place of those it was saved with.
@@ -99,7 +105,7 @@ def load(
         ImportError: without h5py, naming the extra that installs it.
     """
     path = check_file("path", path, "read")
-    threads = check_count("threads", threads)
+    threads = None if threads is None else check_count("threads", threads)
     label = file_name(path)
     with reading(path, schema=SCHEMA) as file:
         header = _Header(file, label)
@@ -107,6 +113,7 @@ def load(
         values = {name: _read(file, label, name, table, header) for name, table in tables.items()}
         cache = _read(file, label, "cache", CACHE, header.counting(CACHED)) if "cache" in file else None
         sleepers = _read(file, label, "sleepers", SLEEPERS, header.counting(KEPT)) if "sleepers" in file else None
+        solved = _read(file, label, "stats", SOLVED, header) if "stats" in file else {}
     contacts = values["contacts"]
     del contacts["contact_start"]  # the simulation reserves its slots itself
     count, contact_dt = contacts.pop("contact_count"), contacts.pop("contact_dt")
@@ -117,6 +124,7 @@ def load(
     froze = values["state"]["flags"].any()
     if not froze:
         _filled(state, values["state"])
+    threads = threads or min(header.threads, usable_cores())
     options = {"config": header.config, "threads": threads, **header.options, **options}
     try:
         sim = make(model, state, joints, **options)  # which checks them
@@ -140,9 +148,24 @@ def load(
         group = "sleepers"
         if sleepers is not None and sim.config.sleep:
             sim.restore_sleepers(sleepers)
+        group = "stats"
+        _show_solved(sim, solved)
     except ValueError as error:
         raise ValueError(f"{where}{group}/{error}") from error
     return sim
+
+
+def _show_solved(sim: Simulation, solved: Mapping[str, np.ndarray]) -> None:
+    """Show what the last solve took; nothing of it matters for the next step."""
+    for name, values in solved.items():
+        refuse(name, values, values < 0, ">= 0")
+        if name != "finished":
+            sim.stats.fill(name, values)
+    if solved:
+        iteration = sim.stats.numpy("iteration").copy()
+        for name in ("finished", "sweeps", "change"):
+            iteration[name] = solved[name]
+        sim.stats.fill("iteration", iteration)
 
 
 def _write(file: Any, sim: Simulation) -> None:
@@ -160,6 +183,7 @@ def _write(file: Any, sim: Simulation) -> None:
             "schedule": sim.schedule,
             "on_overflow": sim.on_overflow,
             "specialize": sim.specialize,
+            "threads": sim.threads,
         }
     )
     slots, _ = contact_slots(sim.contacts)
@@ -187,9 +211,17 @@ def _write(file: Any, sim: Simulation) -> None:
                 continue
             if field.per == "contact":
                 values = values[used.get(name, slots)]
-            # a checksum finds damage that HDF5 would not notice
-            dataset = folder.create_dataset(field.name, data=values, fletcher32=True if values.size else None)
-            dataset.attrs.update({"unit": field.unit, "meaning": field.meaning, "axis": field.per})
+            _write_field(folder, field, values)
+    folder = file.create_group("stats")
+    solved = {**sim.stats.views(), "finished": sim.stats.numpy("iteration")["finished"]}
+    for field in SOLVED.values():
+        _write_field(folder, field, solved[field.name])
+
+
+def _write_field(folder: Any, field: Field, values: np.ndarray) -> None:
+    """Write an array with its unit, meaning and axis; a checksum finds damage that HDF5 would not notice."""
+    dataset = folder.create_dataset(field.name, data=values, fletcher32=True if values.size else None)
+    dataset.attrs.update({"unit": field.unit, "meaning": field.meaning, "axis": field.per})
 
 
 def _unfinished(sim: Simulation, slots: np.ndarray, cached: np.ndarray) -> bool:
@@ -224,6 +256,7 @@ class _Header:
         try:
             self.real = float_dtype(file.attrs["dtype"])
             self.device, self.backend = file.attrs["device"], file.attrs["backend"]
+            self.threads = check_count("threads", _plain(file.attrs.get("threads", 1)))
             self.options = {name: _plain(file.attrs[name]) for name in ("schedule", "on_overflow", "specialize")}
             SimulationOptions(**self.options)
             check_choice("backend", self.backend, BACKENDS)

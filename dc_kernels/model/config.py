@@ -161,9 +161,15 @@ class SolverConfig(Settings):
         is the protocol of the theses: plain sweeps to 1e-4 N s, contacts where surfaces touch, a slop of 5 mm.
 
         Raises:
-            ValueError: for another name.
+            ValueError: for another name, or ``min_sweeps`` beyond the sweeps that the preset allows.
         """
-        return cls(**{**PRESETS[check_choice("preset", name, PRESETS)], **changed})
+        config = cls(**{**PRESETS[check_choice("preset", name, PRESETS)], **changed})
+        if "min_sweeps" in changed and "max_sweeps" not in changed and config.min_sweeps > config.max_sweeps:
+            raise ValueError(
+                f"SolverConfig.min_sweeps is {config.min_sweeps}; the preset {name!r} allows {config.max_sweeps} sweeps"
+                ": give max_sweeps too"
+            )
+        return config
 
     def check(self) -> None:
         """Raise a ``ValueError`` for settings that do not go together."""

@@ -14,6 +14,7 @@ import pytest
 import dc_kernels as dc
 from dc_kernels import snapshot
 from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, TRAITS
+from dc_kernels.runtime.threads import usable_cores
 from tests.driving.scenes import DT, simulation
 
 TABLES = {"model": MODEL, "state": STATE, "joints": JOINTS, "contacts": CONTACTS}
@@ -75,6 +76,25 @@ def test_threads_and_schedule(saved, tmp_path):
     sim.save(tmp_path / "snapshot.h5")
     loaded = dc.Simulation.load(tmp_path / "snapshot.h5")
     assert (loaded.schedule, loaded.on_overflow) == ("color", "raise")
+
+
+def test_what_the_last_solve_took_and_the_threads_are_kept(tmp_path):
+    sim = simulation()
+    sim.threads = 2  # as on a machine that has them
+    sim.run(3, DT)
+    sim.save(tmp_path / "snapshot.h5")
+    loaded = dc.Simulation.load(tmp_path / "snapshot.h5")
+    for name in ("sweeps", "change", "residual", "colors"):
+        assert np.array_equal(loaded.stats.numpy(name), sim.stats.numpy(name)), name
+    assert loaded.stats.numpy("sweeps").any() and not loaded.running.any()
+    assert loaded.threads == min(2, usable_cores(), sim.model.world_count)
+    with h5py.File(tmp_path / "snapshot.h5", "r+") as file:
+        file["stats/sweeps"][0] = -1
+    with pytest.raises(ValueError, match=r"dataset stats/sweeps\[0\] is -1; it must be >= 0"):
+        dc.Simulation.load(tmp_path / "snapshot.h5")
+    with h5py.File(tmp_path / "snapshot.h5", "r+") as file:  # as earlier versions wrote it
+        del file["stats"], file.attrs["threads"]
+    assert dc.Simulation.load(tmp_path / "snapshot.h5").threads == 1
 
 
 def test_before_the_first_step(tmp_path):

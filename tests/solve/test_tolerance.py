@@ -161,6 +161,9 @@ def test_presets():
     assert (thesis.acceleration, thesis.slop, thesis.speculative_max, thesis.min_sweeps) == ("none", 5e-3, 0.0, 1)
     with pytest.raises(ValueError, match="preset is 'best'"):
         dc.SolverConfig.preset("best")
+    with pytest.raises(ValueError, match=r"SolverConfig\.min_sweeps is 100; the preset 'fast' allows 10 sweeps"):
+        dc.SolverConfig.preset("fast", min_sweeps=100)
+    assert dc.SolverConfig.preset("fast", min_sweeps=100, max_sweeps=200).max_sweeps == 200
 
 
 def test_a_pile_overlaps_little_more_than_where_it_is_solved_to_the_tolerance():
