@@ -29,17 +29,24 @@ if TYPE_CHECKING:
     from dc_kernels.collide.color import color
     from dc_kernels.collide.narrowphase import Narrowphase
     from dc_kernels.collide.shapes import ShapeBoxes
-    from dc_kernels.driving.contacts import ContactEvents, contact_forces, joint_forces, net_contact_forces
+    from dc_kernels.driving.contacts import (
+        ContactEvents,
+        contact_forces,
+        joint_forces,
+        joint_reactions,
+        net_contact_forces,
+    )
     from dc_kernels.grid.grid import Grid, GridChoice, choose_grid, shared_cells
     from dc_kernels.grid.image_spec import ImageSpec
     from dc_kernels.grid.images import Images
     from dc_kernels.grid.stencil import Stencil
     from dc_kernels.grid.transfer import Transfer, gather, splat
     from dc_kernels.measure import contact_slots, kinetic_energy, overlap, potential_energy
-    from dc_kernels.model.arrays import Contacts, Joints, Model, State, to_numpy, to_torch
+    from dc_kernels.model.arrays import Contacts, Model, State, to_numpy, to_torch
     from dc_kernels.model.builder import ModelBuilder
     from dc_kernels.model.config import SolverConfig
-    from dc_kernels.model.enums import BodyType, Flag, ShapeType
+    from dc_kernels.model.enums import BodyType, Flag, JointKind, JointPart, ShapeType
+    from dc_kernels.model.joints.groups import Joints
     from dc_kernels.neighbors.search import Neighbors, neighbor_lists, neighbor_pairs
     from dc_kernels.neighbors.stage import NeighborSearch
     from dc_kernels.queries.queries import Closest, Hits, Queries
@@ -65,6 +72,8 @@ __all__ = [
     "Hits",
     "ImageSpec",
     "Images",
+    "JointKind",
+    "JointPart",
     "Joints",
     "Model",
     "ModelBuilder",
@@ -88,6 +97,7 @@ __all__ = [
     "func",
     "gather",
     "joint_forces",
+    "joint_reactions",
     "kinetic_energy",
     "neighbor_lists",
     "neighbor_pairs",
@@ -109,17 +119,18 @@ _MODULES = {
     "collide.color": ("color",),
     "collide.narrowphase": ("Narrowphase",),
     "collide.shapes": ("ShapeBoxes",),
-    "driving.contacts": ("ContactEvents", "contact_forces", "joint_forces", "net_contact_forces"),
+    "driving.contacts": ("ContactEvents", "contact_forces", "joint_forces", "joint_reactions", "net_contact_forces"),
     "grid.grid": ("Grid", "GridChoice", "choose_grid", "shared_cells"),
     "grid.image_spec": ("ImageSpec",),
     "grid.images": ("Images",),
     "grid.stencil": ("Stencil",),
     "grid.transfer": ("Transfer", "gather", "splat"),
     "measure": ("contact_slots", "kinetic_energy", "overlap", "potential_energy"),
-    "model.arrays": ("Contacts", "Joints", "Model", "State", "to_numpy", "to_torch"),
+    "model.arrays": ("Contacts", "Model", "State", "to_numpy", "to_torch"),
     "model.builder": ("ModelBuilder",),
     "model.config": ("SolverConfig",),
-    "model.enums": ("BodyType", "Flag", "ShapeType"),
+    "model.enums": ("BodyType", "Flag", "JointKind", "JointPart", "ShapeType"),
+    "model.joints.groups": ("Joints",),
     "neighbors.search": ("Neighbors", "neighbor_lists", "neighbor_pairs"),
     "neighbors.stage": ("NeighborSearch",),
     "queries.queries": ("Closest", "Hits", "Queries"),

@@ -34,7 +34,7 @@ def explain(sim: Simulation) -> str:
     )
     lines = [
         f"scene: {counted(model.world_count, 'world')}, {kinds or 'no bodies'}; {shapes or 'no shapes'}; "
-        f"{counted(model.joint_count, 'distance joint')}",
+        f"{counted(model.joint_count, 'joint')}",
         f"backend: {sim.backend} on {sim.device}, {sim.dtype.name}, {counted(sim.threads, 'thread')} over worlds"
         f"{' and within them' if sim.threads > model.world_count else ''}, schedule {sim.schedule!r}",
         f"broadphase: pairs are kept while no shape leaves a margin of {config.margin:g} length scales "
@@ -52,7 +52,8 @@ def explain(sim: Simulation) -> str:
     elif sim.variant == "surfaces":
         lines.append("rows: contacts, joints and rolling resistance together (surfaces that move, or resist rolling)")
     else:
-        lines.append("rows: contacts and joints together")
+        kinds = "rods" if sim.variant == "joints" else "joints of several kinds, as general rows"
+        lines.append(f"rows: contacts and joints together ({kinds})")
     if has_traits(model):
         lines.append("bodies: with damping, or gravities of their own")
     if not friction:
@@ -65,7 +66,8 @@ def explain(sim: Simulation) -> str:
         lines.append(f"solver: PGS in colour order, {LANES} rows side by side in SIMD lanes")
     else:
         lines.append("solver: PGS in colour order, scalar rows")
-    stages = [name for phase in PHASES for name in of_phase(phase, config.corrects_positions, config.sleep)]
+    chosen = (config.corrects_positions, config.sleep, sim.joint_kernels)
+    stages = [name for phase in PHASES for name in of_phase(phase, *chosen)]
     lines.append(f"stages of a step: {', '.join(stages)}")
     stop, tolerance, relative = config.ends_at
     light = f" and {relative:g} of what a typical weight gives in a step" * (stop != "residual")

@@ -22,9 +22,10 @@ def capacity(storage: Storage, peak: np.ndarray) -> dict[str, dict[str, int]]:
 def memory(groups: Iterable[ArrayGroup]) -> dict[str, int]:
     """Bytes allocated: by what they grow with (bodies with their shapes and pairs, contacts with their rows)."""
     total = {"body_bytes": 0, "contact_bytes": 0, "joint_bytes": 0}
-    owner = {"contact": "contact_bytes", "joint": "joint_bytes"}
+    owner = {"contact": "contact_bytes"}
     for group in groups:
         for axis, size in group.nbytes_by_axis().items():
             key = "contact_bytes" if axis.startswith("row") else owner.get(axis, "body_bytes")
+            key = "joint_bytes" if axis.startswith("joint") else key
             total[key] += size
     return total

@@ -8,15 +8,17 @@ from typing import Any, Literal
 import numpy as np
 
 from dc_kernels.binding import Binding
+from dc_kernels.choice import choose_kernels
 from dc_kernels.collide.broadphase import Pairs
 from dc_kernels.collide.contacts import Cache
 from dc_kernels.driving.between import Stepper, check_between, run_between
 from dc_kernels.driving.driven import Driven
 from dc_kernels.explain import describe, explain
-from dc_kernels.model.arrays import Contacts, Joints, Model, State
+from dc_kernels.model.arrays import Contacts, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig, check_config
 from dc_kernels.model.enums import CAPACITY_FLAGS
 from dc_kernels.model.fields import GROUPS
+from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.validate.scene import check_scene
 from dc_kernels.model.worlds import segments_of_worlds
 from dc_kernels.reports import capacity, memory
@@ -28,10 +30,10 @@ from dc_kernels.runtime.stepping import shards_of
 from dc_kernels.runtime.threads import GPU_CALLS, OneCaller, uninterrupted
 from dc_kernels.sleep.sleepers import Sleepers
 from dc_kernels.solve.integrate import Motion
-from dc_kernels.solve.rows import has_traits, only_centred_discs, variant_of
+from dc_kernels.solve.joints import are_rods
 from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration, check_solve, settings_of_solve
 from dc_kernels.solve.storage import Rows, SolveStats
-from dc_kernels.stages import PHASES, Phase, Turn, kernel_table, needs_of, of_phase
+from dc_kernels.stages import PHASES, Phase, Turn, needs_of, of_phase
 from dc_kernels.storage import Storage
 
 Start = Callable[["Simulation"], None]
@@ -114,7 +116,7 @@ class Simulation(Driven):
         joints = self.joints
         model.fixed = joints.fixed = True
         self.model, self.state, self.built = model, state, state.copy()
-        self._segments = segments_of_worlds(model.views())
+        self._segments = segments_of_worlds(model.views(), joints.numpy("joint_row_start"))
         self.dtype, self.device, self.backend = model.dtype, model.device, model.backend
         self.schedule, self.on_overflow = options.schedule, options.on_overflow
         threads = options.threads if self.device == "cpu" else 1
@@ -156,19 +158,15 @@ class Simulation(Driven):
 
     def _choose_kernels(self, config: SolverConfig) -> None:
         """Take the kernels that the model and the settings need."""
-        self.only_discs = only_centred_discs(self.model)
-        only_discs = self.only_discs and self.specialize
-        self.variant = variant_of(self.model, only_discs)
-        self.kernels = kernel_table(
-            self.backend, self.dtype.name, self.variant, only_discs, sleep=config.sleep, traits=has_traits(self.model)
-        )
+        chosen = choose_kernels(self.model, self.joints, config, self.specialize)
+        self.only_discs, self.variant, self.joint_kernels, self.kernels = chosen
 
     def adapt_to_model(self, stale: bool) -> None:
         """Take the kernels and the coefficients of a model that has changed; ``stale``: graphs are to be made anew."""
         variant, kernels = self.variant, self.kernels
         self._choose_kernels(self._config)
-        if variant != self.variant:
-            self.storage.solver.use(self.variant, self.storage.contact_room, self._config)
+        if variant != self.variant or self.storage.general == are_rods(self.joints):
+            self.storage.use(self.variant, self._config)
         stale |= kernels != self.kernels or self._binding.stale
         if stale:
             self._binding.kernels = self.kernels
@@ -178,6 +176,7 @@ class Simulation(Driven):
     def _bind_all(self) -> None:
         """Take arrays and settings anew; launches are bound when they are first wanted."""
         config = self._config
+        self.storage.share_joints()
         for name, group in self.storage.groups().items():
             setattr(self, name, group)
         groups = {name: getattr(self, name) for name in GROUPS}
@@ -206,7 +205,7 @@ class Simulation(Driven):
         self, phase: Phase, first: int, count: int, changed: Mapping[str, Any] | None = None
     ) -> list[Launch]:
         config = self._config
-        names = of_phase(phase, config.corrects_positions, config.sleep)
+        names = of_phase(phase, config.corrects_positions, config.sleep, self.joint_kernels)
         if phase != "solve":
             launches = [self.bind(name, first, count) for name in names]
         else:

@@ -21,10 +21,11 @@ from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 import numpy as np
 
 from dc_kernels.measure import contact_slots
-from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State
+from dc_kernels.model.arrays import ArrayGroup, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig
 from dc_kernels.model.dtypes import float_dtype, numpy_spec
 from dc_kernels.model.fields import CACHE, CONTACTS, ITERATION, SLEEPERS, STATS, TRAITS, Field
+from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.room import used_slots
 from dc_kernels.model.rules import BrokenRule, refuse
 from dc_kernels.model.settings import WrongType, check_choice, shown
@@ -49,7 +50,7 @@ KEPT = "sleeping contact"
 SOLVED = {name: STATS[name] for name in ("sweeps", "change", "residual", "colors")}
 SOLVED["finished"] = ITERATION["finished"]
 """What is kept of the last solve."""
-_AXES = ("world", "body", "shape", "vertex", "joint", "contact")
+_AXES = ("world", "body", "shape", "vertex", "joint", "joint row", "contact")
 
 
 def save(sim: Simulation, path: str | os.PathLike[str] | BinaryIO) -> None:
@@ -188,7 +189,7 @@ def _write(file: Any, sim: Simulation) -> None:
     )
     slots, _ = contact_slots(sim.contacts)
     cached = used_slots(sim.contacts.numpy("contact_start"), sim.cache.numpy("count"))
-    sizes = {**model.sizes, "joint": model.joint_count, "contact": len(slots), CACHED: len(cached)}
+    sizes = {**model.sizes, **sim.joints.sizes, "contact": len(slots), CACHED: len(cached)}
     used = {"cache": cached}
     groups = {"model": model, "state": sim.state, "joints": sim.joints, "contacts": sim.contacts}
     if _unfinished(sim, slots, cached):
@@ -269,7 +270,7 @@ class _Header:
             raise ValueError(f"{path}: an attribute is missing: {error}") from error
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: an attribute has a wrong value: {error}") from error
-        self.sizes |= {f"{name}+1": self.sizes[name] + 1 for name in ("world", "body", "shape")}
+        self.sizes |= {f"{name}+1": self.sizes[name] + 1 for name in ("world", "body", "shape", "joint")}
         values = {name: _plain(value) for name, value in file["config"].attrs.items()}
         try:
             self.config = SolverConfig(**values)

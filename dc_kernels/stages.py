@@ -6,7 +6,7 @@ check that every kernel takes the groups that its stage names.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, Literal, NamedTuple
 
 from dc_kernels.model.enums import Activity
@@ -177,12 +177,41 @@ class Turn:
             raise ValueError(wrong)
 
 
-def of_phase(phase: Phase, position_correction: bool = True, sleep: bool = False) -> list[str]:
-    """Kernels of a phase in order; without the position phase, and those of sleep, where the settings want none.
+LINKED = (
+    Stage(
+        "collide", "separate_joined", "collide.joined", (), ("model", "state", "joints", "rows", "pairs"), ("pairs",),
+        "pairs without those of bodies that a joint keeps from colliding", "a scene whose joints let all collide",
+    ),
+    Stage(
+        "collide", "make_joint_rows", "solve.joints", (), ("model", "state", "joints", "motion"), ("rows",),
+        "rows of the joints, by their kinds", "a scene whose joints are all rods",
+    ),
+    Stage(
+        "advance", "break_joints", "solve.joints", (), ("model", "state", "motion", "rows"), ("joints",),
+        "joints under more than their break force break", "a scene whose joints never break",
+    ),
+)  # fmt: skip
+"""What joints that are not all rods add to the stages (see ``of_phase``)."""
 
-    Where bodies may sleep, ``solve`` is the part between what these give for it first and last.
+
+def of_phase(
+    phase: Phase, position_correction: bool = True, sleep: bool = False, joints: Collection[str] = ()
+) -> list[str]:
+    """Kernels of a phase in order.
+
+    Args:
+        phase: of a step.
+        position_correction: whether it has the position phase.
+        sleep: whether bodies may sleep; then ``solve`` is the part between what these give for it first and last.
+        joints: kernels of ``LINKED`` that the scene needs.
     """
     names = [stage.kernel for stage in STEP if stage.phase == phase]
+    if "separate_joined" in joints and phase == "collide":
+        names.insert(names.index("narrowphase"), "separate_joined")
+    if "make_joint_rows" in joints and phase == "collide":
+        names.insert(names.index("color_constraints"), "make_joint_rows")
+    if "break_joints" in joints and phase == "advance":
+        names.insert(names.index("commit"), "break_joints")
     if not position_correction:
         names = [name for name in names if name != "correct_positions"]
     if not sleep:
@@ -225,7 +254,14 @@ def markdown(stages: Sequence[Stage] = STEP) -> str:
 
 
 def kernel_table(
-    backend: str, dtype: str, variant: str, only_discs: bool, *, sleep: bool = False, traits: bool = False
+    backend: str,
+    dtype: str,
+    variant: str,
+    only_discs: bool,
+    *,
+    sleep: bool = False,
+    traits: bool = False,
+    joints: Collection[str] = (),
 ) -> dict[str, Any]:
     """All kernels of a simulation by name.
 
@@ -236,15 +272,17 @@ def kernel_table(
         only_discs: whether all that moves are discs about their centre of mass.
         sleep: whether bodies may sleep.
         traits: whether bodies have damping, or a gravity of their own.
+        joints: kernels of ``LINKED`` that the scene needs.
 
     Raises:
         ValueError: where a backend has not got the kernels, naming those that have.
     """
-    having = [name for name in BACKENDS if variant in variants_of(name)]
-    if backend not in having:
+    if variant not in variants_of(backend):  # others are asked only then: they may not be installed
+        having = [name for name in BACKENDS if variant in variants_of(name)]
         raise ValueError(f"backend is {backend!r}, which has no rows of {WORDS[variant]}; it must be one of {having}")
     options = {"variant": variant, "only_discs": only_discs, "traits": traits}
     table: dict[str, Any] = {}
-    for file, names in {stage.file: stage.options for stage in (*STEP, *(SLEEP if sleep else ()))}.items():
+    more = (*(SLEEP if sleep else ()), *(stage for stage in LINKED if stage.kernel in joints))
+    for file, names in {stage.file: stage.options for stage in (*STEP, *more)}.items():
         table.update(make_kernels(backend, file, dtype, *(options[name] for name in names)))
     return table

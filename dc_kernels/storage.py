@@ -9,12 +9,14 @@ import numpy as np
 
 from dc_kernels.collide.broadphase import CandidatePairs
 from dc_kernels.collide.contacts import StepContacts
-from dc_kernels.model.arrays import ArrayGroup, Joints, Model
+from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.fields import CACHE
+from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.validate.arrays import Layout, check_field
 from dc_kernels.sleep.sleepers import SleepStorage, check_sleepers
 from dc_kernels.solve.integrate import Integrator, typical_weight
+from dc_kernels.solve.joints import apart, are_rods, plant, rows_of_worlds
 from dc_kernels.solve.storage import SolverStorage
 
 
@@ -23,6 +25,7 @@ class Storage:
 
     Attributes:
         broadphase, narrowphase, solver, integrator, sleep: the stages.
+        general: whether joints have general rows, as not all of them are rods.
         changes: how often the model was changed so that launches are to be made anew.
     """
 
@@ -39,9 +42,10 @@ class Storage:
         self.model, self.joints = model, joints
         self.changes = 0
         self.broadphase = CandidatePairs.of_model(model, float(room["pairs"]))
-        self.narrowphase = StepContacts(model, float(room["contacts"]))
+        self.narrowphase = StepContacts(model, float(room["contacts"]), joints.sizes["joint row"])
         self.sleep = SleepStorage(model, self.narrowphase.contacts, config.sleep)
         self.integrator = Integrator(model, int(room["shards"]), config.method, typical_weight(model))
+        self.general = not are_rods(joints)
         self.solver = SolverStorage(
             model,
             config,
@@ -49,7 +53,34 @@ class Storage:
             contacts=self.contact_room,
             bodies=self.integrator.motion.sizes["body+1"],
             at_once=int(room["at_once"]),
+            own_rows=self._joint_rows()[1],
+            lines=not self.general,
         )
+        self.plant()
+
+    def plant(self) -> None:
+        """Find the trees of the joints, and whom they keep apart, where these are not all rods."""
+        if self.general:
+            forest = plant(self.model, self.joints)
+            self.solver.plant(forest, self.model.body_count if len(forest.row) else 0)
+            self.solver.separate(apart(self.model, self.joints))
+
+    def _joint_rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rods, and rows of other joints, of each world."""
+        count = rows_of_worlds(self.model, self.joints)
+        return (0 * count, count) if self.general else (count, 0 * count)
+
+    def use(self, variant: str, config: SolverConfig) -> None:
+        """Lay out rows of another variant from now on; the next step makes them."""
+        self.general = not are_rods(self.joints)
+        self.solver.use(variant, self.contact_room, config, *self._joint_rows())
+        self.plant()
+
+    def share_joints(self) -> None:
+        """Let impulses and colours of general rows be those of the joints, where these have such rows."""
+        if self.general:
+            for name in ("impulse", "color"):
+                self.solver.rows.share(f"row_{name}", self.joints.array(f"joint_{name}"))
 
     def groups(self) -> dict[str, ArrayGroup]:
         """Every group of arrays by the name that kernels and simulations have for it."""

@@ -95,7 +95,6 @@ def color(
             MODEL,
             {
                 "body_start": first_body.astype(np.int32),
-                "joint_start": np.zeros(worlds + 1, np.int32),
                 "body_type": kinds,
             },
         ),
@@ -113,7 +112,11 @@ def color(
         ),
         "rows": (
             ROWS,
-            {"color_mask": np.zeros(bodies, np.uint64), "row_start": np.zeros(worlds + 1, np.int32)},
+            {
+                "color_mask": np.zeros(bodies, np.uint64),
+                "line_start": np.zeros(worlds + 1, np.int32),
+                "row_start": np.zeros(worlds + 1, np.int32),
+            },
         ),
     }
     make = kernel_file(backend, "groups").group

@@ -84,10 +84,10 @@ class StepContacts(FoundContacts):
         cache: what persists of the contacts of the last finished step, in slots of the same numbers.
     """
 
-    def __init__(self, model: Model, contacts_per_body: float) -> None:
-        """Reserve so many contacts for each body."""
+    def __init__(self, model: Model, contacts_per_body: float, joint_rows: int) -> None:
+        """Reserve so many contacts for each body, and remember the impulses of so many rows of joints."""
         bodies = np.diff(model.numpy("body_start"))
-        sizes = {**model.sizes, "joint": model.joint_count}
+        sizes = {**model.sizes, "joint row": joint_rows}
         super().__init__(sizes, np.ceil(contacts_per_body * bodies), model.dtype, model.device, model.backend)
         self.cache = Cache(self.contacts.sizes, model.dtype, model.device, model.backend)
 
@@ -136,7 +136,7 @@ class StepContacts(FoundContacts):
 
         Args:
             given: from ``check_restored``.
-            joint_impulse: what the next step starts from, of each joint [N s].
+            joint_impulse: what the next step starts from, of each row of the joints [N s].
             shown: put them into ``contacts`` too.
         """
         start = self.contacts.numpy("contact_start")

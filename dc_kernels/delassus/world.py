@@ -111,7 +111,9 @@ def _from_rows(solver: Simulation | ContactSolver, world: int) -> DelassusProble
     if solver.variant in SURFACED:
         raise ValueError("surfaces move or resist rolling, which a Delassus problem knows nothing of")
     if solver.variant in OWN:
-        raise ValueError("rows of own Jacobians have bounds, which a Delassus problem has not: leave them out")
+        raise ValueError(
+            "rows of own Jacobians have bounds, as joints but rods do, which a Delassus problem has not: leave them out"
+        )
     contacts, joints = solver.contacts, solver.joints
 
     def row_values(name: str, slot: np.ndarray) -> np.ndarray:

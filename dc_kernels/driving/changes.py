@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup, Joints, Model, to_numpy
+from dc_kernels.model.arrays import ArrayGroup, Model, to_numpy
 from dc_kernels.model.assemble import Geometry
 from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, TRAITS, Field
+from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.room import rows_of
 from dc_kernels.model.rules import Number
 from dc_kernels.model.settings import numeric
@@ -43,6 +44,8 @@ WEIGHED = ("gravity", "body_type", "mass", "inv_mass")
 """Fields that the weight of a typical body depends on."""
 SHAPED = ("shape_radius", "vertices")
 """Fields that centres, extents and normals of shapes follow from."""
+OWNERS = {"vertex": "shape", "joint row": "joint"}
+"""Axes whose elements belong to those of another one."""
 CENTERS = ("shape_center", "shape_extent", "vertex_normals")
 
 
@@ -185,10 +188,12 @@ def _worlds_of(name: str, values: np.ndarray | None, model: Model, joints: Joint
     other = (values != to_numpy(group.array(name))).reshape(len(values), -1).any(axis=1)
     if field.per == "world":
         return other
-    axis = TRAITS.get(field.per, field.per)
-    start = model.numpy(f"{'shape' if axis == 'vertex' else axis}_start")
+    axis = {**TRAITS, **OWNERS}.get(field.per, field.per)
+    start = model.numpy(f"{axis}_start")
     if field.per == "vertex":
         start = model.numpy("vertex_start")[start]
+    elif field.per == "joint row":
+        start = joints.numpy("joint_row_start")[start]
     found = np.zeros(worlds, bool)
     found[np.searchsorted(start, np.flatnonzero(other), "right") - 1] = True
     return found

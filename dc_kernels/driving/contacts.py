@@ -12,6 +12,7 @@ import numpy as np
 from dc_kernels.measure import contact_slots
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 from dc_kernels.runtime.inputs import check_simulation
+from dc_kernels.solve.rows import read_column
 
 PARTS = ("model", "state", "contacts", "joints", "motion", "phase")
 
@@ -83,8 +84,19 @@ def net_contact_forces(sim: Any) -> NetForces:
     return NetForces(total, torque)
 
 
+class JointReactions(NamedTuple):
+    """What joints do to their bodies B; bodies A feel the opposite force."""
+
+    force: np.ndarray
+    """(joints, 2) [N], in the world's axes."""
+    torque: np.ndarray
+    """About anchor B, (joints,) [N m]."""
+
+
 def joint_forces(sim: Any) -> np.ndarray:
-    """The force of each joint along the line from anchor A to anchor B, positive where it pushes apart: (joints,) [N].
+    """The force of each row of the joints, (joint rows,) [N]: of a rod along its line, positive where it pushes apart.
+
+    Rows of angles count in arms of the world's ``length_scale``; ``joint_reactions`` gives forces and torques.
 
     Args:
         sim: the simulation, see ``contact_forces``.
@@ -93,9 +105,38 @@ def joint_forces(sim: Any) -> np.ndarray:
         ValueError: see ``contact_forces``.
     """
     check_simulation("sim", sim, PARTS)
-    world = np.repeat(np.arange(sim.model.world_count), np.diff(sim.model.numpy("joint_start")))
-    rate = _rate(sim)[world]
+    start = sim.joints.numpy("joint_row_start")[sim.model.numpy("joint_start")]
+    rate = np.repeat(_rate(sim), np.diff(start))
     return np.where(rate > 0, sim.joints.numpy("joint_impulse") * rate, 0.0)
+
+
+def joint_reactions(sim: Any) -> JointReactions:
+    """Force and torque of each joint on its body B in the last step.
+
+    Args:
+        sim: the simulation, see ``contact_forces``.
+
+    Raises:
+        ValueError: see ``contact_forces``.
+    """
+    along = joint_forces(sim)
+    joints, rows, count = sim.joints, sim.rows, sim.joints.sizes["joint"]
+    if not sim.storage.general:
+        slot = rows.numpy("joint_slot")
+        names = ("nx", "ny", "rBn")
+        column = rows.numpy("column")
+        jacobian = np.stack([read_column(column, sim.variant, name, slot) for name in names], axis=1).astype(np.float64)
+    else:
+        jacobian = rows.numpy("row_jacobian_b").astype(np.float64)
+    owner = np.repeat(np.arange(count), np.diff(joints.numpy("joint_row_start")))
+    total = np.stack([np.bincount(owner, along * jacobian[:, k], count) for k in range(3)], axis=1)
+    body, anchor = joints.numpy("joint_body_b"), joints.numpy("joint_anchor_b").astype(np.float64)
+    angle = sim.state.numpy("angle")[body].astype(np.float64)
+    if sim.phase == "advance":  # the arms of the solve were those before the step
+        angle -= sim.motion.numpy("displacement")[body, 2]
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = c * anchor[:, 0] - s * anchor[:, 1], s * anchor[:, 0] + c * anchor[:, 1]
+    return JointReactions(total[:, :2], total[:, 2] - (x * total[:, 1] - y * total[:, 0]))
 
 
 def _rate(sim: Any) -> np.ndarray:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State
+from dc_kernels.model.arrays import ArrayGroup, Model, State
+from dc_kernels.model.joints.groups import Joints
 from dc_kernels.stages import Phase
 
 if TYPE_CHECKING:

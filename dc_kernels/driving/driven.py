@@ -13,8 +13,9 @@ from dc_kernels import snapshot
 from dc_kernels.driving import changes
 from dc_kernels.driving.copies import Parts, from_parts, parts_of
 from dc_kernels.driving.reset import Reset, check_rows, write_rows
-from dc_kernels.model.arrays import Joints, Model, State
+from dc_kernels.model.arrays import Model, State
 from dc_kernels.model.enums import Rest
+from dc_kernels.model.joints.groups import Joints
 from dc_kernels.phases import Phases
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_worlds

@@ -21,7 +21,7 @@ EVOLVES = tuple(name for name in STATE if name != "flags")
 
 
 EMPTIED = {
-    "joints": ("joint_impulse",),
+    "joints": ("joint_impulse", "joint_broken"),
     "contacts": ("contact_count", "contact_dt"),
     "cache": ("count", "joint_impulse"),
     "pairs": ("count", "valid"),
@@ -55,6 +55,7 @@ class Reset:
             groups: those of ``EMPTIED`` by name.
         """
         self._start = {axis: model.numpy(f"{axis}_start") for axis in ("body", "joint")}
+        self._start["joint row"] = groups["joints"].numpy("joint_row_start")[self._start["joint"]]
         # worlds of one size are rows of an array of worlds
         self._alike = {axis: np.ptp(np.diff(start)) == 0 for axis, start in self._start.items()}
         self._alike["world"] = True

@@ -15,7 +15,7 @@ import numpy as np
 
 from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import elements, float_dtype, float_name, many_zeros, numpy_spec
-from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE, TRAITS, Field
+from dc_kernels.model.fields import CONTACTS, MODEL, STATE, TRAITS, Field
 from dc_kernels.model.settings import counted
 from dc_kernels.model.worlds import Segments, WorldViews, by_world
 from dc_kernels.runtime.backends import kernel_file, on_numpy
@@ -429,12 +429,3 @@ class Contacts(ArrayGroup):
     """The contacts of the present step and the impulses that persist (``model.fields.CONTACTS``)."""
 
     table = CONTACTS
-
-
-class Joints(ArrayGroup):
-    """Distance joints (``model.fields.JOINTS``)."""
-
-    table = JOINTS
-    changeable = (
-        *("joint_body_a", "joint_body_b", "joint_anchor_a", "joint_anchor_b", "joint_length", "joint_impulse"),
-    )

@@ -11,7 +11,8 @@ import numpy as np
 
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.enums import BodyType, ShapeType
-from dc_kernels.model.fields import KEY_SHAPE_BITS
+from dc_kernels.model.fields import JOINTS, KEY_SHAPE_BITS
+from dc_kernels.model.joints.groups import COLUMNS, count_rows
 from dc_kernels.model.shapes import edge_normals, mass_properties
 
 CELL_FACTOR = 1.3
@@ -41,7 +42,7 @@ def assemble(
         worlds: their settings.
         bodies: (n, 9) and ``shapes`` (m, 9), with the columns named above.
         vertices: (v, 2) [m], shape after shape, in the frames of the bodies.
-        joints: (j, 7): body A, body B, anchor A, anchor B, length.
+        joints: (j, ``joints.WIDTH``), with the columns named in ``joints.COLUMNS``.
 
     Raises:
         ValueError: a dynamic body without mass; too many shapes in a world.
@@ -72,7 +73,8 @@ def assemble(
     arm = np.stack((cos * com[:, 0] - sin * com[:, 1], sin * com[:, 0] + cos * com[:, 1]), axis=1)
     spin = bodies[:, SPIN]
     origin = np.array([w.origin for w in worlds])
-    a, b = joints[:, 0].astype(np.int64), joints[:, 1].astype(np.int64)
+    links = {name: joints[:, at] if at.stop - at.start > 1 else joints[:, at.start] for name, at in COLUMNS.items()}
+    links |= {name: links[name].astype(np.int64) for name in links if JOINTS[name].dtype == "int32"}
     return {
         "body_start": body_start,
         "shape_start": shape_start,
@@ -104,11 +106,10 @@ def assemble(
         "angle": bodies[:, ANGLE],
         "velocity": bodies[:, VX : VY + 1] + spin[:, None] * np.stack((-arm[:, 1], arm[:, 0]), axis=1),
         "angular_velocity": spin,
-        "joint_body_a": a,
-        "joint_body_b": b,
-        "joint_anchor_a": joints[:, 2:4] - com[a],
-        "joint_anchor_b": joints[:, 4:6] - com[b],
-        "joint_length": joints[:, 6],
+        **links,
+        "joint_anchor_a": links["joint_anchor_a"] - com[links["joint_body_a"]],
+        "joint_anchor_b": links["joint_anchor_b"] - com[links["joint_body_b"]],
+        "joint_row_start": _starts(count_rows(links["joint_kind"], links["joint_parts"])),
     }
 
 

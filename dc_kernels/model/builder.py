@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dc_kernels.model.arrays import Joints, Model, State
+from dc_kernels.model.arrays import Model, State
 from dc_kernels.model.assemble import (
     ANGLE,
     BODY,
@@ -50,6 +50,8 @@ from dc_kernels.model.checks import (
 )
 from dc_kernels.model.dtypes import float_dtype
 from dc_kernels.model.enums import BodyType, ShapeType
+from dc_kernels.model.joints.builder import JointBuilder
+from dc_kernels.model.joints.groups import WIDTH, Joints
 from dc_kernels.model.row_table import RowTable, Traits
 from dc_kernels.model.settings import numeric, shown
 from dc_kernels.model.shapes import TOLERANCE, box_vertices, convex_polygon, points
@@ -60,7 +62,7 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 
-class ModelBuilder:
+class ModelBuilder(JointBuilder):
     """Collects worlds and makes their ``Model``, ``State`` and ``Joints``.
 
     Worlds are built one after the other: whatever is added goes to the latest. Every ``add_*`` checks its
@@ -76,7 +78,7 @@ class ModelBuilder:
         self._bodies = RowTable(9)
         self._shapes = RowTable(9)
         self._vertices = RowTable(2)
-        self._joints = RowTable(7)  # body a, body b, anchor a, anchor b, length
+        self._joints = RowTable(WIDTH)
         self._body_traits, self._shape_traits = Traits(BODY_TRAITS), Traits(SHAPE_TRAITS)
 
     def add_world(self, gravity: Any = (0.0, -9.8), origin: Any = (0.0, 0.0), length_scale: float | None = None) -> int:
@@ -249,40 +251,6 @@ class ModelBuilder:
         self._vertices.extend(np.stack((start, end, before, after), axis=1).reshape(-1, 2))
         return np.arange(first, first + n)
 
-    def add_distance_joint(
-        self,
-        body_a: int,
-        body_b: int,
-        anchor_a: Any = (0.0, 0.0),
-        anchor_b: Any = (0.0, 0.0),
-        length: float | None = None,
-    ) -> int:
-        """Keep two points at a distance; return the joint's index.
-
-        Args:
-            body_a: index of a body of the latest world.
-            body_b: index of another one; one of the two at least is dynamic.
-            anchor_a: (2,) [m], in the frame of body A.
-            anchor_b: (2,) [m], in the frame of body B.
-            length: [m] > 0; None: the present distance.
-        """
-        where = f"joint {self._joints.count}"
-        a, b = self._body("body_a", body_a, where), self._body("body_b", body_b, where)
-        if a == b:
-            raise ValueError(f"body_a and body_b of {where} are both {a}; they must differ")
-        rows = self._bodies.row(a), self._bodies.row(b)
-        if BodyType.DYNAMIC not in (rows[0][TYPE], rows[1][TYPE]):
-            raise ValueError(f"body_a and body_b of {where} are {a} and {b}; one of them must be DYNAMIC")
-        anchors = pair("anchor_a", anchor_a, where), pair("anchor_b", anchor_b, where)
-        if length is None:
-            ends = [
-                (row[X] + c * x - s * y, row[Y] + s * x + c * y)
-                for row, (x, y) in zip(rows, anchors, strict=True)
-                for c, s in [(math.cos(row[ANGLE]), math.sin(row[ANGLE]))]
-            ]
-            length = math.dist(*ends)
-        return self._joints.append(a, b, *anchors[0], *anchors[1], number("length", length, where))
-
     def add_discs(
         self,
         positions: Any,
@@ -384,13 +352,14 @@ class ModelBuilder:
                 for name, value in fields.items()
             }
         world, body, shape = len(self._worlds), self._bodies.count, self._shapes.count
+        rows = int(fields["joint_row_start"][-1])
         sizes = {"world": world, "world+1": world + 1, "body": body, "body+1": body + 1}
         sizes |= {"shape": shape, "shape+1": shape + 1, "vertex": self._vertices.count}
         sizes |= {"body trait": body * bool(traits), "shape trait": shape * bool(surfaces)}
         groups = (
             Model(sizes, real, device, backend),
             State(sizes, real, device, backend),
-            Joints({"joint": self._joints.count}, real, device, backend),
+            Joints({"joint": self._joints.count, "joint row": rows}, real, device, backend),
         )
         for group in groups:
             for name in group.table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, TypedDict
 
@@ -34,7 +35,23 @@ FIELDS: dict[str, Any] = {
     "rounding": NotNegative,
     "half_width": Positive,
     "half_height": Positive,
-    "length": Positive,
+    "length": NotNegative,
+    "present_length": Positive,
+    "max_length": Positive,
+    "min_length": NotNegative,
+    "frequency": NotNegative,
+    "spring_frequency": Positive,
+    "damping_ratio": NotNegative,
+    "lower": Finite,
+    "upper": Finite,
+    "motor_speed": Finite,
+    "max_motor_torque": NotNegative,
+    "max_motor_force": NotNegative,
+    "max_force": NotNegative,
+    "break_force": Positive,
+    "reference_angle": Finite,
+    "ratio": Finite,
+    "phase": Finite,
     "length_scale": Positive,
     "angle": Finite,
     "angular_velocity": Finite,
@@ -43,7 +60,7 @@ FIELDS: dict[str, Any] = {
     "gravity_scale": Finite,
 }
 """What the numbers of bodies, shapes and joints may be, by name."""
-_LABELS = {"rounding": "radius"}
+_LABELS = {"rounding": "radius", "spring_frequency": "frequency", "present_length": "length"}
 _CHECKS = {name: checker(hint) for name, hint in FIELDS.items()}
 _LIMITS = {name: number_limits(hint) for name, hint in FIELDS.items()}
 _finite = checker(Finite)
@@ -177,6 +194,32 @@ def pair(name: str, value: Any, where: str) -> tuple[float, float]:
         if value.shape != (2,):
             raise ValueError(f"{name} of {where} is {shown(given)}; it must be two numbers")
     return _finite(f"{name}[0] of {where}", value[0]), _finite(f"{name}[1] of {where}", value[1])
+
+
+def triple(name: str, value: Any, where: str) -> tuple[float, float, float]:
+    """Return three finite numbers.
+
+    Raises:
+        TypeError, ValueError: naming field and ``where``.
+    """
+    numbers = numeric(f"{name} of {where}", value, "three numbers")
+    if numbers.shape != (3,):
+        raise ValueError(f"{name} of {where} is {shown(value)}; it must be three numbers")
+    x, y, z = (_finite(f"{name}[{k}] of {where}", numbers[k].item()) for k in range(3))
+    return x, y, z
+
+
+def unit(name: str, value: Any, where: str) -> tuple[float, float]:
+    """Return a direction of length 1 along two finite numbers.
+
+    Raises:
+        TypeError, ValueError: naming field and ``where``.
+    """
+    x, y = pair(name, value, where)
+    length = math.hypot(x, y)
+    if not 0.0 < length < math.inf:
+        raise ValueError(f"{name} of {where} is ({x:g}, {y:g}); it must be a direction, of a length that is not 0")
+    return x / length, y / length
 
 
 def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype, *, finite: bool = True) -> np.ndarray:

@@ -29,8 +29,10 @@ ACCELERATIONS = {"none": 0, "sor": 1, "aitken": 2, "nncg": 3, "adaptive": 4}
 STOPS = {"change": 0, "residual": 1, "motion": 2}
 STARTS = {"zero": 0, "cache": 1}
 POSITION_CORRECTIONS = {"none": 0, "ngs": 1, "baumgarte": 2}
+JOINT_SOLVERS = {"sweeps": 0, "direct": 1}
 CHOICES = {
     "method": METHODS,
+    "joint_solver": JOINT_SOLVERS,
     "acceleration": ACCELERATIONS,
     "stop": STOPS,
     "start": STARTS,
@@ -69,6 +71,9 @@ class SolverConfig(Settings):
 
     method: Literal["pgs", "jacobi"] = "pgs"
     """Projected Gauss-Seidel in colour order, or Jacobi with mass splitting (Tonge et al. 2012)."""
+    joint_solver: Literal["direct", "sweeps"] = "direct"
+    """How joints are solved: "direct", all whose bodies form trees at once after each sweep, exactly whatever their
+    masses; "sweeps", row by row as the contacts are. Method "jacobi" knows sweeps alone."""
     acceleration: Literal["none", "sor", "aitken", "nncg", "adaptive"] = "adaptive"
     """What is done between sweeps: "none"; "sor", over-relaxation by omega; "aitken", extrapolation with back-off;
     "nncg", nonsmooth nonlinear conjugate gradients (Silcowitz et al. 2010); "adaptive", Aitken's extrapolation,

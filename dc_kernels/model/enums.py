@@ -22,6 +22,28 @@ class ShapeType(IntEnum):
     SEGMENT = 2  # vertices v1, v2 and the chain's neighbours: one before v1, one after v2 (v1, v2 again if none)
 
 
+class JointKind(IntEnum):
+    """What a joint keeps, and what its numbers mean (docs/joints.md)."""
+
+    DISTANCE = 0  # two points at a distance: a rod, a spring, a rope
+    REVOLUTE = 1  # two points together, while both bodies turn
+    PRISMATIC = 2  # body B on a line of body A, without turning against it
+    WELD = 3  # two points together, and the angle between the bodies
+    WHEEL = 4  # a point of B on a line of A, along which a spring holds it
+    TARGET = 5  # a point of B drawn to one of A by a spring of limited force
+    GEAR = 6  # the angle of B at a ratio to that of A
+    GENERAL = 7  # a row of the caller's own Jacobians
+
+
+class JointPart(IntFlag):
+    """What a joint has, each part with rows of its own; bits of ``Joints.joint_parts``."""
+
+    NONE = 0
+    HOLD = 1  # what its kind keeps, rigid or by a spring
+    MOTOR = 2  # a speed that a limited torque or force drives at
+    LIMIT = 4  # a range of its angle, length or way
+
+
 class Flag(IntFlag):
     """Why a world does not advance; bits of ``State.flags``."""
 

@@ -16,7 +16,7 @@ import functools
 from dataclasses import dataclass, replace
 from typing import Any
 
-from dc_kernels.model.enums import BodyType, Flag, Rest, ShapeType
+from dc_kernels.model.enums import BodyType, Flag, JointKind, JointPart, Rest, ShapeType
 from dc_kernels.model.rules import (
     COUNT,
     FINITE,
@@ -40,6 +40,9 @@ COLORS = 64  # colours of the contact graph: bits of a mask; the last one is the
 COLOR = Number(-1, COLORS - 1)  # -1: none yet
 AGE = Number(0, 2**31 - 2)  # a step adds one
 ALL_FLAGS = int(~Flag.NONE)
+ALL_PARTS = int(~JointPart.NONE)
+UNBOUNDED = 1e30
+"""A limit, force or torque of a joint that stands for none; float32 holds its square root's products."""
 _INTEGERS = ("int32", "int64", "uint32", "uint64", "vec3i", "iteration")
 
 
@@ -84,7 +87,7 @@ TRAITS = {"body trait": "body", "shape trait": "shape"}
 """Axes of what few scenes have, and the axes that they are as long as where a scene has it; else they are empty."""
 
 # axes: world W, world+1, body, body+1 (behind the bodies: padding bodies of empty solver lanes), shape, shape+1,
-# vertex, joint, contact (capacity), pair (capacity), block (capacity, of LANES solver rows), bucket
+# vertex, joint, joint row, contact (capacity), pair (capacity), block (capacity, of LANES solver rows), bucket
 MODEL = field_table(
     ("body_start", "world+1", "int32", "1", "first body of each world", Start("body")),
     ("shape_start", "world+1", "int32", "1", "first shape of each world", Start("shape")),
@@ -174,9 +177,26 @@ JOINTS = field_table(
     ("joint_body_b", "joint", "int32", "1", "body B", Index("body")),
     ("joint_anchor_a", "joint", "vec2", "m", "in the frame of body A, relative to its centre of mass"),
     ("joint_anchor_b", "joint", "vec2", "m", "in the frame of body B, relative to its centre of mass"),
-    ("joint_length", "joint", "real", "m", "distance that the joint keeps between its anchors", POSITIVE),
-    ("joint_color", "joint", "int32", "1", "colour in the constraint graph", COLOR),
-    ("joint_impulse", "joint", "real", "N s", "along the line from anchor A to anchor B, positive pushes apart"),
+    ("joint_length", "joint", "real", "m", "distance that a distance joint keeps between its anchors", NOT_NEGATIVE),
+    ("joint_kind", "joint", "int32", "1", "JointKind", Code(JointKind)),
+    ("joint_parts", "joint", "int32", "1", "JointPart bits: which rows it has", Number(0, ALL_PARTS)),
+    ("joint_row_start", "joint+1", "int32", "1", "first row of each joint", Start("joint row")),
+    ("joint_axis", "joint", "vec2", "1", "direction of a prismatic or wheel joint, in the frame of body A", Unit()),
+    ("joint_reference", "joint", "real", "rad", "angle of B less that of A (a gear: times its ratio) that counts as 0"),
+    ("joint_ratio", "joint", "real", "1", "turns of B for each turn of A that a gear keeps"),
+    ("joint_lower", "joint", "real", "rad, m, N", "least angle, length, way, or force of a general joint"),
+    ("joint_upper", "joint", "real", "rad, m, N", "largest angle, length, way, or force of a general joint"),
+    ("joint_speed", "joint", "real", "rad/s, m/s", "what the motor drives at; what a general joint's Jacobians give"),
+    ("joint_strength", "joint", "real", "N m, N", "largest torque or force of the motor, or of a target", NOT_NEGATIVE),
+    ("joint_frequency", "joint", "real", "Hz", "of the spring; 0: rigid", NOT_NEGATIVE),
+    ("joint_damping_ratio", "joint", "real", "1", "of the spring; 1: critical damping", NOT_NEGATIVE),
+    ("joint_jacobian_a", "joint", "vec3", "1, m", "what a general joint multiplies the velocity of A by"),
+    ("joint_jacobian_b", "joint", "vec3", "1, m", "what a general joint multiplies the velocity of B by"),
+    ("joint_break_force", "joint", "real", "N", "force at which the joint breaks; 1e30: never", NOT_NEGATIVE),
+    ("joint_broken", "joint", "int32", "1", "1: it has broken, and does nothing", Number(0, 1)),
+    ("joint_collides", "joint", "int32", "1", "1: its bodies collide with each other", Number(0, 1)),
+    ("joint_color", "joint row", "int32", "1", "colour in the constraint graph", COLOR),
+    ("joint_impulse", "joint row", "real", "N s", "of each row; of a rod along its line, positive pushes apart"),
 )
 
 
@@ -186,7 +206,7 @@ CACHE = field_table(
     ("impulse", "contact", "vec2", "N s", "their solved impulses"),
     ("color", "contact", "int32", "1", "their colours", COLOR),
     ("age", "contact", "int32", "1", "their ages", AGE),
-    ("joint_impulse", "joint", "real", "N s", "solved impulses of the joints in the last finished step"),
+    ("joint_impulse", "joint row", "real", "N s", "solved impulses of the joints in the last finished step"),
 )
 
 PAIRS = field_table(
@@ -223,7 +243,8 @@ ROWS = field_table(
     ("slot", "contact", "int32", "1", "where the contact's normal impulse lies in rows.impulse"),
     ("square", "contact", "real", "(N s)^2", "squared impulse that would stop the contact alone; 0 if it never acts"),
     ("joint_slot", "joint", "int32", "1", "where the joint's impulse lies in rows.impulse"),
-    ("row_start", "world+1", "int32", "1", "first of each world's own rows, which a contact solver's caller may give"),
+    ("line_start", "world+1", "int32", "1", "first of each world's distance joints that are packed as such"),
+    ("row_start", "world+1", "int32", "1", "first of each world's own rows, of joints or of a contact solver's caller"),
     ("row_body_a", "own row", "int32", "1", "body A", Index("body")),
     ("row_body_b", "own row", "int32", "1", "body B", Index("body")),
     ("row_jacobian_a", "own row", "vec3", "1, m", "what the velocity (x, y, spin) of A is multiplied by"),
@@ -232,9 +253,29 @@ ROWS = field_table(
     ("row_lower", "own row", "real", "N s", "least impulse; may be minus infinity"),
     ("row_upper", "own row", "real", "N s", "largest impulse; may be infinity"),
     ("row_softness", "own row", "real", "1/kg", "velocity that the row gives way by for each impulse", NOT_NEGATIVE),
+    ("row_gap", "own row", "real", "m", "what position correction makes zero"),
+    ("row_held", "own row", "real", "1", "1: position correction moves it, 0: it does not", SHARE),
+    (
+        "stiff_inertia",
+        "stiff body",
+        "real",
+        "kg m^2",
+        "added to a body's own where joints pull (solve/joints.py)",
+    ),
     ("row_color", "own row", "int32", "1", "colour in the constraint graph", COLOR),
     ("row_slot", "own row", "int32", "1", "where the row's impulse lies in rows.impulse"),
     ("row_impulse", "own row", "real", "N s", "along the row's Jacobians"),
+    ("tree_start", "world+1", "int32", "1", "first joint of each world's trees, which are solved directly"),
+    ("tree_row", "tree joint", "int32", "1", "first row of the joint, of those that the trees hold"),
+    ("tree_size", "tree joint", "int32", "1", "rows of it that they hold, 3 at most"),
+    ("tree_parent", "tree joint", "int32", "1", "its body that is nearer to the root of the tree"),
+    ("tree_child", "tree joint", "int32", "1", "its other body, -1 where that is not dynamic"),
+    ("tree_factor", "tree factor", "float64", "1/kg, kg", "18 a joint: inverse and gain, see solve/trees.py"),
+    ("tree_wanted", "tree wanted", "float64", "N s", "3 a joint: impulses without what follows nearer to the root"),
+    ("tree_moves", "tree move", "float64", "1/kg, m/s, N s", "12 a body: mobility, what it moves by, impulse on it"),
+    ("apart_start", "apart body+1", "int32", "1", "first of the bodies that joints keep from colliding with each body"),
+    ("apart_body", "apart", "int32", "1", "such a body"),
+    ("apart_joint", "apart", "int32", "1", "the joint that does so"),
     ("color_mask", "body", "uint64", "1", "colours taken at the body"),
     ("body_rows", "body+1", "int32", "1", "rows that act on the body"),
     ("block_start", "world+1", "int32", "1", "first reserved block of each world"),
@@ -379,6 +420,7 @@ ROW = field_table(
     ("most", "row", "real", "N s", "largest normal impulse, of the variant rows"),
     ("direction_a", "row", "vec2", "1", "what the normal is at body A, of the variant rows"),
     ("softness", "row", "real", "1/kg", "velocity for each normal impulse, of the variant rows"),
+    ("held", "row", "real", "1", "1: position correction moves the row, 0: it does not, of the variant rows"),
     ("square", "row", "real", "(N s)^2", "squared impulse that would stop the row alone; 0 where it never acts"),
     ("roll", "row", "real", "1", "share of a contact's normal impulse that bounds it, of the variant surfaces"),
 )

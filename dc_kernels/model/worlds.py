@@ -30,10 +30,11 @@ class Segments(NamedTuple):
         return cls(start, int(count[0]) if (count == count[0]).all() else None)
 
 
-def segments_of_worlds(model: Mapping[str, np.ndarray]) -> dict[str, Segments]:
-    """Elements of each world by axis, from the arrays of a model."""
+def segments_of_worlds(model: Mapping[str, np.ndarray], row_start: np.ndarray) -> dict[str, Segments]:
+    """Elements of each world by axis, from the arrays of a model and the first row of each of its joints."""
     start = {axis: model[f"{axis}_start"] for axis in ("body", "shape", "joint")}
     start["vertex"] = model["vertex_start"][start["shape"]]
+    start["joint row"] = row_start[start["joint"]]
     return {axis: Segments.of(first) for axis, first in start.items()}
 
 
@@ -61,7 +62,7 @@ def by_world(
     axis = axis.removesuffix("+1")  # of bodies, behind which lie padding ones
     if axis in TRAITS and len(values):
         axis = TRAITS[axis]
-    if isinstance(field.rule, Start) or axis not in ("body", "shape", "vertex", "joint"):
+    if isinstance(field.rule, Start) or axis not in ("body", "shape", "vertex", "joint", "joint row"):
         raise ValueError(f"{label} is not divided among worlds")
     if segments is None:
         raise ValueError(f"{label} is of no simulation yet, which knows what belongs to which world")

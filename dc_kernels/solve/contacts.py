@@ -8,8 +8,9 @@ from typing import Any, Literal
 import numpy as np
 
 from dc_kernels.binding import Binding
-from dc_kernels.model.arrays import ArrayGroup, Contacts, Joints, Model, State
+from dc_kernels.model.arrays import ArrayGroup, Contacts, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig, check_awake, check_config
+from dc_kernels.model.joints.groups import Joints
 from dc_kernels.runtime.backends import Launch, bind, check_backend, make_kernels
 from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recording
 from dc_kernels.runtime.inputs import check_layout, check_truth
@@ -135,8 +136,7 @@ class ContactSolver(InPlace):
             angular_velocity: counter-clockwise, (N,) [rad/s]; then the solution.
             velocity_before: before the step's forces, (N, 2) [m/s], for bounces and joints; None: as ``velocity``.
             angular_velocity_before: before the torques of the step, (N,) [rad/s].
-            impulse: normal and tangential start impulses, (C, 2) [N s]; then the solution. None: own memory,
-                ``exchange.impulse``, zero at first.
+            impulse: normal and tangential: start, then solution, (C, 2) [N s]; None: ``exchange.impulse``, from zero.
             joints: distance joints: ``joint_body_a``, ``joint_body_b``, ``joint_anchor_a``, ``joint_anchor_b``,
                 ``joint_length`` and perhaps ``joint_impulse`` (start, then solution) by name (``model.fields.JOINTS``).
             rows: any other constraints of two bodies, by their Jacobians: arrays (R, ...), read at each call, by name

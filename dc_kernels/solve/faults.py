@@ -9,10 +9,9 @@ import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup
 from dc_kernels.model.enums import Flag
-from dc_kernels.model.fields import JOINTS
-from dc_kernels.model.rules import refuse
+from dc_kernels.model.rules import POSITIVE, refuse
 from dc_kernels.model.validate.arrays import Layout, check_field
-from dc_kernels.solve.exchange import BEFORE, VELOCITIES, refuse_same, view_of
+from dc_kernels.solve.exchange import BEFORE, LINES, VELOCITIES, refuse_same, view_of
 
 LOOKED_AT = ("model", "state", "joints", "contacts", "rows", "exchange")
 STOPS = int(Flag.CONTACT_OVERFLOW | Flag.ROW_OVERFLOW | Flag.NONFINITE | Flag.INVALID)
@@ -61,7 +60,9 @@ def raise_fault(
         check(contacts, "normal", "gap", "friction", "restitution", *arms)
         if parts["joint"].stop > parts["joint"].start:
             check(state, "angle")
-            check(joints, *(name for name in JOINTS if name not in ("joint_color", "joint_impulse")))
+            check(joints, *LINES)
+            length = joints.numpy("joint_length")[parts["joint"]]
+            refuse("joint_length", length, length <= 0, POSITIVE.limits, parts["joint"].start)
             ends = joints.numpy("joint_body_a"), joints.numpy("joint_body_b")
             refuse_same("joint_body_b", ends[0], ends[1], parts["joint"])
     extra = parts["own row"]

@@ -19,7 +19,7 @@ SERIAL_COLOR = COLORS - 1
 GENERAL = ("nx", "ny", "rAn", "rBn", "rAt", "rBt", "iA", "iB", "en", "et", "bias", "mu", "gap")
 """normal; arms crossed with normal and tangent [m]; inverse inertias; effective masses of both directions [kg]
 (inverse of (2.25)); bias velocity [m/s]; friction; gap plus slop [m]"""
-BOUNDED = ("lo", "hi", "ax", "ay", "soft")
+BOUNDED = ("lo", "hi", "ax", "ay", "soft", "held")
 COLUMNS = {
     "discs": ("nx", "ny", "dA", "dB", "kA", "kB", "en", "et", "bias", "mu", "gap"),
     "general": GENERAL,
@@ -29,7 +29,8 @@ COLUMNS = {
 }
 """Columns by variant. "discs": no normal arm; dA, dB lever arms of the surfaces [m], k = arm / inertia. "joints": lo is
 the least normal impulse, 0 for contacts and -inf for joints. "rows": a caller's own Jacobians too, whose impulses lie
-between lo and hi [N s]; (ax, ay) is at body A what (nx, ny) is at body B, soft the velocity for each impulse.
+between lo and hi [N s]; (ax, ay) is at body A what (nx, ny) is at body B, soft the velocity for each impulse, held is 1
+where position correction moves the row, else 0.
 "surfaces": slip is the tangential speed of surfaces that move [m/s]; rows of rolling resistance, behind those of the
 contacts, have roll, the share of the contact's normal impulse that bounds theirs, 0 in all other rows."""
 JOINTED = ("joints", "rows", "surfaces")
@@ -69,13 +70,20 @@ def has_traits(model: Model) -> bool:
     return bool(damped or (model.numpy("gravity_scale") != 1).any())
 
 
-def variant_of(model: Model, only_discs: bool) -> str:
-    """The variant of rows that a scene needs, a key of ``COLUMNS``: the first of these, or general.
+def variant_of(model: Model, only_discs: bool, rods: bool = True) -> str:
+    """The variant of rows that a scene needs, a key of ``COLUMNS``.
 
-    Surfaces where one moves or resists rolling; joints; discs where there is nothing else.
+    Args:
+        model: of the scene.
+        only_discs: whether all that moves are discs about their centre of mass.
+        rods: whether all joints are rods.
+
+    Returns:
+        The first of these, or general: surfaces where one moves or resists rolling; joints where all are rods; rows
+        with others; discs where there is nothing else.
     """
     if model.numpy("shape_surface_speed").any() or model.numpy("shape_rolling_resistance").any():
         return "surfaces"
     if model.joint_count:
-        return "joints"
+        return "joints" if rods else "rows"
     return "discs" if only_discs else "general"

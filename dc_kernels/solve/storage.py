@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup, Model
@@ -10,7 +12,8 @@ from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import ROWS, STATS
 from dc_kernels.model.room import Room
 from dc_kernels.solve.iteration import PAST
-from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SURFACED
+from dc_kernels.solve.joints import Apart, Forest
+from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, OWN, SURFACED
 
 SPARE_BLOCKS = 10  # blocks beyond full ones: a colour's last block is partly empty, and piles have 6-10 colours
 
@@ -51,6 +54,7 @@ class SolverStorage:
         at_once: int,
         any_colors: bool = False,
         own_rows: np.ndarray | None = None,
+        lines: bool = True,
     ) -> None:
         """Reserve rows for the joints and for so many contacts of each world.
 
@@ -61,13 +65,15 @@ class SolverStorage:
             contacts: reserved for each world, (W,).
             bodies: of all worlds, padding bodies included.
             at_once: worlds whose solves may be in flight together.
-            own_rows: of a caller's Jacobians in each world, (W,); None: there are none.
+            own_rows: of general Jacobians in each world, (W,); None: there are none.
+            lines: whether the joints of the model are packed as rods.
             any_colors: reserve for whatever colours so many contacts may have; else for those of usual piles.
         """
         self.at_once, self._any_colors = at_once, any_colors
         self._width, self._surfaced = len(COLUMNS[variant]) * LANES, variant in SURFACED
-        own_rows = np.zeros(model.world_count, np.int64) if own_rows is None else own_rows
-        self._joints = np.diff(model.numpy("joint_start")).astype(np.int64) + own_rows
+        rods = np.diff(model.numpy("joint_start")).astype(np.int64) * lines
+        own_rows = np.zeros_like(rods) if own_rows is None else own_rows
+        self._joints = rods + own_rows
         self._most_bodies = int(np.diff(model.numpy("body_start")).max(initial=0))
         self.room = Room("blocks of rows", Flag.ROW_OVERFLOW, self._blocks_for(contacts))
         worlds = model.world_count
@@ -82,12 +88,39 @@ class SolverStorage:
             "row direction": 0,
             "row past": 0,
             "own row": int(own_rows.sum()),
+            "stiff body": model.body_count if variant in OWN else 0,
+            **dict.fromkeys(("tree joint", "tree factor", "tree wanted", "tree move", "apart", "apart body+1"), 0),
         }
         sizes.update(self._row_sizes(sizes, config))
         self.rows = Rows(sizes, model.dtype, model.device, model.backend)
         self.stats = SolveStats(sizes, model.dtype, model.device, model.backend)
         self.rows.assign("block_start", self.room.starts())
-        self.rows.assign("row_start", np.concatenate([[0], np.cumsum(own_rows)]))
+        self._lay_out(rods, own_rows)
+
+    def plant(self, forest: Forest, bodies: int) -> None:
+        """Take the trees of the joints, which are then solved directly.
+
+        Args:
+            forest: of all worlds.
+            bodies: of all worlds, 0 where there are no trees.
+        """
+        count = len(forest.row)
+        sizes = {"tree joint": count, "tree factor": 18 * count, "tree wanted": 3 * count, "tree move": 12 * bodies}
+        self.rows.reallocate([name for name in ROWS if name.startswith("tree_")], **sizes)
+        for name, values in forest._asdict().items():
+            self.rows.fill(f"tree_{name}", values)
+
+    def separate(self, apart: Apart) -> None:
+        """Take the bodies that joints keep from colliding with each other."""
+        sizes = {"apart": len(apart.body), "apart body+1": len(apart.start)}
+        self.rows.reallocate([name for name in ROWS if name.startswith("apart_")], **sizes)
+        for name, values in apart._asdict().items():
+            self.rows.fill(f"apart_{name}", values)
+
+    def _lay_out(self, rods: np.ndarray, own_rows: np.ndarray) -> None:
+        """Write where the rods and the general rows of each world begin."""
+        for name, count in (("line_start", rods), ("row_start", own_rows)):
+            self.rows.fill(name, np.concatenate([[0], np.cumsum(count)]).astype(np.int32))
 
     def _blocks_for(self, contacts: np.ndarray) -> np.ndarray:
         """Blocks reserved for so many contacts and the joints of each world."""
@@ -109,10 +142,18 @@ class SolverStorage:
             "row lane": self.room.total * LANES if self._surfaced else 0,
         }
 
-    def use(self, variant: str, contacts: np.ndarray, config: SolverConfig) -> None:
-        """Lay out rows of another variant from now on; the next step makes them."""
+    def use(
+        self, variant: str, contacts: np.ndarray, config: SolverConfig, rods: np.ndarray, own_rows: np.ndarray
+    ) -> None:
+        """Lay out rows of another variant, with so many rods and general rows of each world, from now on.
+
+        The next step makes them.
+        """
         self._width, self._surfaced = len(COLUMNS[variant]) * LANES, variant in SURFACED
-        self.relayout(contacts, config)
+        self._joints = rods + own_rows
+        bodies = self.rows.sizes["body"] if variant in OWN else 0
+        self.relayout(contacts, config, {"own row": int(own_rows.sum()), "stiff body": bodies})
+        self._lay_out(rods, own_rows)
 
     def adopt(self, rows: Rows, stats: SolveStats, slots: np.ndarray) -> None:
         """Take over the rows of the same bodies, and their room."""
@@ -145,8 +186,9 @@ class SolverStorage:
             self.rows.reallocate((name,), **{axis: wanted[axis]})
         return bool(missing)
 
-    def relayout(self, contacts: np.ndarray, config: SolverConfig) -> None:
-        """Allocate the rows anew for so many contacts of each world; the next step makes them."""
+    def relayout(self, contacts: np.ndarray, config: SolverConfig, sizes: Mapping[str, int] | None = None) -> None:
+        """Allocate the rows anew for so many contacts of each world, and other ``sizes``; the next step makes them."""
         self.room.slots = np.maximum(self.room.slots, self._blocks_for(contacts))
-        self.rows.renew(contact=int(contacts.sum()), **self._row_sizes(self.rows.sizes, config))
+        changed = {**(sizes or {}), "contact": int(contacts.sum()), **self._row_sizes(self.rows.sizes, config)}
+        self.rows.renew(**changed)
         self.rows.assign("block_start", self.room.starts())

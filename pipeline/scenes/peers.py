@@ -16,6 +16,7 @@ from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.settings import WrongType, shown
 from dc_kernels.runtime.inputs import check_whole
 from dc_kernels.runtime.optional import require
+from dc_kernels.solve.joints import are_rods
 from dc_kernels.solve.rows import SURFACED, has_traits, variant_of
 from pipeline.scenes.base import Scene
 
@@ -73,6 +74,9 @@ class _World:
             raise ValueError(
                 "the scene has damping, gravity scales, or surfaces that move or resist rolling: theirs differ"
             )
+
+        if not are_rods(joints):
+            raise ValueError("the scene has joints that are no rods that last and let bodies collide: theirs differ")
 
     @property
     def bodies(self) -> range:

@@ -12,6 +12,7 @@ from pipeline.scenes.boxes import Pyramid, Stack
 from pipeline.scenes.chain import Chain
 from pipeline.scenes.discs import Settled, Thesis, ThesisClustered
 from pipeline.scenes.incline import Incline
+from pipeline.scenes.machines import BallAndChain, Bridge, Cars, Gears, JointGrid, Ragdolls
 from pipeline.scenes.mixed import Mixed
 from pipeline.scenes.structures import Arch, CardHouse, Dominoes
 from pipeline.scenes.tumbler import Tumbler
@@ -31,6 +32,12 @@ SCENES: dict[str, type[Scene]] = {
         CardHouse,
         Arch,
         Dominoes,
+        Bridge,
+        Ragdolls,
+        JointGrid,
+        Gears,
+        BallAndChain,
+        Cars,
     )
 }
 """The scenes that commands and data sets know, by name; ``register`` adds those of a plugin."""

@@ -54,6 +54,12 @@ def new_values(sim, name):
             values[:] = 7
         case "joint_impulse":
             values[:] += 0.05
+        case "joint_axis":
+            values[:] = (0.0, 1.0)
+        case "joint_broken" | "joint_collides":
+            values = 1 - values
+        case "joint_break_force":
+            values[:] = 50.0
         case "origin" | "time":
             values += 1000.0
         case "flags":

@@ -72,7 +72,7 @@ def test_objects_say_what_they_are():
     sim = simulation("float64", "numpy")
     assert repr(sim) == "<Simulation of 2 worlds and 22 bodies, float64, numpy on cpu>"
     assert repr(sim.state) == "<State: 22 bodies, 2 worlds; float64, numpy on cpu>"
-    assert repr(sim.joints) == "<Joints: 1 joint; float64, numpy on cpu>"
+    assert repr(sim.joints) == "<Joints: 1 joint, 1 joint row; float64, numpy on cpu>"
     assert repr(sim.model).startswith("<Model: 2 worlds, 22 bodies, 26 shapes, ")
     assert "contacts" in repr(sim.contacts)
 

@@ -19,6 +19,7 @@ from dc_kernels.model.config import CONFIG
 from dc_kernels.model.dtypes import aligned_zeros
 from dc_kernels.model.fields import GROUPS, LAUNCH
 from dc_kernels.runtime.backends import argument_names, bind, has_kernels, kernel_file, make_kernels
+from dc_kernels.solve.rows import has_traits
 from dc_kernels.stages import STEP, Stage
 from tests.parity.scenes import (
     SCRATCH,
@@ -53,7 +54,7 @@ SCENES = {"discs": (frozen, 9), "many": (many, 12)}
 
 def made(backend: str, stage: Stage, sim: dc.Simulation) -> dict[str, Any]:
     """The kernels of a stage's file for a simulation."""
-    options = {"variant": sim.variant, "only_discs": sim.only_discs}
+    options = {"variant": sim.variant, "only_discs": sim.only_discs, "traits": has_traits(sim.model)}
     return make_kernels(backend, stage.file, sim.dtype.name, *(options[name] for name in stage.options))
 
 

@@ -127,7 +127,19 @@ def check_stepping(scope: dict) -> None:
     assert sim.state.numpy("velocity")[crate, 0] == pytest.approx(-2.0, abs=0.01)
 
 
+def check_joints(scope: dict) -> None:
+    sim, arm = scope["sim"], scope["arm"]
+    assert sim.state.numpy("angle")[arm] == pytest.approx(0.5, abs=1e-3)  # the motor has turned it to its limit
+    weight = sim.model.numpy("mass")[arm] * 9.8
+    reactions = dc.joint_reactions(sim)
+    assert reactions.force[scope["hinge"]] == pytest.approx([0.0, weight], abs=1e-4)
+    assert reactions.torque[scope["hinge"]] == pytest.approx(0.5 * np.cos(0.5) * weight, rel=1e-3)
+    sim.run(100, 0.01)
+    assert sim.state.numpy("angle")[arm] == pytest.approx(-0.5, abs=1e-3)
+
+
 CHECKS = {
+    "docs/joints.md": check_joints,
     "docs/stepping.md": check_stepping,
     "docs/sleep.md": check_sleep,
     "docs/driving.md": check_driving,

@@ -56,7 +56,7 @@ def color_constraints(
     if state.flags[w]:
         return
     taken = Taken(w, model)
-    for j in range(model.joint_start[w], model.joint_start[w + 1]):
+    for j in range(rows.line_start[w], rows.line_start[w + 1]):
         joints.joint_color[j] = taken.lowest_free(joints.joint_body_a[j], joints.joint_body_b[j])
         taken.take(joints.joint_body_a[j], joints.joint_body_b[j], joints.joint_color[j])
     for k in range(rows.row_start[w], rows.row_start[w + 1]):
@@ -88,7 +88,7 @@ def keep_colors(
     if state.flags[w]:
         return
     taken = Taken(w, model)
-    for j in range(model.joint_start[w], model.joint_start[w + 1]):
+    for j in range(rows.line_start[w], rows.line_start[w + 1]):
         a, b = joints.joint_body_a[j], joints.joint_body_b[j]
         taken.take(a, b, taken.lowest_free(a, b))
     for k in range(rows.row_start[w], rows.row_start[w + 1]):

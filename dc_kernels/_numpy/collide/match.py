@@ -44,5 +44,7 @@ def match_contacts(
                 cache.color[old],
                 cache.age[old] + 1,
             )
-    for j in range(model.joint_start[w], model.joint_start[w + 1]):
-        joints.joint_impulse[j] = cache.joint_impulse[j] * scale
+    first_row = joints.joint_row_start[model.joint_start[w]]
+    last_row = joints.joint_row_start[model.joint_start[w + 1]]
+    for k in range(first_row, last_row):
+        joints.joint_impulse[k] = cache.joint_impulse[k] * scale

@@ -134,6 +134,6 @@ def commit(
     cache.color[used] = contacts.color[used]
     cache.age[used] = contacts.age[used]
     cache.count[w] = contacts.contact_count[w]
-    own_joints = slice(model.joint_start[w], model.joint_start[w + 1])
+    own_joints = slice(*joints.joint_row_start[model.joint_start[w : w + 2]])
     cache.joint_impulse[own_joints] = joints.joint_impulse[own_joints]
     contacts.contact_dt[w] = motion.step_dt[w]

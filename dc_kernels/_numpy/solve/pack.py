@@ -38,7 +38,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         if state.flags[w]:
             return
         own_contacts = np.arange(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
-        own_joints = np.arange(model.joint_start[w], model.joint_start[w + 1])
+        own_joints = np.arange(rows.line_start[w], rows.line_start[w + 1])
         own_rows = np.arange(rows.row_start[w], rows.row_start[w + 1])
         colors = [contacts.color[own_contacts], joints.joint_color[own_joints], rows.row_color[own_rows]]
         colors = np.concatenate(colors)
@@ -46,7 +46,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         rolling: list[tuple[int, int, PackedRow]] = []  # contact, colour, row
         if variant in SURFACED:
             for c in own_contacts:
-                if (row := make_rolling_row(c, w, model, motion, contacts)) is not None:
+                if (row := make_rolling_row(c, w, model, motion, contacts, rows)) is not None:
                     color = contacts.color[c] + ROLLING_COLOR if highest <= ROLLING_COLOR else SERIAL_COLOR
                     rolling.append((int(c), int(color), row))
             colors = np.concatenate([colors, np.array([color for _, color, _ in rolling], np.int32)])
@@ -79,7 +79,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
             return block * 2 * LANES + lane
 
         for c in own_contacts:
-            row = make_contact_row(c, w, variant, config, model, state, motion, contacts)
+            row = make_contact_row(c, w, variant, config, model, state, motion, contacts, rows)
             rows.slot[c] = place(contacts.color[c], row)
             rows.square[c] = row.square
             squares += row.square
@@ -107,7 +107,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         own = slice(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
         contacts.impulse[own, 0] = rows.impulse[rows.slot[own]]
         contacts.impulse[own, 1] = rows.impulse[rows.slot[own] + LANES]
-        own = slice(model.joint_start[w], model.joint_start[w + 1])
+        own = slice(rows.line_start[w], rows.line_start[w + 1])
         joints.joint_impulse[own] = rows.impulse[rows.joint_slot[own]]
         own = slice(rows.row_start[w], rows.row_start[w + 1])
         rows.row_impulse[own] = rows.impulse[rows.row_slot[own]]

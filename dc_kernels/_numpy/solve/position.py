@@ -6,6 +6,7 @@ from typing import Any
 
 from dc_kernels._numpy.common import Kernels
 from dc_kernels._numpy.solve.row import push_row
+from dc_kernels._numpy.solve.trees import Trees
 from dc_kernels._numpy.solve.world import World
 from dc_kernels.solve.rows import JOINTED
 
@@ -25,9 +26,13 @@ def position_kernels(variant: str) -> Kernels:
             return
         limit = config.max_correction * model.length_scale[w]
         world = World(w, variant, 0, config, model, motion, rows, None)
+        trees = Trees(w, variant, rows, motion.displacement, places=True) if world.direct else None
         for _ in range(config.position_iterations):
             pushes = (push_row(row, motion.displacement, config.position_factor, limit) for row in world.own_rows)
-            if not max(pushes, default=0.0) > 0.0:
+            pushed = max(pushes, default=0.0)
+            if trees is not None:
+                trees.push(motion.displacement, config.position_factor, limit)
+            if not pushed > 0.0:
                 break
 
     return {"correct_positions": correct_positions}

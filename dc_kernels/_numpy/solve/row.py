@@ -33,6 +33,7 @@ class Row:
     softness: Any  # [1/kg]
     slip: Any  # [m/s], of the surface of B against that of A
     roll: Any  # share of a contact's normal impulse that bounds it, > 0 for rolling resistance
+    held: Any  # 1 where position correction moves it, else 0
 
     @property
     def is_box(self) -> bool:
@@ -110,6 +111,7 @@ def read_row(variant: str, block: int, lane: int, rows: Any, bodies: Array) -> R
         softness=softness,
         slip=slip,
         roll=roll,
+        held=value.get("held", rows.column.dtype.type(1)),
     )
 
 
@@ -132,32 +134,35 @@ class PackedRow(NamedTuple):
     softness: Any = 0.0  # velocity for each normal impulse [1/kg]
     slip: Any = 0.0  # tangential speed of the surface of B against that of A [m/s]
     roll: Any = 0.0  # share of a contact's normal impulse that bounds it
+    held: Any = 1.0  # 1 where position correction moves it, else 0
+    inverse: Any = None  # inverse inertias of A and B, where they are not those of the model [1/(kg m^2)]
 
     def columns(self, variant: str, model: Any) -> list[Any]:
         """Values of the variant's columns."""
         jn, jt = self.jn, self.jt
-        ia, ib = model.inv_inertia[self.a], model.inv_inertia[self.b]
+        ia, ib = model.inv_inertia[[self.a, self.b]] if self.inverse is None else self.inverse
         values = {"nx": self.normal[0], "ny": self.normal[1]}
         values |= {"rAn": -jn[2], "rBn": jn[5], "rAt": -jt[2], "rBt": jt[5], "iA": ia, "iB": ib}
         values |= {"dA": jt[2], "dB": jt[5], "kA": ia * jt[2], "kB": ib * jt[5]}
         values |= {"en": self.normal_mass, "et": self.tangent_mass, "bias": self.bias}
         values |= {"mu": self.friction, "gap": self.gap, "lo": self.least}
-        values |= {
-            "hi": self.most,
-            "ax": -jn[0],
-            "ay": -jn[1],
-            "soft": self.softness,
-            "slip": self.slip,
-            "roll": self.roll,
-        }
+        values |= {"hi": self.most, "ax": -jn[0], "ay": -jn[1], "soft": self.softness, "held": self.held}
+        values |= {"slip": self.slip, "roll": self.roll}
         return [values[name] for name in COLUMNS[variant]]
 
 
-def effective_mass(j: Array, a: int, b: int, model: Any, motion: Any) -> Any:
-    """1 / (J M^-1 J^T), 0 if nothing can move (Wu 2018, equation 2.25)."""
+def effective_mass(j: Array, a: int, b: int, model: Any, motion: Any, inverse: Any = None) -> Any:
+    """1 / (J M^-1 J^T), 0 if nothing can move (Wu 2018, equation 2.25); with other ``inverse`` inertias if given."""
     ma, mb = motion.predicted[a, 3], motion.predicted[b, 3]
-    k = (j * j) @ np.array([ma, ma, model.inv_inertia[a], mb, mb, model.inv_inertia[b]])
+    ia, ib = model.inv_inertia[[a, b]] if inverse is None else inverse
+    k = (j * j) @ np.array([ma, ma, ia, mb, mb, ib])
     return 1.0 / k if k > 0 else k
+
+
+def inverse_inertias(a: int, b: int, model: Any, rows: Any) -> Array:
+    """Inverse inertias of A and B, less where joints stiffen them (``solve.joints``) [1/(kg m^2)]."""
+    inverse = model.inv_inertia[[a, b]]
+    return inverse / (1 + inverse * rows.stiff_inertia[[a, b]]) if len(rows.stiff_inertia) else inverse
 
 
 def velocities(state: Any, a: int, b: int) -> Array:
@@ -217,7 +222,7 @@ def push_row(row: Row, bodies: Array, factor: float, limit: Any) -> Any:
         step = min(step, limit)
     if row.roll > 0:
         step = 0.0  # what rolls is where it should be
-    push = max(-row.effective_mass[0] * step, row.low)
+    push = row.held * row.within(-row.effective_mass[0] * step)
     row.change(bodies, np.array([push, 0.0], bodies.dtype))
     return abs(push)
 

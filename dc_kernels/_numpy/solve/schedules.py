@@ -131,7 +131,9 @@ def kernels(dtype: str, variant: str) -> Kernels:
         w = tid + launch.world_offset
         if state.flags[w] or stats.iteration[w].finished:
             return
-        conclude_sweep(world_of(tid, launch, config, model, motion, rows, stats), stats.change[w])
+        world = world_of(tid, launch, config, model, motion, rows, stats)
+        world.solve_trees()
+        conclude_sweep(world, stats.change[w])
 
     def finish(tid: int, launch: Any, config: Any, model: Any, state: Any, motion: Any, rows: Any, stats: Any) -> None:
         """Colour schedule: what the solve reports."""

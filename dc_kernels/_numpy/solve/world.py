@@ -10,11 +10,13 @@ import numpy as np
 
 from dc_kernels._numpy.common import Array
 from dc_kernels._numpy.solve.row import Row, by_lane, jacobi_row, natural_map_row, read_row, sweep_row
-from dc_kernels.model.config import ACCELERATIONS, METHODS, STOPS
+from dc_kernels._numpy.solve.trees import Trees
+from dc_kernels.model.config import ACCELERATIONS, JOINT_SOLVERS, METHODS, STOPS
 from dc_kernels.solve.iteration import FALL, FAR, MOVING, NEVER, PAST
-from dc_kernels.solve.rows import COLORS, COLUMNS, LANES
+from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, OWN
 
 JACOBI = METHODS["jacobi"]
+DIRECT = JOINT_SOLVERS["direct"]
 SOR = ACCELERATIONS["sor"]
 BY_RESIDUAL = STOPS["residual"]
 BY_MOTION = STOPS["motion"]
@@ -101,7 +103,7 @@ class World:
     def is_still(self) -> bool:
         """Whether the last sweep has moved at most one row in MOVING, and none far."""
         config, motion, model, w = self.config, self.motion, self.model, self.w
-        if any(start[w + 1] > start[w] for start in (model.joint_start, self.rows.row_start)):
+        if any(start[w + 1] > start[w] for start in (self.rows.line_start, self.rows.row_start)):
             return False  # what a joint lacks shows as stretch: such a world is solved to the tolerances
         real, dt = motion.step_dt.dtype.type, motion.step_dt[w]
         still = real(config.motion_tolerance) * real(config.slop) * model.length_scale[w] / dt
@@ -128,7 +130,24 @@ class World:
         by_lane(self.rows.change)[self.blocks] = 0.0  # of empty lanes too
         if self.config.method == JACOBI:
             return max(jacobi_row(row, self.rows, self.motion, self.omega) for row in self.own_rows)
-        return max(sweep_row(row, self.rows, self.motion.solved, self.omega) for row in self.own_rows)
+        most = max(sweep_row(row, self.rows, self.motion.solved, self.omega) for row in self.own_rows)
+        self.solve_trees()
+        return most
+
+    @cached_property
+    def trees(self) -> Trees:
+        """The trees of its joints."""
+        return Trees(self.w, self.variant, self.rows, self.motion.predicted)
+
+    @property
+    def direct(self) -> bool:
+        """Whether sweeps are followed by a direct solve of the joints' trees; Jacobi's share of masses knows none."""
+        return self.variant in OWN and self.config.joint_solver == DIRECT and self.config.method != JACOBI
+
+    def solve_trees(self) -> None:
+        """Solve all trees for the velocities that a sweep has left."""
+        if self.direct:
+            self.trees.solve(self.rows, self.motion.solved)
 
     def apply(self, delta: Array) -> None:
         """Velocities follow a change of all impulses: V += M^-1 J^T delta (Wu 2018, equation 2.26)."""
@@ -153,7 +172,7 @@ class World:
         moves = by_lane(rows.column, len(columns))[block, :, lane] > 0
         rows.impulse[rows.slot[own]] = contacts.impulse[own, 0] * moves[:, columns.index("en")]
         rows.impulse[rows.slot[own] + LANES] = contacts.impulse[own, 1] * moves[:, columns.index("et")]
-        own = slice(self.model.joint_start[w], self.model.joint_start[w + 1])
+        own = slice(self.rows.line_start[w], self.rows.line_start[w + 1])
         rows.impulse[rows.joint_slot[own]] = joints.joint_impulse[own]
         own = slice(rows.row_start[w], rows.row_start[w + 1])
         block, lane = np.divmod(rows.row_slot[own], 2 * LANES)

@@ -58,7 +58,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         """Each joint, and each row of a caller's own, takes the lowest colour that is free; ``store``: and keeps it."""
         for b in range(model.body_start[w], model.body_start[w + 1]):
             rows.color_mask[b] = ti.u64(0)
-        for j in range(model.joint_start[w], model.joint_start[w + 1]):
+        for j in range(rows.line_start[w], rows.line_start[w + 1]):
             a = joints.joint_body_a[j]
             b = joints.joint_body_b[j]
             free = lowest_free(taken(a, b, model.body_type, rows.color_mask))
@@ -92,7 +92,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         if state.flags[w] == 0:
             start = contacts.contact_start[w]
             end = start + contacts.contact_count[w]
-            fresh = model.joint_start[w + 1] - model.joint_start[w] + rows.row_start[w + 1] - rows.row_start[w]
+            fresh = rows.line_start[w + 1] - rows.line_start[w] + rows.row_start[w + 1] - rows.row_start[w]
             if fresh == 0:
                 for c in range(start, end):
                     if contacts.color[c] < 0 or contacts.color[c] == SERIAL:

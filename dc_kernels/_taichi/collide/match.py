@@ -48,7 +48,9 @@ def kernels(dtype: str) -> dict[str, Any]:
                 contacts.impulse[c] = impulse
                 contacts.color[c] = color
                 contacts.age[c] = age
-            for j in range(model.joint_start[w], model.joint_start[w + 1]):
-                joints.joint_impulse[j] = cache.joint_impulse[j] * scale
+            first_row = joints.joint_row_start[model.joint_start[w]]
+            last_row = joints.joint_row_start[model.joint_start[w + 1]]
+            for k in range(first_row, last_row):
+                joints.joint_impulse[k] = cache.joint_impulse[k] * scale
 
     return {"match_contacts": match_contacts}

@@ -156,8 +156,10 @@ def kernels(dtype: str, traits: bool = False) -> dict[str, Any]:
                     cache.impulse[c] = contacts.impulse[c]
                     cache.color[c] = contacts.color[c]
                     cache.age[c] = contacts.age[c]
-                for j in range(model.joint_start[w], model.joint_start[w + 1]):
-                    cache.joint_impulse[j] = joints.joint_impulse[j]
+                first_row = joints.joint_row_start[model.joint_start[w]]
+                last_row = joints.joint_row_start[model.joint_start[w + 1]]
+                for k in range(first_row, last_row):
+                    cache.joint_impulse[k] = joints.joint_impulse[k]
                 cache.count[w] = n
                 contacts.contact_dt[w] = motion.step_dt[w]
 

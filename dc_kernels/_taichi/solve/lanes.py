@@ -126,7 +126,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
     # discs have dA, dB, kA and kB for arms along the tangent and turns by an impulse along it
     RAN, RBN = at.get("rAn", 0), at.get("rBn", 0)
     RAT, RBT, WA, WB = (at[c] for c in (("dA", "dB", "kA", "kB") if discs else ("rAt", "rBt", "iA", "iB")))
-    LO, HI, SOFT = (at.get(c, 0) for c in ("lo", "hi", "soft"))
+    LO, HI, SOFT, HELD = (at.get(c, 0) for c in ("lo", "hi", "soft", "held"))
     AX, AY = at.get("ax", NX), at.get("ay", NY)  # of a caller's own rows; else one normal serves both bodies
 
     @ti.func
@@ -281,6 +281,8 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             if ti.static(jointed):
                 step = ti.min(step, vec8(limit))
             dn = ti.max((rows.column[k + EN] * step) * -1.0, least(rows, k))
+            if ti.static(own):
+                dn = rows.column[k + HELD] * ti.min(dn, rows.column[k + HI])
             px = nx * dn
             py = ny * dn
             if ti.static(own):

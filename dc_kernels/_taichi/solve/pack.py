@@ -35,7 +35,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     # the variant that lacks a column never writes it
     RAN, RBN, RAT, RBT, IA, IB = (at.get(c, 0) for c in ("rAn", "rBn", "rAt", "rBt", "iA", "iB"))
     DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
-    HI, AX, AY, SOFT = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft"))
+    HI, AX, AY, SOFT, HELD = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft", "held"))
     make_contact_row = contact_row(dtype, variant)
     make_distance_row = distance_row(dtype, variant)
     make_jacobian_row = jacobian_row(dtype, variant)
@@ -69,6 +69,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             rows.column[k + AX][lane] = row.direction_a[0]
             rows.column[k + AY][lane] = row.direction_a[1]
             rows.column[k + SOFT][lane] = row.softness
+            rows.column[k + HELD][lane] = row.held
 
     @ti.func
     def lay_out(w, padding_body, model: t.Model, joints: t.Joints, contacts: t.Contacts, rows: t.Rows):
@@ -82,7 +83,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             color = contacts.color[c]
             rows.color_fill[count + color] = rows.color_fill[count + color] + 1
             used = ti.max(used, color + 1)
-        for j in range(model.joint_start[w], model.joint_start[w + 1]):
+        for j in range(rows.line_start[w], rows.line_start[w + 1]):
             color = joints.joint_color[j]
             rows.color_fill[count + color] = rows.color_fill[count + color] + 1
             used = ti.max(used, color + 1)
@@ -162,16 +163,18 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                     if ti.static(own):  # one normal serves both bodies, and pushes without bound
                         row.direction_a = row.normal
                         row.most = INFINITY
+                        row.held = 1.0
                     rows.slot[c] = place(w, contacts.color[c], jacobi, row, rows)
                     least = ti.min(least, contacts.gap[c])
                     rows.square[c] = row.square
                     scale += row.square
                 if ti.static(jointed):
-                    for j in range(model.joint_start[w], model.joint_start[w + 1]):
+                    for j in range(rows.line_start[w], rows.line_start[w + 1]):
                         joint_row = make_distance_row(j, w, config, model, state, motion, joints)
                         if ti.static(own):
                             joint_row.direction_a = joint_row.normal
                             joint_row.most = INFINITY
+                            joint_row.held = 1.0
                         rows.joint_slot[j] = place(w, joints.joint_color[j], jacobi, joint_row, rows)
                         scale += joint_row.square
                 if ti.static(own):
@@ -203,7 +206,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 lane = i % LANES
                 contacts.impulse[c] = vec2(rows.impulse[2 * block][lane], rows.impulse[2 * block + 1][lane])
             if ti.static(jointed):
-                for j in range(model.joint_start[w], model.joint_start[w + 1]):
+                for j in range(rows.line_start[w], rows.line_start[w + 1]):
                     i = rows.joint_slot[j]
                     joints.joint_impulse[j] = rows.impulse[i // LANES][i % LANES]
             if ti.static(own):

@@ -33,7 +33,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
     # the variant that lacks a column never reads it
     RAN, RBN, RAT, RBT, IA, IB = (at.get(c, 0) for c in ("rAn", "rBn", "rAt", "rBt", "iA", "iB"))
     DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
-    HI, AX, AY, SOFT = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft"))
+    HI, AX, AY, SOFT, HELD = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft", "held"))
 
     @ti.func
     def normal_speed(rows: t.Rows, k, lane, va, vb):
@@ -252,7 +252,9 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         step = ti.max(factor * (normal_speed(rows, k, lane, va, vb) + rows.column[k + GAP][lane]), 0.0 - limit)
         if ti.static(jointed):
             step = ti.min(step, limit)
-        dn = ti.max(0.0 - rows.column[k + EN][lane] * step, least_normal(rows, k, lane))
+        dn = within(rows, k, lane, 0.0 - rows.column[k + EN][lane] * step)
+        if ti.static(own):
+            dn = rows.column[k + HELD][lane] * dn
         bodies[a] = normal_change_a(rows, k, lane, va, dn)
         bodies[b] = normal_change_b(rows, k, lane, vb, dn)
         return ti.abs(dn)

@@ -80,7 +80,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         dt = motion.step_dt[w]
         span.still = config.motion_tolerance * config.slop * model.length_scale[w] / dt
         if ti.static(jointed):  # what a joint lacks shows as stretch: such a world is solved to the tolerances
-            if model.joint_start[w + 1] > model.joint_start[w]:
+            if rows.line_start[w + 1] > rows.line_start[w]:
                 span.still = -1e18
         if ti.static(own):
             if rows.row_start[w + 1] > rows.row_start[w]:
@@ -140,7 +140,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             if rows.column[k + ET][lane] > 0.0:
                 rows.impulse[i // LANES + 1][lane] = contacts.impulse[c][1]
         if ti.static(jointed):
-            for j in range(model.joint_start[w], model.joint_start[w + 1]):
+            for j in range(rows.line_start[w], rows.line_start[w + 1]):
                 i = rows.joint_slot[j]
                 rows.impulse[i // LANES][i % LANES] = joints.joint_impulse[j]
         if ti.static(own):

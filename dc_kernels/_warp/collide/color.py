@@ -98,13 +98,13 @@ def kernels(dtype: str) -> dict[str, Any]:
         end = start + contacts.contact_count[w]
         own = rows.row_start[w + 1] - rows.row_start[w]
         fresh = count_fresh(contacts.color, start, end)
-        if model.joint_start[w] == model.joint_start[w + 1] and own == 0:
+        if rows.line_start[w] == rows.line_start[w + 1] and own == 0:
             # nothing new, nothing to colour
             if fresh == 0:
                 return
         for b in range(model.body_start[w], model.body_start[w + 1]):
             rows.color_mask[b] = wp.uint64(0)
-        for j in range(model.joint_start[w], model.joint_start[w + 1]):
+        for j in range(rows.line_start[w], rows.line_start[w + 1]):
             a = joints.joint_body_a[j]
             b = joints.joint_body_b[j]
             free = lowest_free(taken(a, b, model.body_type, rows.color_mask))
@@ -138,7 +138,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             return
         for b in range(model.body_start[w], model.body_start[w + 1]):
             rows.color_mask[b] = wp.uint64(0)
-        for j in range(model.joint_start[w], model.joint_start[w + 1]):
+        for j in range(rows.line_start[w], rows.line_start[w + 1]):
             a = joints.joint_body_a[j]
             b = joints.joint_body_b[j]
             take(a, b, lowest_free(taken(a, b, model.body_type, rows.color_mask)), rows.color_mask)

@@ -164,8 +164,11 @@ def kernels(dtype: str, traits: bool = False) -> dict[str, Any]:
         start = contacts.contact_start[w]
         n = contacts.contact_count[w]
         copy_contacts(contacts, cache, start, start + n)
-        for j in range(model.joint_start[w], model.joint_start[w + 1]):
-            cache.joint_impulse[j] = joints.joint_impulse[j]
+        joint = model.joint_start[w]
+        last_joint = model.joint_start[w + 1]
+        if joint < last_joint:  # two loads less in a world without joints
+            for k in range(joints.joint_row_start[joint], joints.joint_row_start[last_joint]):
+                cache.joint_impulse[k] = joints.joint_impulse[k]
         cache.count[w] = n
         contacts.contact_dt[w] = motion.step_dt[w]
 

@@ -34,6 +34,12 @@ def inverse_or_zero(x: Any):
 
 
 @wp.func
+def stiffened(inverse: Any, added: Any):
+    """The inverse of an inertia to which some is added [1/(kg m^2)]."""
+    return inverse / (type(inverse)(1.0) + inverse * added)
+
+
+@wp.func
 def project_cone(z: Any, mu: Any):
     """The nearest point to z = (normal, tangential) in Coulomb's cone, |tangential| <= mu * normal."""
     zn = z[0]

@@ -83,6 +83,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if wp.static(own):
             row.direction_a = row.normal
             row.most = infinity
+            row.held = real(1.0)
         return row
 
     @wp.func(module=module)
@@ -139,7 +140,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if jacobi:
             count_rows(contacts, rows.body_rows, start, end)
         if wp.static(jointed):
-            for j in range(model.joint_start[w], model.joint_start[w + 1]):
+            for j in range(rows.line_start[w], rows.line_start[w + 1]):
                 row = make_distance_row(j, w, config, model, state, motion, joints)
                 rows.joint_slot[j] = place(w, joints.joint_color[j], jacobi, between(row), rows)
                 scale += row.square
@@ -155,7 +156,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                     color = SERIAL
                     if used <= ROLLING:
                         color = contacts.color[c] + ROLLING
-                    row = make_rolling_row(c, w, resistance, model, contacts)
+                    row = make_rolling_row(c, w, resistance, model, contacts, rows)
                     i = place(w, color, jacobi, row, rows)
                     rows.limit_slot[i / (2 * N_LANES) * N_LANES + i % N_LANES] = rows.slot[c]
         rows.scale[w] = wp.sqrt(scale)
@@ -184,7 +185,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         end = start + contacts.contact_count[w]
         unpack_contacts(rows.impulse, rows.slot, contacts.impulse, start, end, launch.team)
         if wp.static(jointed):
-            for j in range(model.joint_start[w], model.joint_start[w + 1]):
+            for j in range(rows.line_start[w], rows.line_start[w + 1]):
                 joints.joint_impulse[j] = rows.impulse[rows.joint_slot[j]]
         if wp.static(own):
             for k in range(rows.row_start[w], rows.row_start[w + 1]):

@@ -9,8 +9,9 @@ from dc_kernels._warp.common import is_set, kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.lanes import has_lanes, lane_functions
 from dc_kernels._warp.solve.row import row_functions
-from dc_kernels._warp.solve.world import ENDS, N_COLORS, N_LANES, SERIAL
-from dc_kernels.solve.rows import JOINTED
+from dc_kernels._warp.solve.trees import tree_functions
+from dc_kernels._warp.solve.world import DIRECT, ENDS, JACOBI, N_COLORS, N_LANES, SERIAL
+from dc_kernels.solve.rows import JOINTED, OWN
 
 
 @cache
@@ -21,7 +22,10 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
     module = kernel_module("solver", dtype, variant)
     push_row = row_functions(dtype, variant).push_row
     push_lanes = lane_functions(dtype, variant).push
-    jointed = variant in JOINTED
+    jointed, own = variant in JOINTED, variant in OWN
+    if own:
+        trees = tree_functions(dtype, variant)
+        factor_trees, solve_trees = trees.factor, trees.solve
 
     @wp.kernel(module=module, enable_backward=False)
     def correct_positions(
@@ -50,6 +54,10 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
         last = rows.color_block[w * ENDS + N_COLORS]
         iteration = int(0)
         pushed = real(1.0)
+        if wp.static(own):
+            direct = config.joint_solver == DIRECT and config.method != JACOBI
+            if direct:
+                factor_trees(w, 1, motion.displacement, rows)
         while iteration < config.position_iterations and pushed > real(0.0):
             first = rows.color_block[w * ENDS]
             pushed = real(0.0)
@@ -67,6 +75,9 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
                 first = serial
             for k in range(first * N_LANES, last * N_LANES):
                 pushed = wp.max(pushed, push_row(k / N_LANES, k % N_LANES, rows, motion.displacement, factor, limit))
+            if wp.static(own):
+                if direct:
+                    solve_trees(w, 1, factor, limit, motion.displacement, rows)
             iteration += 1
             if is_set(launch.cut) == 1:
                 break

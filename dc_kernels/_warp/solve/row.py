@@ -38,7 +38,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
     # the variant that lacks a column never reads it
     RAN, RBN, RAT, RBT, IA, IB = (at.get(c, 0) for c in ("rAn", "rBn", "rAt", "rBt", "iA", "iB"))
     DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
-    HI, AX, AY, SOFT, SLIP, ROLL = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft", "slip", "roll"))
+    HI, AX, AY, SOFT, HELD, SLIP, ROLL = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft", "held", "slip", "roll"))
     infinity = real(float("inf"))
 
     @wp.func(module=module)
@@ -260,7 +260,9 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         if wp.static(surfaced):
             if rows.column[r + ROLL] > real(0.0):  # what rolls is where it should be
                 step = real(0.0)
-        dn = wp.max(-(rows.column[r + EN] * step), least_normal(rows.column, r))
+        dn = within(rows.column, r, -(rows.column[r + EN] * step))
+        if wp.static(own):
+            dn = rows.column[r + HELD] * dn
         bodies[a] = normal_change(rows.column, r, va, 0, dn)
         bodies[b] = normal_change(rows.column, r, vb, 1, dn)
         return wp.abs(dn)

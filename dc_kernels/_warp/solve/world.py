@@ -10,7 +10,8 @@ from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.lanes import has_lanes, lane_functions, row_macros
 from dc_kernels._warp.solve.ranges import range_functions, ranges_code
 from dc_kernels._warp.solve.row import row_functions
-from dc_kernels.model.config import METHODS, STOPS
+from dc_kernels._warp.solve.trees import tree_functions
+from dc_kernels.model.config import JOINT_SOLVERS, METHODS, STOPS
 from dc_kernels.solve.iteration import ASTRAY, FALL, NEVER
 from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, OWN, ROLLING_COLOR, SERIAL_COLOR, SURFACED
 
@@ -20,6 +21,7 @@ N_LANES = wp.constant(LANES)
 SERIAL = wp.constant(SERIAL_COLOR)
 ROLLING = wp.constant(ROLLING_COLOR)
 JACOBI = wp.constant(METHODS["jacobi"])
+DIRECT = wp.constant(JOINT_SOLVERS["direct"])
 BY_RESIDUAL = wp.constant(STOPS["residual"])
 NO_PAUSE = wp.constant(NEVER)
 LED_ASTRAY = wp.constant(ASTRAY)
@@ -41,6 +43,10 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     restore = range_functions(dtype).restore
     bound_lanes, forget_rolling = lanes.bound, lanes.forget_rolling
     jointed, own, surfaced = variant in JOINTED, variant in OWN, variant in SURFACED
+    one = real(1.0)
+    if own:
+        trees = tree_functions(dtype, variant)
+        factor_trees, solve_trees = trees.factor, trees.solve
     tiny = real(1e-30)
     never = real(-1e18)  # no change is as small
     columns = COLUMNS[variant]
@@ -86,7 +92,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         dt = motion.step_dt[w]
         span.still = config.motion_tolerance * config.slop * model.length_scale[w] / dt
         if wp.static(jointed):  # what a joint lacks shows as stretch: such a world is solved to the tolerances
-            if model.joint_start[w + 1] > model.joint_start[w]:
+            if rows.line_start[w + 1] > rows.line_start[w]:
                 span.still = never
         if wp.static(own):
             if rows.row_start[w + 1] > rows.row_start[w]:
@@ -99,6 +105,11 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         """Bounds of the rows of rolling resistance follow the normal impulses of their contacts."""
         first = rows.color_block[span.world * ENDS + ROLLING]
         bound_lanes(rows.column, rows.limit_slot, rows.impulse, first, span.last)
+
+    @wp.func(module=module)
+    def solves_trees(config: t.Config):
+        """1 where sweeps are followed by a direct solve of the joints' trees; Jacobi's share of masses knows none."""
+        return wp.where(config.joint_solver == DIRECT and config.method != JACOBI, 1, 0)
 
     @wp.func(module=module)
     def sweep(span: Span, config: t.Config, omega: real, motion: t.Motion, rows: t.Rows):
@@ -125,6 +136,9 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         # one loop over the rows: Warp would unroll one over lanes, which takes the compiler half a minute
         for k in range(first * N_LANES, span.last * N_LANES):
             change = wp.max(change, sweep_row(k / N_LANES, k % N_LANES, rows, motion.solved, omega))
+        if wp.static(own):
+            if solves_trees(config) == 1:
+                solve_trees(span.world, 0, one, one, motion.solved, rows)
         return change
 
     @wp.func(module=module)
@@ -167,7 +181,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @wp.func(module=module)
     def load_impulses(
-        span: Span, model: t.Model, joints: t.Joints, contacts: t.Contacts, motion: t.Motion, rows: t.Rows
+        span: Span, config: t.Config, joints: t.Joints, contacts: t.Contacts, motion: t.Motion, rows: t.Rows
     ):
         """Impulses of contacts and joints to the rows; predicted velocities plus what they add.
 
@@ -180,7 +194,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             rows.column, rows.slot, contacts.impulse, rows.impulse, span.first, span.last, start, end, span.team
         )
         if wp.static(jointed):
-            for j in range(model.joint_start[w], model.joint_start[w + 1]):
+            for j in range(rows.line_start[w], rows.line_start[w + 1]):
                 rows.impulse[rows.joint_slot[j]] = joints.joint_impulse[j]
         if wp.static(own):
             for k in range(rows.row_start[w], rows.row_start[w + 1]):
@@ -191,6 +205,9 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             rolling = rows.color_block[w * ENDS + ROLLING]
             forget_rolling(rows.column, rows.limit_slot, rows.impulse, rolling, span.last)
         refresh(span, motion, rows)
+        if wp.static(own):
+            if solves_trees(config) == 1:
+                factor_trees(w, 0, motion.predicted, rows)
 
     @wp.func(module=module)
     def natural_map(span: Span, bodies: wp.array(dtype=vec4), rows: t.Rows):
@@ -247,4 +264,5 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         refresh=refresh,
         load_impulses=load_impulses,
         natural_map=natural_map,
+        solves_trees=solves_trees,
     )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup, Joints, Model, State
-from dc_kernels.model.enums import BodyType, ShapeType
+from dc_kernels.model.arrays import ArrayGroup, Model, State
+from dc_kernels.model.enums import BodyType, JointKind, JointPart, ShapeType
 from dc_kernels.model.fields import JOINTS, KEY_SHAPE_BITS, MODEL, STATE, TRAITS
+from dc_kernels.model.joints.groups import HELD, OPTIONAL, Joints, count_rows
 from dc_kernels.model.rules import INVERSE_TOLERANCE, BrokenRule, Index, Start, refuse
 from dc_kernels.model.settings import WrongType, checker
 from dc_kernels.model.validate.arrays import Layout, check_field, check_start, parts_of, sane
@@ -173,6 +174,24 @@ def check_joints(joints: Arrays, model: Arrays, label: str = "joints.") -> None:
     layout = Layout(model)
     for name, values in joints.items():
         check_field(f"{label}{name}", JOINTS[name], values, layout)
+    start, rows = joints["joint_row_start"], count_rows(joints["joint_kind"], joints["joint_parts"])
+    check_start(f"{label}joint_row_start", start, len(joints["joint_impulse"]))
+    refuse(f"{label}joint_row_start", start[1:], np.diff(start) != rows, "where the rows of joint_parts end", 1)
+    _check_parts(joints, label)
     refuse(f"{label}joint_body_b", b, a == b, "another body than body A")
     dynamic = model["body_type"] == BodyType.DYNAMIC
     refuse(f"{label}joint_body_b", b, ~(dynamic[a] | dynamic[b]), "DYNAMIC, for body A is not")
+
+
+def _check_parts(joints: Arrays, label: str) -> None:
+    """Hold the parts of joints to their kinds, and lengths and limits to their parts."""
+    kind, parts = joints["joint_kind"], joints["joint_parts"]
+    optional = np.array([int(OPTIONAL.get(one, 0)) for one in HELD])[kind]
+    rod = (kind == JointKind.DISTANCE) & (parts == JointPart.HOLD) & (joints["joint_frequency"] == 0)
+    parted = (parts | optional) == (int(JointPart.HOLD) | optional)
+    refuse(f"{label}joint_parts", parts, ~parted | (parts == 0), "those that its kind has")
+    length = joints["joint_length"]
+    refuse(f"{label}joint_length", length, rod & (length <= 0), "finite and > 0, for the joint is rigid")
+    lower, upper = joints["joint_lower"], joints["joint_upper"]
+    bounded = (parts & int(JointPart.LIMIT) != 0) | (kind == JointKind.GENERAL)
+    refuse(f"{label}joint_lower", lower, bounded & (lower > upper), "at most joint_upper")

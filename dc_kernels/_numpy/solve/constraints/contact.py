@@ -9,7 +9,7 @@ import numpy as np
 from dc_kernels._numpy.common import dot, tangent
 from dc_kernels._numpy.solve.constraints.rolling import slip_of
 from dc_kernels._numpy.solve.laws import direction
-from dc_kernels._numpy.solve.row import PackedRow, effective_mass, velocities
+from dc_kernels._numpy.solve.row import PackedRow, effective_mass, inverse_inertias, velocities
 from dc_kernels.model.config import POSITION_CORRECTIONS
 from dc_kernels.solve.rows import SURFACED
 
@@ -18,7 +18,7 @@ OPEN = 1e6  # a row that lets this many times the gap close within the step neve
 
 
 def make_contact_row(
-    c: int, w: int, variant: str, config: Any, model: Any, state: Any, motion: Any, contacts: Any
+    c: int, w: int, variant: str, config: Any, model: Any, state: Any, motion: Any, contacts: Any, rows: Any
 ) -> PackedRow:
     """The row of contact c of world w."""
     dt = motion.step_dt[w]
@@ -30,7 +30,8 @@ def make_contact_row(
         jn[[2, 5]] = 0.0  # the normal of a disc points at its centre
     v = np.concatenate([motion.predicted[a, :3], motion.predicted[b, :3]])
     un, ut = jn @ v, jt @ v
-    en, et = effective_mass(jn, a, b, model, motion), effective_mass(jt, a, b, model, motion)
+    inverse = inverse_inertias(a, b, model, rows)
+    en, et = (effective_mass(j, a, b, model, motion, inverse) for j in (jn, jt))
     g, e = contacts.gap[c], contacts.restitution[c]
     bias = g.dtype.type(0)
     if g > slop:
@@ -52,4 +53,6 @@ def make_contact_row(
     slip = slip_of(c, w, model, contacts) if variant in SURFACED else g.dtype.type(0)
     ut = ut + slip
     square = (en * (un + bias)) ** 2 + (en * ut) ** 2 if counted else 0.0
-    return PackedRow(a, b, n, jn, jt, en, et, bias, contacts.friction[c], g + slop, 0.0, square, slip=slip)
+    return PackedRow(
+        a, b, n, jn, jt, en, et, bias, contacts.friction[c], g + slop, 0.0, square, slip=slip, inverse=inverse
+    )

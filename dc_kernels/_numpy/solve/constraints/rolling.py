@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels._numpy.solve.row import PackedRow, effective_mass
+from dc_kernels._numpy.solve.row import PackedRow, effective_mass, inverse_inertias
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 
 
@@ -23,15 +23,17 @@ def slip_of(c: int, w: int, model: Any, contacts: Any) -> Any:
     return -(model.shape_surface_speed[a] + model.shape_surface_speed[b])
 
 
-def make_rolling_row(c: int, w: int, model: Any, motion: Any, contacts: Any) -> PackedRow | None:
+def make_rolling_row(c: int, w: int, model: Any, motion: Any, contacts: Any, rows: Any) -> PackedRow | None:
     """The row of contact c of world w; None where nothing resists rolling."""
     shapes = list(shapes_of(c, w, model, contacts))
     resistance, radius = model.shape_rolling_resistance[shapes].max(), model.shape_radius[shapes].max()
     a, b = contacts.body_a[c], contacts.body_b[c]
     none = np.zeros(2, radius.dtype)
     jn = np.array([0, 0, -radius, 0, 0, radius], radius.dtype)
-    mass = effective_mass(jn, a, b, model, motion)
+    inverse = inverse_inertias(a, b, model, rows)
+    mass = effective_mass(jn, a, b, model, motion, inverse)
     if not (resistance > 0 and mass > 0):
         return None
     zero = radius.dtype.type(0)
-    return PackedRow(a, b, none, jn, np.zeros_like(jn), mass, zero, zero, zero, zero, zero, zero, zero, roll=resistance)
+    rest = (zero, zero, zero, zero, zero, zero, zero)
+    return PackedRow(a, b, none, jn, np.zeros_like(jn), mass, *rest, roll=resistance, inverse=inverse)

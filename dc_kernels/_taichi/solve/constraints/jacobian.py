@@ -28,6 +28,8 @@ def jacobian_row(dtype: str, variant: str) -> Any:
         vb = motion.predicted[b]
         ia = model.inv_inertia[a]
         ib = model.inv_inertia[b]
+        ia = ia / (1.0 + ia * rows.stiff_inertia[a])
+        ib = ib / (1.0 + ib * rows.stiff_inertia[b])
         of_a = va[3] * (ja[0] * ja[0] + ja[1] * ja[1]) + ia * ja[2] * ja[2]
         of_b = vb[3] * (jb[0] * jb[0] + jb[1] * jb[1]) + ib * jb[2] * jb[2]
         speed = (ja[0] * va[0] + ja[1] * va[1] + ja[2] * va[2]) + (jb[0] * vb[0] + jb[1] * vb[1] + jb[2] * vb[2])
@@ -44,6 +46,8 @@ def jacobian_row(dtype: str, variant: str) -> Any:
         if of_a + of_b > 0.0:
             row.normal_mass = inverse_or_zero(of_a + of_b + row.softness)
         row.bias = rows.row_bias[k]
+        row.gap = rows.row_gap[k]
+        row.held = rows.row_held[k]
         row.least = rows.row_lower[k]
         row.most = rows.row_upper[k]
         stop = row.normal_mass * (speed + row.bias)

@@ -10,6 +10,9 @@ const Real* const arms_b = (const Real*)contacts.arm_b.data;
 const Real* const velocity_before = (const Real*)state.velocity.data;
 const Real* const spin_before = state.angular_velocity.data;
 const Real* const inv_inertia = model.inv_inertia.data;
+#if OWN
+const Real* const stiff_inertia = rows.stiff_inertia.data;
+#endif
 const Real* const gaps = contacts.gap.data;
 const Real* const frictions = contacts.friction.data;
 const Real* const restitutions = contacts.restitution.data;
@@ -36,7 +39,11 @@ auto fill = [&](const int* c, Real* to, int* between) {
     pairs_at(arms_a, c, ax, ay);
     pairs_at(arms_b, c, bx, by);
     const Bodies A = load_bodies(a), B = load_bodies(b);
-    const Number iA = values_at(inv_inertia, a), iB = values_at(inv_inertia, b);
+    Number iA = values_at(inv_inertia, a), iB = values_at(inv_inertia, b);
+#if OWN
+    iA = iA / ((Real)1 + iA * values_at(stiff_inertia, a));
+    iB = iB / ((Real)1 + iB * values_at(stiff_inertia, b));
+#endif
     const Number rAt = ax * -nx - ay * ny, rBt = bx * -nx - by * ny;
 #if DISCS
     const Number en = inverse_or_zero(A.m + B.m);
@@ -98,6 +105,7 @@ auto fill = [&](const int* c, Real* to, int* between) {
     store(to + AT_ax, nx);
     store(to + AT_ay, ny);
     store(to + AT_soft, zero);
+    store(to + AT_held, zero + (Real)1);
 #endif
     Real alone[SIDE];
 #if SURFACES

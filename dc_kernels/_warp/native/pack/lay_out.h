@@ -10,7 +10,7 @@ int of[2][COLORS] = {};
 const int* const color = contacts.color.data;
 for (int c = i0; c < i1; ++c) ++of[c & 1][color[c]];
 #if JOINTS
-for (int j = model.joint_start.data[w]; j < model.joint_start.data[w + 1]; ++j) ++of[0][joints.joint_color.data[j]];
+for (int j = rows.line_start.data[w]; j < rows.line_start.data[w + 1]; ++j) ++of[0][joints.joint_color.data[j]];
 #endif
 #if OWN
 for (int k = rows.row_start.data[w]; k < rows.row_start.data[w + 1]; ++k) ++of[0][rows.row_color.data[k]];

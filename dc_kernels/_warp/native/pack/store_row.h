@@ -29,6 +29,7 @@ to[AT_hi] = row.most;
 to[AT_ax] = row.direction_a[0];
 to[AT_ay] = row.direction_a[1];
 to[AT_soft] = row.softness;
+to[AT_held] = row.held;
 #endif
 #if SURFACES
 to[AT_slip] = 0;

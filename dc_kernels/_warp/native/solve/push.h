@@ -16,7 +16,11 @@ for (int b = first; b < last; ++b) {
 #if SURFACES
     step = load(block + AT_roll) > zero ? zero : step;  // what rolls is where it should be
 #endif
+#if OWN
+    const Vector dn = load(block + AT_held) * within(block, -(load(block + AT_en) * step));
+#else
     const Vector dn = larger(-(load(block + AT_en) * step), least(block));
+#endif
     apply_normal(row, A, B, dn);
     most = larger(most, magnitude(dn));
     store_bodies(index, A);

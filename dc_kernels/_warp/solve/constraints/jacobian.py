@@ -10,7 +10,7 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
-from dc_kernels._warp.solve.laws import inverse_or_zero
+from dc_kernels._warp.solve.laws import inverse_or_zero, stiffened
 
 
 @cache
@@ -28,8 +28,8 @@ def jacobian_row(dtype: str, variant: str) -> Any:
         jb = rows.row_jacobian_b[k]
         va = motion.predicted[a]
         vb = motion.predicted[b]
-        ia = model.inv_inertia[a]
-        ib = model.inv_inertia[b]
+        ia = stiffened(model.inv_inertia[a], rows.stiff_inertia[a])
+        ib = stiffened(model.inv_inertia[b], rows.stiff_inertia[b])
         of_a = va[3] * (ja[0] * ja[0] + ja[1] * ja[1]) + ia * ja[2] * ja[2]
         of_b = vb[3] * (jb[0] * jb[0] + jb[1] * jb[1]) + ib * jb[2] * jb[2]
         speed = (ja[0] * va[0] + ja[1] * va[1] + ja[2] * va[2]) + (jb[0] * vb[0] + jb[1] * vb[1] + jb[2] * vb[2])
@@ -46,6 +46,8 @@ def jacobian_row(dtype: str, variant: str) -> Any:
         if of_a + of_b > real(0.0):
             row.normal_mass = inverse_or_zero(of_a + of_b + row.softness)
         row.bias = rows.row_bias[k]
+        row.gap = rows.row_gap[k]
+        row.held = rows.row_held[k]
         row.least = rows.row_lower[k]
         row.most = rows.row_upper[k]
         stop = row.normal_mass * (speed + row.bias)

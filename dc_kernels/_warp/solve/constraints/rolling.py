@@ -13,7 +13,7 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.native import native_code
-from dc_kernels._warp.solve.laws import inverse_or_zero
+from dc_kernels._warp.solve.laws import inverse_or_zero, stiffened
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 
 KEY_BITS = {"SHAPE_BITS": KEY_SHAPE_BITS, "FEATURE_BITS": KEY_FEATURE_BITS}
@@ -35,7 +35,7 @@ def rolling_rows(dtype: str, variant: str) -> SimpleNamespace:
     def radius_of(c: wp.int32, w: wp.int32, model: t.Model, contacts: t.Contacts) -> t.real: ...
 
     @wp.func(module=kernel_module("rows", dtype, variant))
-    def make_rolling_row(c: int, w: int, resistance: t.real, model: t.Model, contacts: t.Contacts):
+    def make_rolling_row(c: int, w: int, resistance: t.real, model: t.Model, contacts: t.Contacts, rows: t.Rows):
         """The row of contact c of world w; its bounds follow the contact's impulse during the solve."""
         radius = radius_of(c, w, model, contacts)
         row = Row()
@@ -43,8 +43,8 @@ def rolling_rows(dtype: str, variant: str) -> SimpleNamespace:
         row.body_b = contacts.body_b[c]
         row.normal_arm_a = radius
         row.normal_arm_b = radius
-        row.inv_inertia_a = model.inv_inertia[row.body_a]
-        row.inv_inertia_b = model.inv_inertia[row.body_b]
+        row.inv_inertia_a = stiffened(model.inv_inertia[row.body_a], rows.stiff_inertia[row.body_a])
+        row.inv_inertia_b = stiffened(model.inv_inertia[row.body_b], rows.stiff_inertia[row.body_b])
         row.normal_mass = inverse_or_zero((row.inv_inertia_a + row.inv_inertia_b) * radius * radius)
         row.roll = resistance
         return row

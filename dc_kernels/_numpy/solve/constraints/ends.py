@@ -1,0 +1,144 @@
+"""What the rows of all kinds of joints are made of: where the anchors are, and the row of each part of a joint.
+
+Rows of angles count in arms of the world's ``length_scale``: impulses of all rows are in N s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dc_kernels._numpy.common import Array, dot, rotate, rotation
+from dc_kernels._numpy.solve.row import effective_mass
+from dc_kernels.model.config import POSITION_CORRECTIONS
+from dc_kernels.model.fields import UNBOUNDED
+from dc_kernels.solve.joints import SMALL_TURN
+
+BAUMGARTE = POSITION_CORRECTIONS["baumgarte"]
+X, Y = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+def cross(a: Array, b: Array) -> Any:
+    """A x b, the third component."""
+    return a[0] * b[1] - a[1] * b[0]
+
+
+@dataclass
+class Along:
+    """Jacobians (J_A, J_B), what they are of at the beginning of the step, and what turning adds to it."""
+
+    jacobian: Array  # (6,)
+    off: Any
+    grow: Any = 0.0
+
+    def less(self, length: Any) -> Along:
+        """Counted from another zero."""
+        return replace(self, off=self.off - length)
+
+
+class Ends:
+    """The ends of joint j of world w, and the rows of its parts."""
+
+    def __init__(
+        self, j: int, w: int, config: Any, model: Any, state: Any, motion: Any, joints: Any, rows: Any
+    ) -> None:
+        self.model, self.motion, self.rows, self.config = model, motion, rows, config
+        a, b = self.a, self.b = joints.joint_body_a[j], joints.joint_body_b[j]
+        self.row = int(joints.joint_row_start[j])
+        self.ra = rotate(rotation(state.angle[a]), joints.joint_anchor_a[j])
+        self.rb = rotate(rotation(state.angle[b]), joints.joint_anchor_b[j])
+        self.d = (state.position[b] + self.rb) - (state.position[a] + self.ra)
+        self.wa, self.wb = state.angular_velocity[a], state.angular_velocity[b]
+        of_a, of_b = self.wa * QUARTER @ self.ra, self.wb * QUARTER @ self.rb
+        self.speed = (state.velocity[b] + of_b) - (state.velocity[a] + of_a)
+        self.angle_a, self.angle_b = state.angle[a], state.angle[b]
+        self.dt, self.size = motion.step_dt[w], model.length_scale[w]
+        self.most = config.max_correction * self.size
+        self.axis = rotate(rotation(state.angle[a]), joints.joint_axis[j])
+
+    def point(self, n: Array) -> Along:
+        """Along a direction of the world."""
+        bend = self.wa**2 * dot(n, self.ra) - self.wb**2 * dot(n, self.rb)
+        jacobian = np.array([*-n, -cross(self.ra, n), *n, cross(self.rb, n)])
+        return Along(jacobian, dot(n, self.d), 0.5 * self.dt**2 * bend)
+
+    def slide(self, n: Array) -> Along:
+        """Along a direction that turns with body A."""
+        bend = self.wa**2 * dot(n, self.ra - self.d) - self.wb**2 * dot(n, self.rb)
+        bend += 2 * self.wa * cross(n, self.speed)
+        jacobian = np.array([*-n, -cross(self.d + self.ra, n), *n, cross(self.rb, n)])
+        return Along(jacobian, dot(n, self.d), 0.5 * self.dt**2 * bend)
+
+    def turn(self, zero: Any, ratio: Any = 1.0) -> Along:
+        """Of the angle of B less ``ratio`` times that of A, counted from ``zero``."""
+        off = self.angle_b - ratio * self.angle_a - zero
+        return Along(np.array([0.0, 0.0, -ratio * self.size, 0.0, 0.0, self.size]), off * self.size)
+
+    def write(
+        self,
+        along: Along,
+        bias: Any,
+        lower: Any = -np.inf,
+        upper: Any = np.inf,
+        soft: Any = 0.0,
+        gap: Any = 0.0,
+        held: int = 0,
+    ) -> None:
+        """The next row of the joint."""
+        k, rows = self.row, self.rows
+        self.row += 1
+        rows.row_body_a[k], rows.row_body_b[k] = self.a, self.b
+        rows.row_jacobian_a[k], rows.row_jacobian_b[k] = along.jacobian[:3], along.jacobian[3:]
+        rows.row_bias[k], rows.row_lower[k], rows.row_upper[k] = bias, lower, upper
+        rows.row_softness[k], rows.row_gap[k], rows.row_held[k] = soft, gap, held
+
+    def idle(self) -> None:
+        """A row that does nothing."""
+        self.write(Along(np.zeros(6), 0.0), 0.0)
+
+    def hold(self, along: Along) -> None:
+        """What must stay 0, at the end of the step; of bodies that turn far in a step, where it is now."""
+        turn = max(abs(self.wa), abs(self.wb)) * self.dt
+        grow = along.grow * max(1 - (turn / SMALL_TURN) ** 2, 0.0)
+        grow = min(max(grow, -self.most), self.most)
+        factor = self.config.position_factor if self.config.position_correction == BAUMGARTE else 0.0
+        pull = min(max(factor * along.off, -self.most), self.most)
+        self.write(along, (pull + grow) / self.dt, gap=along.off + grow, held=1)
+
+    def spring(self, along: Along, frequency: Any, ratio: Any, most: Any = np.inf) -> None:
+        """What a damped spring of limited impulse draws to 0, by implicit Euler (Catto 2011).
+
+        With the effective mass m, stiffness k = m w^2 and damping c = 2 m w ratio, where w = 2 pi frequency.
+        """
+        w = 2 * np.pi * frequency
+        m = effective_mass(along.jacobian, self.a, self.b, self.model, self.motion)
+        if not (w > 0 and m > 0):
+            self.idle()
+            return
+        k, c, dt = m * w**2, 2 * m * w * ratio, self.dt
+        soft = 1 / (dt * (c + dt * k))
+        self.write(along, along.off * dt * k * soft, -most, most, soft)
+
+    def motor(self, along: Along, speed: Any, most: Any) -> None:
+        """A speed, by impulses up to ``most``."""
+        self.write(along, -speed, -most, most)
+
+    def bounded(self, along: Along, speed: Any, lower: Any, upper: Any) -> None:
+        """A speed, by forces between bounds, of which UNBOUNDED is none."""
+        low = lower * self.dt if lower > -UNBOUNDED else -np.inf
+        self.write(along, -speed, low, upper * self.dt if upper < UNBOUNDED else np.inf)
+
+    def limit(self, along: Along, lower: Any, upper: Any) -> None:
+        """A range, of which the nearer end counts; what is within it may move up to it in the step."""
+        room, sign = min((along.off - lower, 1), (upper - along.off, -1), key=lambda end: end[0])
+        if upper - lower <= self.config.slop * self.size:  # both ends are one
+            self.write(along, 0.0, gap=sign * room, held=1)
+            return
+        bias = max(room, 0.0) / self.dt
+        if self.config.position_correction == BAUMGARTE and room < 0:
+            bias = max(self.config.position_factor * room, -self.most) / self.dt
+        low, high = (0.0, np.inf) if sign > 0 else (-np.inf, 0.0)
+        self.write(along, sign * bias, low, high, gap=sign * room, held=1)

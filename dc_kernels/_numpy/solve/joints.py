@@ -1,0 +1,74 @@
+"""Rows of the joints of a world, by their kinds, and which of them break."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dc_kernels._numpy.common import Kernels
+from dc_kernels._numpy.solve.constraints.ends import Ends
+from dc_kernels._numpy.solve.constraints.gear import make_gear_rows
+from dc_kernels._numpy.solve.constraints.general import make_general_rows
+from dc_kernels._numpy.solve.constraints.prismatic import make_prismatic_rows
+from dc_kernels._numpy.solve.constraints.revolute import make_revolute_rows
+from dc_kernels._numpy.solve.constraints.stretch import make_stretch_rows
+from dc_kernels._numpy.solve.constraints.target import make_target_rows
+from dc_kernels._numpy.solve.constraints.weld import make_weld_rows
+from dc_kernels._numpy.solve.constraints.wheel import make_wheel_rows
+from dc_kernels.model.enums import JointKind
+from dc_kernels.solve.joints import STIFFNESS
+
+MAKERS = {
+    JointKind.DISTANCE: make_stretch_rows,
+    JointKind.REVOLUTE: make_revolute_rows,
+    JointKind.PRISMATIC: make_prismatic_rows,
+    JointKind.WELD: make_weld_rows,
+    JointKind.WHEEL: make_wheel_rows,
+    JointKind.TARGET: make_target_rows,
+    JointKind.GEAR: make_gear_rows,
+    JointKind.GENERAL: make_general_rows,
+}
+
+
+def make_joint_rows(
+    tid: int, launch: Any, config: Any, model: Any, state: Any, joints: Any, motion: Any, rows: Any
+) -> None:
+    """Rows of a world's joints; those of a joint that is broken, or whose bodies sleep, do nothing.
+
+    Bodies that would swing within a step, as joints pull at their arms, have more inertia (Andrews et al. 2017).
+    """
+    w = tid + launch.world_offset
+    if state.flags[w]:
+        return
+    bodies = slice(model.body_start[w], model.body_start[w + 1])
+    rows.stiff_inertia[bodies] = 0.0
+    for j in range(model.joint_start[w], model.joint_start[w + 1]):
+        ends = Ends(j, w, config, model, state, motion, joints, rows)
+        if motion.predicted[[ends.a, ends.b], 3].min() < 0 or joints.joint_broken[j]:
+            for _ in range(joints.joint_row_start[j], joints.joint_row_start[j + 1]):
+                ends.idle()
+        else:
+            MAKERS[JointKind(joints.joint_kind[j])](j, joints, ends)
+        own = slice(joints.joint_row_start[j], joints.joint_row_start[j + 1])
+        pull = joints.joint_impulse[own] @ rows.row_jacobian_b[own, :2]
+        for body, arm, force in ((ends.a, ends.d + ends.ra, -pull), (ends.b, ends.rb, pull)):
+            rows.stiff_inertia[body] += STIFFNESS * ends.dt * max(arm @ force, 0.0)
+    rows.stiff_inertia[bodies] = np.maximum(rows.stiff_inertia[bodies] - model.inertia[bodies], 0.0)
+
+
+def break_joints(tid: int, launch: Any, model: Any, state: Any, motion: Any, rows: Any, joints: Any) -> None:
+    """A joint whose force on its bodies was above its break force in this step does nothing from the next on."""
+    w = tid + launch.world_offset
+    if state.flags[w]:
+        return
+    for j in range(model.joint_start[w], model.joint_start[w + 1]):
+        own = slice(joints.joint_row_start[j], joints.joint_row_start[j + 1])
+        force = joints.joint_impulse[own] @ rows.row_jacobian_b[own, :2]
+        if np.hypot(*force) > joints.joint_break_force[j] * motion.step_dt[w]:
+            joints.joint_broken[j] = 1
+
+
+def kernels(dtype: str) -> Kernels:
+    """``make_joint_rows`` and ``break_joints``; the arrays bring their scalar type."""
+    return {"make_joint_rows": make_joint_rows, "break_joints": break_joints}

@@ -1,0 +1,232 @@
+"""What the rows of all kinds of joints are made of: where the anchors are, and the row of each part of a joint.
+
+A row's Jacobians J_A, J_B multiply the velocities V = (x, y, spin) of its bodies. Rows of angles count in arms of the
+world's ``length_scale``, so that impulses of all rows are in N s and tolerances hold for them alike.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from dc_kernels._warp.common import cross, kernel_module, rotate
+from dc_kernels._warp.groups import group_types
+from dc_kernels.model.config import POSITION_CORRECTIONS
+from dc_kernels.model.fields import UNBOUNDED
+from dc_kernels.solve.joints import SMALL_TURN
+
+BAUMGARTE = wp.constant(POSITION_CORRECTIONS["baumgarte"])
+
+
+@cache
+def end_functions(dtype: str) -> SimpleNamespace:
+    """``ends_of`` a joint, and what writes a row: ``hold``, ``spring``, ``motor``, ``limit``, ``bounded``, ``idle``.
+
+    ``point``, ``slide`` and ``turn`` give Jacobians as ``Along``: of B against A at the anchors along a direction of
+    the world, along one of body A, and in angle.
+    """
+    t = group_types(dtype)
+    real, vec2, vec3 = t.real, t.vec2, wp.types.vector(3, t.real)
+    module = kernel_module("joints", dtype)
+    infinity, minus_infinity = real(float("inf")), real(float("-inf"))
+    two_pi = real(6.283185307179586)
+    nothing = real(UNBOUNDED)
+    small_turn = real(SMALL_TURN)
+
+    class Ends:
+        """Where the ends of a joint are, and what their bodies do before the step's forces."""
+
+        a: wp.int32
+        b: wp.int32
+        ra: vec2  # from the centres of mass to the anchors
+        rb: vec2
+        d: vec2  # from anchor A to anchor B
+        speed: vec2  # of anchor B against anchor A
+        wa: real
+        wb: real
+        angle: real  # of B less that of A
+        dt: real
+        size: real  # arm in which angles count
+        most: real  # largest correction at once
+
+    class Along:
+        """Jacobians, what they are of at the beginning of the step, and what turning adds to it, to second order."""
+
+        ja: vec3
+        jb: vec3
+        off: real
+        grow: real
+
+    Ends, Along = wp.struct(Ends, module=module), wp.struct(Along, module=module)
+
+    @wp.func(module=module)
+    def ends_of(j: int, w: int, config: t.Config, model: t.Model, state: t.State, motion: t.Motion, joints: t.Joints):
+        """The ends of joint j of world w."""
+        e = Ends()
+        e.a = joints.joint_body_a[j]
+        e.b = joints.joint_body_b[j]
+        e.ra = rotate(wp.cos(state.angle[e.a]), wp.sin(state.angle[e.a]), joints.joint_anchor_a[j])
+        e.rb = rotate(wp.cos(state.angle[e.b]), wp.sin(state.angle[e.b]), joints.joint_anchor_b[j])
+        e.d = (state.position[e.b] + e.rb) - (state.position[e.a] + e.ra)
+        e.wa = state.angular_velocity[e.a]
+        e.wb = state.angular_velocity[e.b]
+        va = state.velocity[e.a] + e.wa * vec2(-e.ra[1], e.ra[0])
+        vb = state.velocity[e.b] + e.wb * vec2(-e.rb[1], e.rb[0])
+        e.speed = vb - va
+        e.angle = state.angle[e.b] - state.angle[e.a]
+        e.dt = motion.step_dt[w]
+        e.size = model.length_scale[w]
+        e.most = config.max_correction * e.size
+        return e
+
+    @wp.func(module=module)
+    def point(e: Ends, n: vec2):
+        """Along a direction of the world."""
+        along = Along()
+        along.ja = vec3(-n[0], -n[1], -cross(e.ra, n))
+        along.jb = vec3(n[0], n[1], cross(e.rb, n))
+        along.off = wp.dot(n, e.d)
+        bend = e.wa * e.wa * wp.dot(n, e.ra) - e.wb * e.wb * wp.dot(n, e.rb)
+        along.grow = real(0.5) * e.dt * e.dt * bend
+        return along
+
+    @wp.func(module=module)
+    def slide(e: Ends, n: vec2):
+        """Along a direction that turns with body A."""
+        along = Along()
+        along.ja = vec3(-n[0], -n[1], -cross(e.d + e.ra, n))
+        along.jb = vec3(n[0], n[1], cross(e.rb, n))
+        along.off = wp.dot(n, e.d)
+        across = vec2(-n[1], n[0])
+        bend = e.wa * e.wa * wp.dot(n, e.ra - e.d) - e.wb * e.wb * wp.dot(n, e.rb)
+        bend += real(2.0) * e.wa * wp.dot(across, e.speed)
+        along.grow = real(0.5) * e.dt * e.dt * bend
+        return along
+
+    @wp.func(module=module)
+    def turn(e: Ends, ratio: real, off: real):
+        """Of the angle of B less ``ratio`` times that of A, which is ``off`` [rad] from 0."""
+        along = Along()
+        along.ja = vec3(real(0.0), real(0.0), -ratio * e.size)
+        along.jb = vec3(real(0.0), real(0.0), e.size)
+        along.off = off * e.size
+        return along
+
+    @wp.func(module=module)
+    def write(
+        k: int,
+        e: Ends,
+        along: Along,
+        bias: real,
+        lower: real,
+        upper: real,
+        soft: real,
+        gap: real,
+        held: real,
+        rows: t.Rows,
+    ):
+        rows.row_body_a[k] = e.a
+        rows.row_body_b[k] = e.b
+        rows.row_jacobian_a[k] = along.ja
+        rows.row_jacobian_b[k] = along.jb
+        rows.row_bias[k] = bias
+        rows.row_lower[k] = lower
+        rows.row_upper[k] = upper
+        rows.row_softness[k] = soft
+        rows.row_gap[k] = gap
+        rows.row_held[k] = held
+
+    @wp.func(module=module)
+    def idle(k: int, e: Ends, rows: t.Rows):
+        """A row that does nothing."""
+        write(k, e, Along(), real(0.0), minus_infinity, infinity, real(0.0), real(0.0), real(0.0), rows)
+
+    @wp.func(module=module)
+    def hold(k: int, e: Ends, along: Along, config: t.Config, rows: t.Rows):
+        """What must stay 0, at the end of the step; of bodies that turn far in a step, where it is now."""
+        turn = wp.max(wp.abs(e.wa), wp.abs(e.wb)) * e.dt
+        grow = along.grow * wp.max(real(1.0) - turn * turn / (small_turn * small_turn), real(0.0))
+        grow = wp.clamp(grow, -e.most, e.most)
+        pull = real(0.0)
+        if config.position_correction == BAUMGARTE:
+            pull = wp.clamp(config.position_factor * along.off, -e.most, e.most)
+        bias = (pull + grow) / e.dt
+        write(k, e, along, bias, minus_infinity, infinity, real(0.0), along.off + grow, real(1.0), rows)
+
+    @wp.func(module=module)
+    def spring(
+        k: int,
+        e: Ends,
+        along: Along,
+        frequency: real,
+        ratio: real,
+        most: real,
+        model: t.Model,
+        motion: t.Motion,
+        rows: t.Rows,
+    ):
+        """What a damped spring of limited impulse draws to 0, by implicit Euler (Catto 2011).
+
+        With the effective mass m = 1 / (J M^-1 J^T), stiffness m w^2 and damping 2 m w ratio, where w = 2 pi frequency,
+        its impulse makes J V + bias + softness impulse = 0 with bias = off w / (2 ratio + w dt) and
+        softness = 1 / (m w dt (2 ratio + w dt)).
+        """
+        of_a = wp.max(motion.predicted[e.a][3], real(0.0)) * (along.ja[0] * along.ja[0] + along.ja[1] * along.ja[1])
+        of_b = wp.max(motion.predicted[e.b][3], real(0.0)) * (along.jb[0] * along.jb[0] + along.jb[1] * along.jb[1])
+        of_a += model.inv_inertia[e.a] * along.ja[2] * along.ja[2]
+        of_b += model.inv_inertia[e.b] * along.jb[2] * along.jb[2]
+        rate = two_pi * frequency
+        give = real(2.0) * ratio + rate * e.dt
+        if give * rate > real(0.0):
+            soft = (of_a + of_b) / (rate * e.dt * give)
+            write(k, e, along, along.off * rate / give, -most, most, soft, real(0.0), real(0.0), rows)
+        else:
+            idle(k, e, rows)
+
+    @wp.func(module=module)
+    def motor(k: int, e: Ends, along: Along, speed: real, most: real, rows: t.Rows):
+        """A speed, by impulses up to ``most``."""
+        write(k, e, along, -speed, -most, most, real(0.0), real(0.0), real(0.0), rows)
+
+    @wp.func(module=module)
+    def bounded(k: int, e: Ends, along: Along, speed: real, lower: real, upper: real, rows: t.Rows):
+        """A speed, by impulses between bounds, of which UNBOUNDED is none."""
+        low = wp.where(lower > -nothing, lower * e.dt, minus_infinity)
+        high = wp.where(upper < nothing, upper * e.dt, infinity)
+        write(k, e, along, -speed, low, high, real(0.0), real(0.0), real(0.0), rows)
+
+    @wp.func(module=module)
+    def limit(k: int, e: Ends, along: Along, lower: real, upper: real, config: t.Config, rows: t.Rows):
+        """A range, of which the nearer end counts; what is within it may move up to it in the step."""
+        above = along.off - lower
+        below = upper - along.off
+        sign = real(1.0)
+        room = above
+        if below < above:
+            sign = real(-1.0)
+            room = below
+        bias = wp.max(room, real(0.0)) / e.dt
+        if config.position_correction == BAUMGARTE and room < real(0.0):
+            bias = wp.max(config.position_factor * room, -e.most) / e.dt
+        low = wp.where(sign > real(0.0), real(0.0), minus_infinity)
+        high = wp.where(sign > real(0.0), infinity, real(0.0))
+        gap = sign * room
+        if upper - lower <= config.slop * e.size:  # both ends are one
+            low = minus_infinity
+            high = infinity
+            bias = real(0.0)
+        write(k, e, along, sign * bias, low, high, real(0.0), gap, real(1.0), rows)
+
+    return SimpleNamespace(
+        Along=Along,
+        ends_of=ends_of,
+        point=point,
+        slide=slide,
+        turn=turn,
+        idle=idle,
+        hold=hold,
+        spring=spring,
+        motor=motor,
+        bounded=bounded,
+        limit=limit,
+    )

@@ -1,0 +1,49 @@
+"""The rows of a hinge: two points together; a motor and limits of the angle."""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from dc_kernels._warp.common import kernel_module
+from dc_kernels._warp.groups import group_types
+from dc_kernels._warp.solve.constraints.ends import end_functions
+from dc_kernels.model.enums import JointPart
+
+LIMIT = wp.constant(int(JointPart.LIMIT))
+MOTOR = wp.constant(int(JointPart.MOTOR))
+
+
+@cache
+def revolute_rows(dtype: str) -> Any:
+    """The function that makes the rows of a hinge."""
+    t = group_types(dtype)
+    real, vec2 = t.real, t.vec2
+    ends = end_functions(dtype)
+    ends_of, hold, limit, motor, point, turn = ends.ends_of, ends.hold, ends.limit, ends.motor, ends.point, ends.turn
+
+    @wp.func(module=kernel_module("joints", dtype))
+    def make_revolute_rows(
+        j: int,
+        w: int,
+        config: t.Config,
+        model: t.Model,
+        state: t.State,
+        motion: t.Motion,
+        joints: t.Joints,
+        rows: t.Rows,
+    ):
+        """Two points together along x and y; then the motor, and the range of the angle."""
+        e = ends_of(j, w, config, model, state, motion, joints)
+        k = joints.joint_row_start[j]
+        hold(k, e, point(e, vec2(real(1.0), real(0.0))), config, rows)
+        hold(k + 1, e, point(e, vec2(real(0.0), real(1.0))), config, rows)
+        k += 2
+        about = turn(e, real(1.0), e.angle - joints.joint_reference[j])
+        if (joints.joint_parts[j] & MOTOR) != 0:
+            motor(k, e, about, joints.joint_speed[j] * e.size, joints.joint_strength[j] * e.dt / e.size, rows)
+            k += 1
+        if (joints.joint_parts[j] & LIMIT) != 0:
+            limit(k, e, about, joints.joint_lower[j] * e.size, joints.joint_upper[j] * e.size, config, rows)
+
+    return make_revolute_rows

@@ -1,0 +1,45 @@
+"""The rows of a weld: two points together, and the angle between the bodies, or a spring that turns it back."""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from dc_kernels._warp.common import kernel_module
+from dc_kernels._warp.groups import group_types
+from dc_kernels._warp.solve.constraints.ends import end_functions
+
+
+@cache
+def weld_rows(dtype: str) -> Any:
+    """The function that makes the rows of a weld."""
+    t = group_types(dtype)
+    real, vec2 = t.real, t.vec2
+    ends = end_functions(dtype)
+    ends_of, hold, point, spring, turn = ends.ends_of, ends.hold, ends.point, ends.spring, ends.turn
+    infinity = real(float("inf"))
+
+    @wp.func(module=kernel_module("joints", dtype))
+    def make_weld_rows(
+        j: int,
+        w: int,
+        config: t.Config,
+        model: t.Model,
+        state: t.State,
+        motion: t.Motion,
+        joints: t.Joints,
+        rows: t.Rows,
+    ):
+        """Two points together along x and y; then the angle."""
+        e = ends_of(j, w, config, model, state, motion, joints)
+        k = joints.joint_row_start[j]
+        hold(k, e, point(e, vec2(real(1.0), real(0.0))), config, rows)
+        hold(k + 1, e, point(e, vec2(real(0.0), real(1.0))), config, rows)
+        about = turn(e, real(1.0), e.angle - joints.joint_reference[j])
+        frequency = joints.joint_frequency[j]
+        if frequency > real(0.0):
+            spring(k + 2, e, about, frequency, joints.joint_damping_ratio[j], infinity, model, motion, rows)
+        else:
+            hold(k + 2, e, about, config, rows)
+
+    return make_weld_rows

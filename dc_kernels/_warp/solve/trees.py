@@ -1,0 +1,41 @@
+"""The direct solve of joints whose bodies form trees, beside the sweeps: exact whatever the masses, in linear time.
+
+Sweeps alone converge badly where a light chain carries a heavy load. Contacts, limits, motors, rods, and joints that
+close a loop, stay with the sweeps: each sweep is followed by a solve of all trees for the velocities that it has left,
+which together is a Gauss-Seidel iteration over blocks.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from dc_kernels._warp.groups import group_types
+from dc_kernels._warp.native import native_code
+from dc_kernels._warp.solve.lanes import row_macros
+
+
+@cache
+def tree_functions(dtype: str, variant: str) -> SimpleNamespace:
+    """``factor`` and ``solve`` the trees of world w.
+
+    ``bodies`` are velocities, or with ``places`` 1 displacements, of which a ``share`` of what is off, up to ``limit``,
+    is removed.
+    """
+    t = group_types(dtype)
+    macros = row_macros(variant)
+
+    @wp.func_native(native_code("solve/tree.h", "solve/tree_factor.h", dtype=dtype, **macros))
+    def factor(w: wp.int32, places: wp.int32, bodies: wp.array(dtype=t.vec4), rows: t.Rows): ...
+
+    @wp.func_native(native_code("solve/tree.h", "solve/tree_solve.h", dtype=dtype, **macros))
+    def solve(
+        w: wp.int32,
+        places: wp.int32,
+        share: t.real,
+        limit: t.real,
+        bodies: wp.array(dtype=t.vec4),
+        rows: t.Rows,
+    ): ...
+
+    return SimpleNamespace(factor=factor, solve=solve)

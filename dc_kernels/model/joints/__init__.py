@@ -1,0 +1,1 @@
+"""Joints: their arrays, and the calls of a builder that add them."""

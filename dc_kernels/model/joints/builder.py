@@ -1,0 +1,443 @@
+"""The calls of a builder that add joints; docs/joints.md says what each kind keeps, and by which equations."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from dc_kernels.model.checks import number, pair, triple, truth, unit
+from dc_kernels.model.enums import BodyType, JointKind, JointPart
+from dc_kernels.model.fields import UNBOUNDED
+from dc_kernels.model.joints.groups import COLUMNS, WIDTH, JointOptions
+from dc_kernels.model.row_table import RowTable
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+_X, _Y, _ANGLE, _TYPE = 0, 1, 2, 6  # columns of a builder's table of bodies
+
+
+class JointBuilder:
+    """The calls of a builder that add joints to its latest world; each returns the index of the joint.
+
+    Anchors are in the frames of the bodies. Every call checks its arguments and raises a TypeError or ValueError that
+    names field, joint and limit. The keywords of ``JointOptions`` go with every joint.
+    """
+
+    _bodies: RowTable
+    _joints: RowTable
+
+    def _body(self, name: str, body: Any, where: str) -> int:
+        """The index of a body of the latest world."""
+        raise NotImplementedError
+
+    def add_distance_joint(
+        self,
+        body_a: int,
+        body_b: int,
+        anchor_a: Any = (0.0, 0.0),
+        anchor_b: Any = (0.0, 0.0),
+        length: float | None = None,
+        *,
+        frequency: float = 0.0,
+        damping_ratio: float = 0.0,
+        lower: float | None = None,
+        upper: float | None = None,
+        **options: Unpack[JointOptions],
+    ) -> int:
+        """Keep two points at a distance: by a rod, or by a spring.
+
+        Args:
+            body_a: index of a body of the latest world.
+            body_b: index of another one; one of the two at least is dynamic.
+            anchor_a: (2,) [m], in the frame of body A.
+            anchor_b: (2,) [m], in the frame of body B.
+            length: [m] >= 0; None: the present distance. A rod of length 0 holds the points together, as a revolute
+                joint does, and is one.
+            frequency: [Hz] >= 0, of a spring between the bodies if nothing else held them; 0: a rod.
+            damping_ratio: [1] >= 0 of the spring; 1: critical damping.
+            lower: [m] >= 0, least distance of a spring's ends; None: 0.
+            upper: [m] > 0, largest distance of a spring's ends; None: none.
+            **options: see ``JointOptions``.
+        """
+        where = f"joint {self._joints.count}"
+        a, b = self._ends(body_a, body_b, where)
+        anchors = pair("anchor_a", anchor_a, where), pair("anchor_b", anchor_b, where)
+        if length is None:
+            length = number("present_length", self._distance((a, b), anchors), where)
+        length = number("length", length, where)
+        options.setdefault("collide_connected", True)
+        spring = {
+            "frequency": number("frequency", frequency, where),
+            "damping_ratio": number("damping_ratio", damping_ratio, where),
+        }
+        low, high, limited = self._limits(lower, upper, where, least=0.0)
+        rigid = spring["frequency"] == 0.0
+        if rigid and limited:
+            raise ValueError(
+                f"frequency of {where} is 0, and it has limits; a rod's length has none: give the frequency of a "
+                "spring, or add_rope_joint"
+            )
+        if rigid and length == 0.0:
+            return self._add_joint(JointKind.REVOLUTE, (a, b), anchors, where, options)
+        parts = JointPart.HOLD | (JointPart.LIMIT if limited else JointPart.NONE)
+        more = {"length": length, "lower": low, "upper": high, **spring}
+        return self._add_joint(JointKind.DISTANCE, (a, b), anchors, where, options, parts, **more)
+
+    def add_rope_joint(
+        self,
+        body_a: int,
+        body_b: int,
+        anchor_a: Any = (0.0, 0.0),
+        anchor_b: Any = (0.0, 0.0),
+        max_length: float | None = None,
+        *,
+        min_length: float = 0.0,
+        **options: Unpack[JointOptions],
+    ) -> int:
+        """Keep two points from being further apart than a length, or nearer than another one.
+
+        Args:
+            body_a: see ``add_distance_joint``, as for what follows.
+            body_b: index.
+            anchor_a: (2,) [m].
+            anchor_b: (2,) [m].
+            max_length: [m] > 0; None: the present distance.
+            min_length: [m], from 0 to ``max_length``.
+            **options: see ``JointOptions``.
+        """
+        where = f"joint {self._joints.count}"
+        a, b = self._ends(body_a, body_b, where)
+        anchors = pair("anchor_a", anchor_a, where), pair("anchor_b", anchor_b, where)
+        if max_length is None:
+            max_length = self._distance((a, b), anchors)
+        high = number("max_length", max_length, where)
+        low = number("min_length", min_length, where)
+        if low > high:
+            raise ValueError(f"min_length of {where} is {low:g}; it must be at most max_length, {high:g}")
+        options.setdefault("collide_connected", True)
+        more = {"length": high, "lower": low, "upper": high}
+        return self._add_joint(JointKind.DISTANCE, (a, b), anchors, where, options, JointPart.LIMIT, **more)
+
+    def add_revolute_joint(
+        self,
+        body_a: int,
+        body_b: int,
+        anchor_a: Any = (0.0, 0.0),
+        anchor_b: Any = None,
+        *,
+        lower: float | None = None,
+        upper: float | None = None,
+        motor_speed: float = 0.0,
+        max_motor_torque: float | None = None,
+        reference_angle: float | None = None,
+        **options: Unpack[JointOptions],
+    ) -> int:
+        """Hold two points together, a hinge, about which a motor may turn body B against A within limits.
+
+        Args:
+            body_a: index of a body of the latest world.
+            body_b: index of another one; one of the two at least is dynamic.
+            anchor_a: (2,) [m], in the frame of body A.
+            anchor_b: (2,) [m], in the frame of body B; None: where ``anchor_a`` now is.
+            lower: [rad], least angle of the joint; None: none.
+            upper: [rad], largest angle of the joint; None: none.
+            motor_speed: [rad/s] of B against A that the motor drives at.
+            max_motor_torque: [N m] >= 0 of the motor; None: there is none.
+            reference_angle: [rad], angle of B less that of A at which the joint's angle is 0; None: the present one.
+            **options: see ``JointOptions``.
+        """
+        where = f"joint {self._joints.count}"
+        a, b, anchors = self._placed(body_a, body_b, anchor_a, anchor_b, where)
+        parts, more = self._driven(lower, upper, motor_speed, max_motor_torque, "max_motor_torque", where)
+        more["reference"] = self._reference(a, b, reference_angle, where)
+        return self._add_joint(JointKind.REVOLUTE, (a, b), anchors, where, options, JointPart.HOLD | parts, **more)
+
+    def add_prismatic_joint(
+        self,
+        body_a: int,
+        body_b: int,
+        axis: Any,
+        anchor_a: Any = (0.0, 0.0),
+        anchor_b: Any = None,
+        *,
+        lower: float | None = None,
+        upper: float | None = None,
+        motor_speed: float = 0.0,
+        max_motor_force: float | None = None,
+        reference_angle: float | None = None,
+        **options: Unpack[JointOptions],
+    ) -> int:
+        """Let body B slide along a line of body A without turning against it, driven by a motor, within limits.
+
+        Args:
+            body_a: see ``add_revolute_joint``, as for what follows.
+            body_b: index.
+            axis: (2,), direction of the line in the frame of body A; of any length but 0.
+            anchor_a: (2,) [m], through which the line goes.
+            anchor_b: (2,) [m].
+            lower: [m], least way of anchor B from anchor A along the axis; None: none.
+            upper: [m], largest way; None: none.
+            motor_speed: [m/s] along the axis that the motor drives at.
+            max_motor_force: [N] >= 0 of the motor; None: there is none.
+            reference_angle: [rad].
+            **options: see ``JointOptions``.
+        """
+        where = f"joint {self._joints.count}"
+        a, b, anchors = self._placed(body_a, body_b, anchor_a, anchor_b, where)
+        parts, more = self._driven(lower, upper, motor_speed, max_motor_force, "max_motor_force", where)
+        more["reference"] = self._reference(a, b, reference_angle, where)
+        more["axis"] = unit("axis", axis, where)
+        return self._add_joint(JointKind.PRISMATIC, (a, b), anchors, where, options, JointPart.HOLD | parts, **more)
+
+    def add_weld_joint(
+        self,
+        body_a: int,
+        body_b: int,
+        anchor_a: Any = (0.0, 0.0),
+        anchor_b: Any = None,
+        *,
+        frequency: float = 0.0,
+        damping_ratio: float = 0.0,
+        reference_angle: float | None = None,
+        **options: Unpack[JointOptions],
+    ) -> int:
+        """Hold two points together and the angle between their bodies, or draw it back by a spring.
+
+        Args:
+            body_a: see ``add_revolute_joint``, as for what follows.
+            body_b: index.
+            anchor_a: (2,) [m].
+            anchor_b: (2,) [m].
+            frequency: [Hz] >= 0, of a spring that turns the bodies back; 0: they cannot turn against each other.
+            damping_ratio: [1] >= 0 of the spring; 1: critical damping.
+            reference_angle: [rad].
+            **options: see ``JointOptions``.
+        """
+        where = f"joint {self._joints.count}"
+        a, b, anchors = self._placed(body_a, body_b, anchor_a, anchor_b, where)
+        more: dict[str, Any] = {"reference": self._reference(a, b, reference_angle, where)}
+        more["frequency"] = number("frequency", frequency, where)
+        more["damping_ratio"] = number("damping_ratio", damping_ratio, where)
+        return self._add_joint(JointKind.WELD, (a, b), anchors, where, options, **more)
+
+    def add_wheel_joint(
+        self,
+        body_a: int,
+        body_b: int,
+        axis: Any = (0.0, 1.0),
+        anchor_a: Any = (0.0, 0.0),
+        anchor_b: Any = None,
+        *,
+        frequency: float = 2.0,
+        damping_ratio: float = 0.7,
+        lower: float | None = None,
+        upper: float | None = None,
+        motor_speed: float = 0.0,
+        max_motor_torque: float | None = None,
+        **options: Unpack[JointOptions],
+    ) -> int:
+        """Hold a point of body B, a wheel that turns freely, on a line of body A by a spring: a suspension.
+
+        Args:
+            body_a: see ``add_revolute_joint``, as for what follows.
+            body_b: index of the wheel.
+            axis: (2,), direction of the suspension in the frame of body A; of any length but 0.
+            anchor_a: (2,) [m], where the spring holds the wheel.
+            anchor_b: (2,) [m].
+            frequency: [Hz] >= 0 of the spring; 0: it does not give way.
+            damping_ratio: [1] >= 0 of the spring.
+            lower: [m], least way of anchor B from anchor A along the axis; None: none.
+            upper: [m], largest way; None: none.
+            motor_speed: [rad/s] of B against A that the motor drives at.
+            max_motor_torque: [N m] >= 0 of the motor; None: there is none.
+            **options: see ``JointOptions``.
+        """
+        where = f"joint {self._joints.count}"
+        a, b, anchors = self._placed(body_a, body_b, anchor_a, anchor_b, where)
+        parts, more = self._driven(lower, upper, motor_speed, max_motor_torque, "max_motor_torque", where)
+        more["axis"] = unit("axis", axis, where)
+        more["frequency"] = number("frequency", frequency, where)
+        more["damping_ratio"] = number("damping_ratio", damping_ratio, where)
+        return self._add_joint(JointKind.WHEEL, (a, b), anchors, where, options, JointPart.HOLD | parts, **more)
+
+    def add_target_joint(
+        self,
+        body_a: int,
+        body_b: int,
+        anchor_a: Any = (0.0, 0.0),
+        anchor_b: Any = (0.0, 0.0),
+        *,
+        max_force: float,
+        frequency: float = 5.0,
+        damping_ratio: float = 0.7,
+        **options: Unpack[JointOptions],
+    ) -> int:
+        """Draw a point of body B to one of body A by a spring of limited force: what a mouse drags follows so.
+
+        Args:
+            body_a: index of a body of the latest world; of a static one ``anchor_a``, which may be written between
+                steps (``joints.assign``), is the target.
+            body_b: index of a dynamic body.
+            anchor_a: (2,) [m], in the frame of body A.
+            anchor_b: (2,) [m], in the frame of body B.
+            max_force: [N] >= 0, in each direction of the world's axes.
+            frequency: [Hz] > 0 of the spring.
+            damping_ratio: [1] >= 0 of the spring.
+            **options: see ``JointOptions``.
+        """
+        where = f"joint {self._joints.count}"
+        a, b = self._ends(body_a, body_b, where)
+        anchors = pair("anchor_a", anchor_a, where), pair("anchor_b", anchor_b, where)
+        options.setdefault("collide_connected", True)
+        more: dict[str, Any] = {
+            "strength": number("max_force", max_force, where),
+            "frequency": number("spring_frequency", frequency, where),
+            "damping_ratio": number("damping_ratio", damping_ratio, where),
+        }
+        return self._add_joint(JointKind.TARGET, (a, b), anchors, where, options, **more)
+
+    def add_gear_joint(
+        self, body_a: int, body_b: int, ratio: float, *, phase: float | None = None, **options: Unpack[JointOptions]
+    ) -> int:
+        """Keep the angle of body B at ``ratio`` times that of A, less a phase.
+
+        Args:
+            body_a: index of a body of the latest world.
+            body_b: index of another one; one of the two at least is dynamic.
+            ratio: [1], turns of B for each turn of A; negative of two wheels that roll on each other.
+            phase: [rad], angle of B less ``ratio`` times that of A; None: the present one.
+            **options: see ``JointOptions``.
+        """
+        where = f"joint {self._joints.count}"
+        a, b = self._ends(body_a, body_b, where)
+        ratio = number("ratio", ratio, where)
+        if phase is None:
+            phase = self._bodies.row(b)[_ANGLE] - ratio * self._bodies.row(a)[_ANGLE]
+        more: dict[str, Any] = {"ratio": ratio, "reference": number("phase", phase, where)}
+        return self._add_joint(JointKind.GEAR, (a, b), ((0.0, 0.0), (0.0, 0.0)), where, options, **more)
+
+    def add_general_joint(
+        self,
+        body_a: int,
+        body_b: int,
+        jacobian_a: Any,
+        jacobian_b: Any,
+        *,
+        speed: float = 0.0,
+        lower: float | None = None,
+        upper: float | None = None,
+        **options: Unpack[JointOptions],
+    ) -> int:
+        """Add a row of one's own: J_A V_A + J_B V_B = speed for the velocities V = (x, y, spin), by a limited force.
+
+        The Jacobians, the speed and the limits may be written between steps (``joints.assign``).
+
+        Args:
+            body_a: index of a body of the latest world.
+            body_b: index of another one; one of the two at least is dynamic.
+            jacobian_a: (3,) [1, 1, m], J_A.
+            jacobian_b: (3,) [1, 1, m], J_B.
+            speed: [m/s].
+            lower: [N], least force along the Jacobians; None: none.
+            upper: [N], largest force; None: none.
+            **options: see ``JointOptions``.
+        """
+        where = f"joint {self._joints.count}"
+        a, b = self._ends(body_a, body_b, where)
+        more: dict[str, Any] = {
+            "jacobian_a": triple("jacobian_a", jacobian_a, where),
+            "jacobian_b": triple("jacobian_b", jacobian_b, where),
+            "speed": number("motor_speed", speed, where),
+        }
+        more["lower"], more["upper"], _ = self._limits(lower, upper, where)
+        return self._add_joint(JointKind.GENERAL, (a, b), ((0.0, 0.0), (0.0, 0.0)), where, options, **more)
+
+    def _ends(self, body_a: Any, body_b: Any, where: str) -> tuple[int, int]:
+        """The bodies of a joint, checked."""
+        a, b = self._body("body_a", body_a, where), self._body("body_b", body_b, where)
+        if a == b:
+            raise ValueError(f"body_a and body_b of {where} are both {a}; they must differ")
+        if BodyType.DYNAMIC not in (self._bodies.row(a)[_TYPE], self._bodies.row(b)[_TYPE]):
+            raise ValueError(f"body_a and body_b of {where} are {a} and {b}; one of them must be DYNAMIC")
+        return a, b
+
+    def _placed(self, body_a: Any, body_b: Any, anchor_a: Any, anchor_b: Any, where: str) -> Any:
+        """The bodies and the anchors of a joint; anchor B where A's is, if it is not given."""
+        a, b = self._ends(body_a, body_b, where)
+        at_a = pair("anchor_a", anchor_a, where)
+        if anchor_b is not None:
+            return a, b, (at_a, pair("anchor_b", anchor_b, where))
+        (x, y), row = self._point(a, at_a), self._bodies.row(b)
+        c, s = math.cos(row[_ANGLE]), math.sin(row[_ANGLE])
+        x, y = x - row[_X], y - row[_Y]
+        return a, b, (at_a, (c * x + s * y, c * y - s * x))
+
+    def _point(self, body: int, anchor: tuple[float, float]) -> tuple[float, float]:
+        """Where an anchor now is in the world [m]."""
+        row, (x, y) = self._bodies.row(body), anchor
+        c, s = math.cos(row[_ANGLE]), math.sin(row[_ANGLE])
+        return row[_X] + c * x - s * y, row[_Y] + s * x + c * y
+
+    def _distance(self, bodies: tuple[int, int], anchors: tuple[tuple[float, float], tuple[float, float]]) -> float:
+        """How far apart the anchors now are [m]."""
+        return math.dist(self._point(bodies[0], anchors[0]), self._point(bodies[1], anchors[1]))
+
+    def _reference(self, a: int, b: int, angle: float | None, where: str) -> float:
+        """Angle of B less that of A that counts as 0 [rad]."""
+        if angle is None:
+            return float(self._bodies.row(b)[_ANGLE] - self._bodies.row(a)[_ANGLE])
+        return number("reference_angle", angle, where)
+
+    def _limits(
+        self, lower: float | None, upper: float | None, where: str, least: float = -UNBOUNDED
+    ) -> tuple[float, float, bool]:
+        """Limits, ``least`` and none where they are not given, and whether there are any."""
+        low = least if lower is None else number("lower", lower, where)
+        high = UNBOUNDED if upper is None else number("upper", upper, where)
+        if low < least:
+            raise ValueError(f"lower of {where} is {low:g}; it must be at least {least:g}")
+        if low > high:
+            raise ValueError(f"lower of {where} is {low:g}; it must be at most upper, {high:g}")
+        return low, high, lower is not None or upper is not None
+
+    def _driven(
+        self, lower: float | None, upper: float | None, speed: float, strength: float | None, name: str, where: str
+    ) -> tuple[JointPart, dict[str, Any]]:
+        """Parts and numbers of limits and motor."""
+        low, high, limited = self._limits(lower, upper, where)
+        more = {"lower": low, "upper": high, "speed": number("motor_speed", speed, where)}
+        parts = JointPart.LIMIT if limited else JointPart.NONE
+        if strength is None and more["speed"] != 0.0:
+            raise ValueError(f"{name} of {where} is missing; a motor needs one")
+        if strength is not None:
+            parts |= JointPart.MOTOR
+            more["strength"] = number(name, strength, where)
+        return parts, more
+
+    def _add_joint(
+        self,
+        kind: JointKind,
+        bodies: tuple[int, int],
+        anchors: Any,
+        where: str,
+        options: JointOptions,
+        parts: JointPart = JointPart.HOLD,
+        **more: Any,
+    ) -> int:
+        """Put a joint into the table; fields of ``more`` are without their prefix."""
+        known = JointOptions.__annotations__
+        for name in options:
+            if name not in known:
+                raise TypeError(f"{name!r} is no keyword of a joint; it takes {', '.join(known)}")
+        collides = truth(f"collide_connected of {where}", options.get("collide_connected", False))
+        given = options.get("break_force")
+        strength = UNBOUNDED if given is None else number("break_force", given, where)
+        values = {"body_a": bodies[0], "body_b": bodies[1], "anchor_a": anchors[0], "anchor_b": anchors[1]}
+        values |= {"kind": int(kind), "parts": int(parts), "axis": (1.0, 0.0), "break_force": strength}
+        values |= {"collides": int(collides), **more}
+        row = [0.0] * WIDTH
+        for name, value in values.items():
+            at = COLUMNS[f"joint_{name}"]
+            row[at] = value if isinstance(value, tuple) else (value,)
+        return self._joints.append(*row)

@@ -1,0 +1,110 @@
+"""Joints of all kinds: their arrays, and how many rows each has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypedDict
+
+import numpy as np
+
+from dc_kernels.model.arrays import ArrayGroup
+from dc_kernels.model.enums import JointKind, JointPart
+from dc_kernels.model.fields import JOINTS, UNBOUNDED
+
+HELD = {
+    JointKind.DISTANCE: 1,
+    JointKind.REVOLUTE: 2,
+    JointKind.PRISMATIC: 2,
+    JointKind.WELD: 3,
+    JointKind.WHEEL: 2,
+    JointKind.TARGET: 2,
+    JointKind.GEAR: 1,
+    JointKind.GENERAL: 1,
+}
+"""Rows of the part ``HOLD`` of each kind; a motor and a limit are a row each."""
+FREE = JointPart.MOTOR | JointPart.LIMIT
+OPTIONAL = {
+    JointKind.DISTANCE: JointPart.HOLD | JointPart.LIMIT,
+    JointKind.REVOLUTE: FREE,
+    JointKind.PRISMATIC: FREE,
+    JointKind.WHEEL: FREE,
+}
+"""Parts that a joint of each kind may have or lack; any other kind has ``HOLD`` alone."""
+COLUMNS = {
+    "joint_body_a": slice(0, 1),
+    "joint_body_b": slice(1, 2),
+    "joint_anchor_a": slice(2, 4),
+    "joint_anchor_b": slice(4, 6),
+    "joint_length": slice(6, 7),
+    "joint_kind": slice(7, 8),
+    "joint_parts": slice(8, 9),
+    "joint_axis": slice(9, 11),
+    "joint_reference": slice(11, 12),
+    "joint_ratio": slice(12, 13),
+    "joint_lower": slice(13, 14),
+    "joint_upper": slice(14, 15),
+    "joint_speed": slice(15, 16),
+    "joint_strength": slice(16, 17),
+    "joint_frequency": slice(17, 18),
+    "joint_damping_ratio": slice(18, 19),
+    "joint_jacobian_a": slice(19, 22),
+    "joint_jacobian_b": slice(22, 25),
+    "joint_break_force": slice(25, 26),
+    "joint_collides": slice(26, 27),
+}
+"""Columns of a builder's table of joints, by the field of ``fields.JOINTS`` that they become."""
+WIDTH = 27
+
+
+def count_rows(kind: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """Rows of joints of some kinds (``JointKind``) with some parts (``JointPart``), (n,) int64."""
+    held = np.array([HELD[one] for one in JointKind], np.int64)[np.asarray(kind, np.int64)]
+    parts = np.asarray(parts, np.int64)
+    single = sum((parts & int(part) != 0).astype(np.int64) for part in (JointPart.MOTOR, JointPart.LIMIT))
+    return np.asarray(held * (parts & int(JointPart.HOLD) != 0) + single, np.int64)
+
+
+class JointOptions(TypedDict, total=False):
+    """Keywords that every joint takes."""
+
+    collide_connected: bool  # whether its bodies collide with each other; default False, True of a distance joint
+    break_force: float | None  # [N] > 0, at which the joint breaks and does nothing any more; default None: never
+
+
+class Joints(ArrayGroup):
+    """Joints of all kinds (``model.fields.JOINTS``), rods where nothing else is written; docs/joints.md.
+
+    What they are like may be written between steps, but for ``joint_kind`` and ``joint_parts``, from which their rows
+    follow.
+    """
+
+    table = JOINTS
+    live = (
+        *("joint_anchor_a", "joint_anchor_b", "joint_length", "joint_axis", "joint_reference", "joint_ratio"),
+        *("joint_lower", "joint_upper", "joint_speed", "joint_strength", "joint_damping_ratio"),
+        *("joint_jacobian_a", "joint_jacobian_b", "joint_impulse"),
+    )
+    changeable = tuple(
+        name for name in JOINTS if name not in ("joint_row_start", "joint_kind", "joint_parts", "joint_color")
+    )
+
+    def __init__(self, sizes: Mapping[str, int], dtype: Any, device: str = "cpu", backend: str = "warp") -> None:
+        """Allocate rods of length 0 between body 0 and itself, which hold for ever.
+
+        Args:
+            sizes: "joint", and "joint row" where they have other rows than one each.
+            dtype: see ``ArrayGroup``, as for what follows.
+            device: of the arrays.
+            backend: of the arrays.
+        """
+        count = sizes["joint"]
+        rows = sizes.get("joint row", count)
+        super().__init__({**sizes, "joint+1": count + 1, "joint row": rows}, dtype, device, backend)
+        if count:
+            self.fill("joint_parts", np.full(count, int(JointPart.HOLD), np.int32))
+            self.fill("joint_axis", np.tile(np.array([1.0, 0.0], self.dtype), (count, 1)))
+            for name, value in (("joint_break_force", UNBOUNDED), ("joint_upper", UNBOUNDED)):
+                self.fill(name, np.full(count, value, self.dtype))
+            self.fill("joint_collides", np.ones(count, np.int32))
+            if rows == count:
+                self.fill("joint_row_start", np.arange(count + 1, dtype=np.int32))

@@ -1,0 +1,138 @@
+"""Joints as a step sees them: the rows that they have, and the kernels that they need."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dc_kernels.model.arrays import Model
+from dc_kernels.model.enums import BodyType, JointKind, JointPart
+from dc_kernels.model.fields import UNBOUNDED
+from dc_kernels.model.joints.groups import HELD, Joints
+
+STIFFNESS = 4.0
+"""Rows of joints have at least this times dt^2 r . f of inertia at a body that a force f pulls at by the arm r [1]."""
+
+SMALL_TURN = 0.2
+"""Turn in a step from which rows no longer make up for what it adds, to second order, as that misleads [rad]."""
+
+LASTING = 0.99 * UNBOUNDED
+"""A break force from which a joint lasts, whatever the scalar type rounds it to [N]."""
+
+
+def are_rods(joints: Joints) -> bool:
+    """Whether all joints are rods that never break and let their bodies collide, which are packed as they are made."""
+    kind, parts = joints.numpy("joint_kind"), joints.numpy("joint_parts")
+    rigid = (kind == JointKind.DISTANCE) & (parts == JointPart.HOLD) & (joints.numpy("joint_frequency") == 0)
+    lasting = joints.numpy("joint_break_force") >= LASTING
+    plain = lasting & (joints.numpy("joint_broken") == 0) & (joints.numpy("joint_collides") == 1)
+    return bool((rigid & plain).all())
+
+
+def joint_kernels(joints: Joints, rods: bool) -> tuple[str, ...]:
+    """Kernels that the joints of a scene need beside those of a step; none where all are rods.
+
+    Args:
+        joints: of the scene.
+        rods: whether they are packed as rods (``are_rods``).
+    """
+    if rods or not joints.sizes["joint"]:
+        return ()
+    names = ["make_joint_rows"]
+    if joints.numpy("joint_break_force").min() < LASTING:
+        names.append("break_joints")
+    if not joints.numpy("joint_collides").all():
+        names.append("separate_joined")
+    return tuple(names)
+
+
+def rows_of_worlds(model: Model, joints: Joints) -> np.ndarray:
+    """Rows of the joints of each world, (W,) int64."""
+    return np.diff(joints.numpy("joint_row_start")[model.numpy("joint_start")]).astype(np.int64)
+
+
+class Forest(NamedTuple):
+    """Joints that form trees with their bodies, in the order of elimination: what is further from the root first."""
+
+    start: np.ndarray
+    """First of each world, and how many there are, (W + 1,)."""
+    row: np.ndarray
+    """First row of each, (n,)."""
+    size: np.ndarray
+    """Rows of each, (n,)."""
+    parent: np.ndarray
+    """Its body that is nearer to the root, (n,)."""
+    child: np.ndarray
+    """Its other body, -1 where that is not dynamic, (n,)."""
+
+
+def plant(model: Model, joints: Joints) -> Forest:
+    """The trees of the joints that hold something without bounds, but for rods; one that closes a loop is in none.
+
+    Rods are left to the sweeps: solved exactly, light bodies between them would swing across them within a step.
+    """
+    kind, parts = joints.numpy("joint_kind"), joints.numpy("joint_parts")
+    bounded = np.isin(kind, (JointKind.DISTANCE, JointKind.TARGET, JointKind.GENERAL))
+    held = np.flatnonzero((parts & int(JointPart.HOLD) != 0) & ~bounded)
+    dynamic = model.numpy("body_type") == BodyType.DYNAMIC
+    a, b = joints.numpy("joint_body_a")[held], joints.numpy("joint_body_b")[held]
+    links: dict[int, list[tuple[int, int]]] = {}  # of each body: other body, -1 where it is not dynamic, and joint
+    root = np.arange(model.body_count)
+
+    def find(body: int) -> int:
+        while root[body] != body:
+            root[body] = root[root[body]]
+            body = int(root[body])
+        return body
+
+    for j, p, c in zip(held.tolist(), a.tolist(), b.tolist(), strict=True):
+        if dynamic[p] and dynamic[c]:
+            if find(p) == find(c):
+                continue
+            root[find(c)] = find(p)
+            links.setdefault(c, []).append((p, j))
+        one, other = (p, c if dynamic[c] else -1) if dynamic[p] else (c, -1)
+        links.setdefault(one, []).append((other, j))
+    order: list[tuple[int, int, int]] = []  # joint, parent, child, from the roots on
+    seen: set[int] = set()
+    for first in sorted(links):
+        if first in seen:
+            continue
+        seen.add(first)
+        queue = [first]
+        for body in queue:
+            order += [(j, body, -1) for other, j in reversed(links[body]) if other < 0]
+            for other, j in links[body]:
+                if other >= 0 and other not in seen:
+                    seen.add(other)
+                    queue.append(other)
+                    order.append((j, body, other))
+    found = np.array(order[::-1], np.int64).reshape(-1, 3)
+    world = np.searchsorted(model.numpy("joint_start"), found[:, 0], "right") - 1
+    found, world = found[np.argsort(world, kind="stable")], np.sort(world)
+    start = np.searchsorted(world, np.arange(model.world_count + 1)).astype(np.int32)
+    size = np.array([HELD[one] for one in JointKind])[kind[found[:, 0]]]
+    row = joints.numpy("joint_row_start")[found[:, 0]]
+    return Forest(start, row, *(values.astype(np.int32) for values in (size, found[:, 1], found[:, 2])))
+
+
+class Apart(NamedTuple):
+    """Bodies that joints keep from colliding with each other, by each of the two."""
+
+    start: np.ndarray
+    """First of each body, and how many there are, (bodies + 1,)."""
+    body: np.ndarray
+    """The other body, (n,)."""
+    joint: np.ndarray
+    """The joint, (n,)."""
+
+
+def apart(model: Model, joints: Joints) -> Apart:
+    """The bodies that joints keep from colliding with each other."""
+    chosen = np.flatnonzero(joints.numpy("joint_collides") == 0)
+    a, b = joints.numpy("joint_body_a")[chosen], joints.numpy("joint_body_b")[chosen]
+    one, other, joint = np.concatenate([a, b]), np.concatenate([b, a]), np.concatenate([chosen, chosen])
+    order = np.lexsort((other, one))
+    start = np.searchsorted(one[order], np.arange(model.body_count + 1))
+    return Apart(*(values.astype(np.int32) for values in (start, other[order], joint[order])))
