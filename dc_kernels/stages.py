@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from typing import Any, Literal, NamedTuple
 
 from dc_kernels.model.enums import Activity
-from dc_kernels.runtime.backends import BACKENDS, kernel_file, make_kernels
+from dc_kernels.runtime.backends import kernel_file, make_kernels
 from dc_kernels.runtime.capture import recording
 from dc_kernels.solve.rows import COLUMNS
 
@@ -238,7 +238,11 @@ WORDS = {"surfaces": "surfaces that move or resist rolling"}
 
 
 def variants_of(backend: str) -> Sequence[str]:
-    """The variants of rows that a backend has, keys of ``rows.COLUMNS``."""
+    """The variants of rows that a backend has, keys of ``rows.COLUMNS``.
+
+    Raises:
+        ImportError: the backend is not installed.
+    """
     return getattr(kernel_file(backend, "solve.pack"), "VARIANTS", tuple(COLUMNS))
 
 
@@ -277,8 +281,8 @@ def kernel_table(
     Raises:
         ValueError: where a backend has not got the kernels, naming those that have.
     """
-    if variant not in variants_of(backend):  # others are asked only then: they may not be installed
-        having = [name for name in BACKENDS if variant in variants_of(name)]
+    if variant not in variants_of(backend):
+        having = [name for name in ("warp", "numpy") if variant in variants_of(name)]  # which need no extra
         raise ValueError(f"backend is {backend!r}, which has no rows of {WORDS[variant]}; it must be one of {having}")
     options = {"variant": variant, "only_discs": only_discs, "traits": traits}
     table: dict[str, Any] = {}
