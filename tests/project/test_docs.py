@@ -333,5 +333,9 @@ def test_the_table_of_what_sleep_adds_is_that_of_the_code():
     assert stages.markdown(stages.SLEEP) in (ROOT / "docs" / "sleep.md").read_text(encoding="utf-8")
 
 
+def test_the_table_of_what_joints_add_is_that_of_the_code():
+    assert stages.markdown(stages.LINKED) in (ROOT / "docs" / "joints.md").read_text(encoding="utf-8")
+
+
 def test_the_table_of_backends_is_that_of_the_code():
     assert backends.markdown() in (ROOT / "docs" / "taichi.md").read_text(encoding="utf-8")
