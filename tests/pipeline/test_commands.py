@@ -179,7 +179,7 @@ def test_missing_dependency_names_the_extra(monkeypatch, capsys):
 def test_help_names_units_and_defaults():
     def text(*arguments: str) -> str:
         command = [sys.executable, "-m", "pipeline.cli", *arguments, "--help"]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env={"COLUMNS": "200", "PATH": ""})
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env={"COLUMNS": "100", "PATH": ""})
         assert done.returncode == 0, done.stderr
         return done.stdout
 
