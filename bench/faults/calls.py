@@ -44,7 +44,7 @@ ROOT = Path(__file__).resolve().parents[2]
 LIMIT = 60.0  # seconds without an answer after which a call counts as hung
 WORKERS = 2
 NAMED = 40  # faults that are named
-QUICK = 7  # of so many calls the quick form makes one
+QUICK = 11  # of so many calls the quick form makes one
 MARK = "\x1e"  # begins the lines that are answers: libraries print what they like
 SETTINGS = 4  # processes that the settings are shared among
 
@@ -232,7 +232,7 @@ def _read(stream: Any, lines: queue.Queue[str | None]) -> None:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Count calls, those refused without a name, and those accepted; in the quick form one call of seven is made."""
+    """Count calls, those refused without a name, and those accepted; in the quick form one call of eleven is made."""
     groups = [*TARGETS, *(f"settings:{i}" for i in range(SETTINGS))]
     with ThreadPoolExecutor(WORKERS) as pool:
         parts = pool.map(lambda group: run_group(group, QUICK if quick else 1), groups)

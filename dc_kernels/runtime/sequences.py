@@ -185,7 +185,10 @@ class Rounds:
     def take_one(self) -> bool:
         """Take one round, whatever has halted before; whether it halts."""
         self._stopped[0] = 0
-        self.take(1)
+        if self._run is not None and self._bound_to == 1:  # as ``take`` does, in half the time
+            self._run.launch_now()
+        else:
+            self.take(1)
         return self._stopped[0] != 0
 
     def take(self, rounds: int) -> None:
