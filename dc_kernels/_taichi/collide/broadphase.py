@@ -136,10 +136,9 @@ def kernels(dtype: str) -> dict[str, Any]:
                 for i in range(start, start + pairs.near_count[w]):
                     a = pairs.near_a[i]
                     b = pairs.near_b[i]
-                    if overlaps(pairs.swept[a], pairs.swept[b]):
-                        pairs.shape_a[n] = a
-                        pairs.shape_b[n] = b
-                        n += 1
+                    pairs.shape_a[n] = a
+                    pairs.shape_b[n] = b
+                    n += ti.cast(overlaps(pairs.swept[a], pairs.swept[b]), ti.i32)  # no branch to guess
                 pairs.count[w] = n - start
 
     return {"update_pairs": update_pairs}

@@ -95,8 +95,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             fresh = rows.line_start[w + 1] - rows.line_start[w] + rows.row_start[w + 1] - rows.row_start[w]
             if fresh == 0:
                 for c in range(start, end):
-                    if contacts.color[c] < 0 or contacts.color[c] == SERIAL:
-                        fresh += 1
+                    fresh += ti.cast((contacts.color[c] < 0) | (contacts.color[c] == SERIAL), ti.i32)
             if fresh != 0:  # else nothing new, nothing to colour
                 color_first(w, model, joints, rows, True)
                 for c in range(start, end):

@@ -14,6 +14,7 @@ from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels.model.enums import ShapeType
 
 SEGMENT = int(ShapeType.SEGMENT)
+EPSILON = {"float32": 1e-9, "float64": 1e-15}  # distance over size below which there is no direction
 PARALLEL = -0.999  # cosine of two outward normals below which they are of one axis
 
 
@@ -33,7 +34,7 @@ def manifold_functions(dtype: str) -> SimpleNamespace:
     """
     t = group_types(dtype)
     real, vec2 = t.real, t.vec2
-    epsilon = 1e-9 if dtype == "float32" else 1e-15
+    epsilon = EPSILON[dtype]
 
     # Up to two points: normal from the first shape to the second, midpoint between the surfaces, gap, feature.
     # ``corner``: the normal joins two corners. ``beside``: another axis than the normal's parts the shapes too, or they

@@ -4,7 +4,10 @@ from functools import cache
 from typing import Any
 
 from dc_kernels._taichi.groups import group_types
+from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.runtime.kernels import kernel
+
+AT_ONCE = 8
 
 
 @cache
@@ -12,6 +15,45 @@ def kernels(dtype: str) -> dict[str, Any]:
     """``match_contacts``; one thread a world."""
     t = group_types(dtype)
     real, vec2 = t.real, t.vec2
+
+    @ti.func
+    def common(c, old, most, contacts: t.Contacts, cache: t.Cache):
+        """How many of the keys from c on are those from ``old`` on in the cache."""
+        run = 0
+        differ = ti.i64(0)
+        while differ == 0 and run + AT_ONCE <= most:  # without a branch for each key
+            for i in ti.static(range(AT_ONCE)):
+                differ = differ | (contacts.key[c + run + i] ^ cache.key[old + run + i])
+            if differ == 0:
+                run += AT_ONCE
+        while run < most and contacts.key[c + run] == cache.key[old + run]:
+            run += 1
+        return run
+
+    @ti.func
+    def match_keys(first, last, end, scale, contacts: t.Contacts, cache: t.Cache):
+        """What the contacts ``first`` .. ``last`` carry from the cached ones ``first`` .. ``end``: see the kernel.
+
+        Contacts that go on stand in runs.
+        """
+        c = first
+        old = first
+        while c < last:
+            run = common(c, old, ti.min(last - c, end - old), contacts, cache)
+            for i in range(run):
+                contacts.impulse[c + i] = cache.impulse[old + i] * scale
+                contacts.color[c + i] = cache.color[old + i]
+                contacts.age[c + i] = cache.age[old + i] + 1
+            c += run
+            old += run
+            if c < last:
+                while old < end and cache.key[old] < contacts.key[c]:
+                    old += 1
+                if not (old < end and cache.key[old] == contacts.key[c]):
+                    contacts.impulse[c] = vec2(0.0, 0.0)
+                    contacts.color[c] = -1
+                    contacts.age[c] = 0
+                    c += 1
 
     @kernel
     def match_contacts(
@@ -32,22 +74,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             if config.start != 0 and contacts.contact_dt[w] > 0.0:
                 scale = motion.step_dt[w] / contacts.contact_dt[w]
             start = contacts.contact_start[w]
-            old = start
-            end = start + cache.count[w]
-            for c in range(start, start + contacts.contact_count[w]):
-                k = contacts.key[c]
-                while old < end and cache.key[old] < k:
-                    old += 1
-                impulse = vec2(0.0, 0.0)
-                color = -1
-                age = 0
-                if old < end and cache.key[old] == k:
-                    impulse = cache.impulse[old] * scale
-                    color = cache.color[old]
-                    age = cache.age[old] + 1
-                contacts.impulse[c] = impulse
-                contacts.color[c] = color
-                contacts.age[c] = age
+            match_keys(start, start + contacts.contact_count[w], start + cache.count[w], scale, contacts, cache)
             first_row = joints.joint_row_start[model.joint_start[w]]
             last_row = joints.joint_row_start[model.joint_start[w + 1]]
             for k in range(first_row, last_row):

@@ -4,6 +4,7 @@ from functools import cache
 from typing import Any
 
 from dc_kernels._taichi.collide.closing import closing_functions
+from dc_kernels._taichi.collide.discs import disc_contacts
 from dc_kernels._taichi.collide.manifold import manifold_functions
 from dc_kernels._taichi.collide.support import support_functions
 from dc_kernels._taichi.common import cross, dot, length, rotate, rotate_back
@@ -39,6 +40,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     Approach, disc_disc_moving, hull_disc_moving = moving.Approach, moving.disc_disc_moving, moving.hull_disc_moving
     hull_hull_moving = moving.hull_hull_moving
     support = support_functions(dtype, only_discs)
+    find_disc_contacts = disc_contacts(dtype)
     closes, list_static, supported = support.closes, support.list_static, support.supported
 
     @ti.func
@@ -50,7 +52,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
 
     @ti.func
     def discs_manifold(a, b, speculative, dt, slop, model: t.Model, state: t.State, motion: t.Motion):
-        """Two discs."""
+        """Two discs; ``find_disc_contacts`` takes those of a scene that has hardly anything else."""
         ba = model.shape_body[a]
         bb = model.shape_body[b]
         va = motion.predicted[ba]
@@ -60,23 +62,19 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         pa = state.position[ba]
         pb = state.position[bb]
         m = Manifold()
+        center_a = model.shape_center[a]
+        center_b = model.shape_center[b]
+        pa = pa + rotate(ti.cos(state.angle[ba]), ti.sin(state.angle[ba]), center_a)
+        pb = pb + rotate(ti.cos(state.angle[bb]), ti.sin(state.angle[bb]), center_b)
         # nearly all candidates end here: too far apart even if they close at their full relative speed
         far = ra + rb + speculative + dt * (ti.abs(vb[0] - va[0]) + ti.abs(vb[1] - va[1]))
-        to_a = vec2(0.0, 0.0)
-        to_b = vec2(0.0, 0.0)
-        if ti.static(not only_discs):
-            center_a = model.shape_center[a]
-            center_b = model.shape_center[b]
-            pa = pa + rotate(ti.cos(state.angle[ba]), ti.sin(state.angle[ba]), center_a)
-            pb = pb + rotate(ti.cos(state.angle[bb]), ti.sin(state.angle[bb]), center_b)
-            far += dt * (ti.abs(va[2]) * length(center_a) + ti.abs(vb[2]) * length(center_b))
-            to_a = pa - state.position[ba]
-            to_b = pb - state.position[bb]
+        far += dt * (ti.abs(va[2]) * length(center_a) + ti.abs(vb[2]) * length(center_b))
         d = pb - pa
         if dot(d, d) <= far * far:
+            to_a = pa - state.position[ba]
+            to_b = pb - state.position[bb]
             dv = vec2(vb[0] - va[0], vb[1] - va[1])
-            if ti.static(not only_discs):
-                dv = dv + (vec2(-to_b[1], to_b[0]) * vb[2] - vec2(-to_a[1], to_a[0]) * va[2])
+            dv = dv + (vec2(-to_b[1], to_b[0]) * vb[2] - vec2(-to_a[1], to_a[0]) * va[2])
             m = disc_disc_moving(pa, ra, pb, rb, dv, dt, slop)
         return m
 
@@ -178,83 +176,90 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
             n = 0
             listed = 0
             first_pair = pairs.start[w]
-            for pair in range(first_pair, first_pair + pairs.count[w]):
-                a = pairs.shape_a[pair]
-                b = pairs.shape_b[pair]
-                kind_a = model.shape_type[a]
-                kind_b = model.shape_type[b]
-                m = Manifold()
-                if kind_a == DISC and kind_b == DISC:
-                    m = discs_manifold(a, b, speculative, dt, slop, model, state, motion)
-                else:
-                    asked = kind_a == DISC or model.body_type[model.shape_body[a]] != STATIC
-                    given = False
-                    left = vec2(0.0, 0.0)
-                    again = True
-                    while again:
-                        again = False
-                        blocked = False
-                        drift = left
-                        if kind_a == DISC or kind_b == DISC:
-                            m, blocked, drift = hull_disc_manifold(a, b, given, left, toward, model, state)
-                        else:
-                            if ti.static(not only_discs):
-                                m, blocked, drift = hulls_manifold(
-                                    a, b, speculative, given, left, toward, model, state, motion
-                                )
-                        if blocked and not asked:
-                            asked = True
-                            given = True
-                            if listed == 0:
-                                list_static(w, model, pairs)
-                                listed = 1
-                            left = supported(pair, drift, toward, model, state, pairs)
-                            again = left[0] != drift[0] or left[1] != drift[1]
-                if m.count > 0:
-                    ba = model.shape_body[a]
-                    bb = model.shape_body[b]
-                    va = motion.predicted[ba]
-                    vb = motion.predicted[bb]
-                    # the lower feature first, so that contacts are sorted by key
-                    swap = 0
-                    if m.count == 2 and m.feature1 < m.feature0:
-                        swap = 1
-                    for i in range(m.count):
-                        p = m.point0
-                        g = m.gap0
-                        feature = m.feature0
-                        if (i ^ swap) == 1:
-                            p = m.point1
-                            g = m.gap1
-                            feature = m.feature1
-                        to_a = p - state.position[ba]
-                        to_b = p - state.position[bb]
-                        speed = linear_speed(m.normal, va, vb)
+            last_pair = first_pair + pairs.count[w]
+            pair = first_pair
+            while pair < last_pair:
+                if ti.static(only_discs):
+                    pair, n = find_disc_contacts(w, pair, last_pair, n, config, model, state, motion, pairs, contacts)
+                if pair < last_pair:
+                    a = pairs.shape_a[pair]
+                    b = pairs.shape_b[pair]
+                    kind_a = model.shape_type[a]
+                    kind_b = model.shape_type[b]
+                    m = Manifold()
+                    if kind_a == DISC and kind_b == DISC:
                         if ti.static(not only_discs):
-                            speed = relative_speed(m.normal, va, vb, cross(to_a, m.normal), cross(to_b, m.normal))
-                        # a gap that the step's motion closes is a contact too
-                        if g <= speculative + ti.max(-speed * dt, 0.0):
-                            if n < capacity:
-                                # a scene of one material need not look it up
-                                mu = config.uniform_friction
-                                e = config.uniform_restitution
-                                if mu < 0.0:
-                                    mu = model.shape_friction[a]
-                                    if model.shape_friction[b] != mu:
-                                        mu = ti.sqrt(mu * model.shape_friction[b])
-                                if e < 0.0:
-                                    e = ti.max(model.shape_restitution[a], model.shape_restitution[b])
-                                shape_key = (ti.i64(a - shape0) << SHIFT_A) | (ti.i64(b - shape0) << SHIFT_B)
-                                contacts.key[start + n] = shape_key | ti.i64(feature)
-                                contacts.body_a[start + n] = ba
-                                contacts.body_b[start + n] = bb
-                                contacts.normal[start + n] = m.normal
-                                contacts.arm_a[start + n] = to_a
-                                contacts.arm_b[start + n] = to_b
-                                contacts.gap[start + n] = g
-                                contacts.friction[start + n] = mu
-                                contacts.restitution[start + n] = e
-                            n += 1
+                            m = discs_manifold(a, b, speculative, dt, slop, model, state, motion)
+                    else:
+                        asked = kind_a == DISC or model.body_type[model.shape_body[a]] != STATIC
+                        given = False
+                        left = vec2(0.0, 0.0)
+                        again = True
+                        while again:
+                            again = False
+                            blocked = False
+                            drift = left
+                            if kind_a == DISC or kind_b == DISC:
+                                m, blocked, drift = hull_disc_manifold(a, b, given, left, toward, model, state)
+                            else:
+                                if ti.static(not only_discs):
+                                    m, blocked, drift = hulls_manifold(
+                                        a, b, speculative, given, left, toward, model, state, motion
+                                    )
+                            if blocked and not asked:
+                                asked = True
+                                given = True
+                                if listed == 0:
+                                    list_static(w, model, pairs)
+                                    listed = 1
+                                left = supported(pair, drift, toward, model, state, pairs)
+                                again = left[0] != drift[0] or left[1] != drift[1]
+                    if m.count > 0:
+                        ba = model.shape_body[a]
+                        bb = model.shape_body[b]
+                        va = motion.predicted[ba]
+                        vb = motion.predicted[bb]
+                        # the lower feature first, so that contacts are sorted by key
+                        swap = 0
+                        if m.count == 2 and m.feature1 < m.feature0:
+                            swap = 1
+                        for i in range(m.count):
+                            p = m.point0
+                            g = m.gap0
+                            feature = m.feature0
+                            if (i ^ swap) == 1:
+                                p = m.point1
+                                g = m.gap1
+                                feature = m.feature1
+                            to_a = p - state.position[ba]
+                            to_b = p - state.position[bb]
+                            speed = linear_speed(m.normal, va, vb)
+                            if ti.static(not only_discs):
+                                speed = relative_speed(m.normal, va, vb, cross(to_a, m.normal), cross(to_b, m.normal))
+                            # a gap that the step's motion closes is a contact too
+                            if g <= speculative + ti.max(-speed * dt, 0.0):
+                                if n < capacity:
+                                    # a scene of one material need not look it up
+                                    mu = config.uniform_friction
+                                    e = config.uniform_restitution
+                                    if mu < 0.0:
+                                        mu = model.shape_friction[a]
+                                        if model.shape_friction[b] != mu:
+                                            mu = ti.sqrt(mu * model.shape_friction[b])
+                                    if e < 0.0:
+                                        e = ti.max(model.shape_restitution[a], model.shape_restitution[b])
+                                    shape_key = (ti.i64(a - shape0) << SHIFT_A) | (ti.i64(b - shape0) << SHIFT_B)
+                                    contacts.key[start + n] = shape_key | ti.i64(feature)
+                                    contacts.body_a[start + n] = ba
+                                    contacts.body_b[start + n] = bb
+                                    contacts.normal[start + n] = m.normal
+                                    contacts.arm_a[start + n] = to_a
+                                    contacts.arm_b[start + n] = to_b
+                                    contacts.gap[start + n] = g
+                                    contacts.friction[start + n] = mu
+                                    contacts.restitution[start + n] = e
+                                n += 1
+                    pair += 1
             rows.contact_needed[w] = n
             if n > capacity:
                 state.flags[w] = state.flags[w] | CONTACT_OVERFLOW

@@ -33,7 +33,7 @@ def bucket_of(cx, cy, level, mask):
 @ti.func
 def overlaps(p, q):
     """Whether two boxes, (low x, low y, high x, high y), have a point in common."""
-    return not (p[0] > q[2] or q[0] > p[2] or p[1] > q[3] or q[1] > p[3])
+    return not ((p[0] > q[2]) | (q[0] > p[2]) | (p[1] > q[3]) | (q[1] > p[3]))  # all four, without a branch
 
 
 @ti.func

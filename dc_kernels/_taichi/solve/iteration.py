@@ -65,7 +65,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             done = 0
         elif config.stop == BY_RESIDUAL:
             if sweeps % config.residual_every == 0 or sweeps >= config.max_sweeps:
-                if natural_map(span, motion.solved, rows) < span.bound:
+                if natural_map(span, config, motion.solved, rows) < span.bound:
                     done = 1
         elif change < span.bound:
             done = 1
@@ -166,7 +166,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         return state, follow
 
     @ti.func
-    def report(span, motion: t.Motion, rows: t.Rows, stats: t.Stats, it: ti.template()):
+    def report(span, config: t.Config, motion: t.Motion, rows: t.Rows, stats: t.Stats, it: ti.template()):
         """What a solve tells of itself: sweeps, change, and where it has ended its residual."""
         w = span.world
         stats.sweeps[w] = it.sweeps
@@ -174,6 +174,6 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         if it.finished == 1:
             for k in range(it.sweeps, stats.history.shape[1]):
                 stats.history[w, k] = 0.0
-            stats.residual[w] = natural_map(span, motion.solved, rows)
+            stats.residual[w] = natural_map(span, config, motion.solved, rows)
 
     return SimpleNamespace(start=start, prepare_sweep=prepare_sweep, conclude_sweep=conclude_sweep, report=report)

@@ -1,14 +1,7 @@
 """SIMD lanes: LANES rows of one colour solved side by side, as vectors of Taichi.
 
-The arithmetic is that of ``row``, operation by operation, and that of Warp's lanes. Velocities are loaded as vec4 and
-transposed in registers, as in ``_warp/native/solve/bodies.h``. What makes that as fast as there:
-
-- A vector whose elements come from two others becomes one shuffle; but LLVM looks through several, and puts together a
-  vector of eight others by chains of insertions. A product with ``one``, which is 1 without the compiler's knowledge,
-  is what it does not look through: in float32 a sweep of discs then takes 1.2 times Warp's time, else 1.4 times. In
-  float64, whose vectors fill two registers, it takes 1.1 and 0.95 times: there are no products then.
-- Indices of bodies are loaded one by one: of a vector loaded whole they would be extracted, at 0.3 of the time.
-- All that a block needs is loaded before anything is stored: where an array lies is looked up anew after each store.
+The arithmetic is that of ``row``, operation by operation, and that of Warp's lanes. All that a block needs is loaded
+before anything is stored: where an array lies is looked up anew after each store.
 """
 
 from functools import cache
@@ -16,107 +9,23 @@ from types import SimpleNamespace
 
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
-from dc_kernels.solve.rows import COLUMNS, JOINTED
+from dc_kernels._taichi.solve.bodies import body_functions, largest, magnitude, total
+from dc_kernels.solve.iteration import ASTRAY, FAR, MOVING
+from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES
 
-
-@ti.func
-def magnitude(v):
-    """Absolute values of a vector, element by element."""
-    return ti.max(v, v * -1.0)
-
-
-@ti.func
-def total(v):
-    """Sum of the lanes, in a fixed order."""
-    return ((v[0] + v[1]) + (v[2] + v[3])) + ((v[4] + v[5]) + (v[6] + v[7]))
-
-
-@ti.func
-def largest(v):
-    """The largest lane that is above 0, else 0."""
-    low = ti.max(ti.max(v[0], v[1]), ti.max(v[2], v[3]))
-    return ti.max(ti.max(low, ti.max(ti.max(v[4], v[5]), ti.max(v[6], v[7]))), 0.0)
-
-
-@cache
-def body_functions(dtype: str) -> SimpleNamespace:
-    """``load_bodies`` and ``store_bodies``: of the eight bodies of a block, a vector for each component."""
-    t = group_types(dtype)
-    vec4, vec8 = t.vec4, t.vec8
-    opaque = dtype == "float32"
-
-    @ti.func
-    def kept(v, one):
-        """A vector that the compiler does not take apart."""
-        if ti.static(opaque):
-            v = v * one
-        return v
-
-    @ti.func
-    def low_halves(a, b, one):
-        return kept(vec8(a[0], b[0], a[1], b[1], a[4], b[4], a[5], b[5]), one)
-
-    @ti.func
-    def high_halves(a, b, one):
-        return kept(vec8(a[2], b[2], a[3], b[3], a[6], b[6], a[7], b[7]), one)
-
-    @ti.func
-    def low_pairs(a, b):
-        return vec8(a[0], a[1], b[0], b[1], a[4], a[5], b[4], b[5])
-
-    @ti.func
-    def high_pairs(a, b):
-        return vec8(a[2], a[3], b[2], b[3], a[6], a[7], b[6], b[7])
-
-    @ti.func
-    def transpose(a, b, c, d, one):
-        """Its own inverse."""
-        t0 = low_halves(a, b, one)
-        t1 = low_halves(c, d, one)
-        t2 = high_halves(a, b, one)
-        t3 = high_halves(c, d, one)
-        return low_pairs(t0, t1), high_pairs(t0, t1), low_pairs(t2, t3), high_pairs(t2, t3)
-
-    @ti.func
-    def load_pair(bodies: ti.template(), i, j, one):
-        q = bodies[i]
-        r = bodies[j]
-        return kept(vec8(q[0], q[1], q[2], q[3], r[0], r[1], r[2], r[3]), one)
-
-    @ti.func
-    def store_pair(bodies: ti.template(), i, j, both):
-        bodies[i] = vec4(both[0], both[1], both[2], both[3])
-        bodies[j] = vec4(both[4], both[5], both[6], both[7])
-
-    @ti.func
-    def load_bodies(rows: t.Rows, k, bodies: ti.template(), one):
-        """Velocity (x, y), spin and inverse mass of the bodies that ``rows.body[k]`` names."""
-        return transpose(
-            load_pair(bodies, rows.body[k][0], rows.body[k][4], one),
-            load_pair(bodies, rows.body[k][1], rows.body[k][5], one),
-            load_pair(bodies, rows.body[k][2], rows.body[k][6], one),
-            load_pair(bodies, rows.body[k][3], rows.body[k][7], one),
-            one,
-        )
-
-    @ti.func
-    def store_bodies(rows: t.Rows, k, bodies: ti.template(), x, y, w, m, one):
-        p0, p1, p2, p3 = transpose(x, y, w, m, one)
-        store_pair(bodies, rows.body[k][0], rows.body[k][4], p0)
-        store_pair(bodies, rows.body[k][1], rows.body[k][5], p1)
-        store_pair(bodies, rows.body[k][2], rows.body[k][6], p2)
-        store_pair(bodies, rows.body[k][3], rows.body[k][7], p3)
-
-    return SimpleNamespace(load_bodies=load_bodies, store_bodies=store_bodies)
+INFINITY = float("inf")
 
 
 @cache
 def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
-    """``sweep``, ``apply``, ``push`` and ``extrapolate`` over the blocks b0 .. b1 of rows of a variant."""
+    """``sweep``, ``apply``, ``push`` and ``extrapolate`` over the blocks b0 .. b1 of rows of a variant.
+
+    ``moving`` and ``natural_map`` write nothing: they are of blocks whose rows share bodies, too.
+    """
     t = group_types(dtype)
     vec8 = t.vec8
     of_bodies = body_functions(dtype)
-    load_bodies, store_bodies = of_bodies.load_bodies, of_bodies.store_bodies
+    load_bodies, store_bodies, pushed = of_bodies.load_bodies, of_bodies.store_bodies, of_bodies.pushed
     columns = COLUMNS[variant]
     width = len(columns)
     discs = variant == "discs"
@@ -138,7 +47,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         return low
 
     @ti.func
-    def sweep(rows: t.Rows, bodies: ti.template(), b0, b1, omega, one):
+    def sweep(rows: t.Rows, bodies: ti.template(), b0, b1, omega, floor):
         """Projected Gauss-Seidel; the largest impulse change [N s].
 
         vn, vt: speeds of B against A along the normal and the tangent [m/s]; ln0, lt0: impulses along them before the
@@ -147,8 +56,8 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         most = vec8(0.0)
         for b in range(b0, b1):
             k = b * width
-            ax, ay, aw, am = load_bodies(rows, 2 * b, bodies, one)
-            bx, by, bw, bm = load_bodies(rows, 2 * b + 1, bodies, one)
+            ax, ay, aw, am = load_bodies(rows, 2 * b, bodies, floor)
+            bx, by, bw, bm = load_bodies(rows, 2 * b + 1, bodies, floor)
             nx = rows.column[k + NX]
             ny = rows.column[k + NY]
             rat = rows.column[k + RAT]
@@ -214,17 +123,17 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             rows.change[2 * b] = dn
             rows.change[2 * b + 1] = dt
             most = ti.max(most, ti.max(magnitude(dn), magnitude(dt)))
-            store_bodies(rows, 2 * b, bodies, ax, ay, aw, am, one)
-            store_bodies(rows, 2 * b + 1, bodies, bx, by, bw, bm, one)
+            store_bodies(rows, 2 * b, bodies, ax, ay, aw, am, floor)
+            store_bodies(rows, 2 * b + 1, bodies, bx, by, bw, bm, floor)
         return largest(most)
 
     @ti.func
-    def apply(rows: t.Rows, bodies: ti.template(), anew, b0, b1, one):
+    def apply(rows: t.Rows, bodies: ti.template(), anew, b0, b1, floor):
         """Velocities after impulses, V += M^-1 J^T delta: after all of them where ``anew`` is 1, else their change."""
         for b in range(b0, b1):
             k = b * width
-            ax, ay, aw, am = load_bodies(rows, 2 * b, bodies, one)
-            bx, by, bw, bm = load_bodies(rows, 2 * b + 1, bodies, one)
+            ax, ay, aw, am = load_bodies(rows, 2 * b, bodies, floor)
+            bx, by, bw, bm = load_bodies(rows, 2 * b + 1, bodies, floor)
             nx = rows.column[k + NX]
             ny = rows.column[k + NY]
             rat = rows.column[k + RAT]
@@ -259,17 +168,17 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             else:
                 aw = (aw - wa * (ran * dn)) - wa * (rat * dt)
                 bw = (bw + wb * (rbn * dn)) + wb * (rbt * dt)
-            store_bodies(rows, 2 * b, bodies, ax, ay, aw, am, one)
-            store_bodies(rows, 2 * b + 1, bodies, bx, by, bw, bm, one)
+            store_bodies(rows, 2 * b, bodies, ax, ay, aw, am, floor)
+            store_bodies(rows, 2 * b + 1, bodies, bx, by, bw, bm, floor)
 
     @ti.func
-    def push(rows: t.Rows, bodies: ti.template(), b0, b1, factor, limit, one):
+    def push(rows: t.Rows, bodies: ti.template(), b0, b1, factor, limit, floor):
         """Position correction: displacements that remove a share of what overlaps; the largest push."""
         most = vec8(0.0)
         for b in range(b0, b1):
             k = b * width
-            ax, ay, aw, am = load_bodies(rows, 2 * b, bodies, one)
-            bx, by, bw, bm = load_bodies(rows, 2 * b + 1, bodies, one)
+            ax, ay, aw, am = load_bodies(rows, 2 * b, bodies, floor)
+            bx, by, bw, bm = load_bodies(rows, 2 * b + 1, bodies, floor)
             nx = rows.column[k + NX]
             ny = rows.column[k + NY]
             vn = nx * (bx - ax) + ny * (by - ay)
@@ -297,8 +206,8 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
                 aw = aw - rows.column[k + WA] * (rows.column[k + RAN] * dn)
                 bw = bw + rows.column[k + WB] * (rows.column[k + RBN] * dn)
             most = ti.max(most, magnitude(dn))
-            store_bodies(rows, 2 * b, bodies, ax, ay, aw, am, one)
-            store_bodies(rows, 2 * b + 1, bodies, bx, by, bw, bm, one)
+            store_bodies(rows, 2 * b, bodies, ax, ay, aw, am, floor)
+            store_bodies(rows, 2 * b + 1, bodies, bx, by, bw, bm, floor)
         return largest(most)
 
     @ti.func
@@ -322,4 +231,89 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             rows.change[2 * b] = yn - xn
             rows.change[2 * b + 1] = yt - xt
 
-    return SimpleNamespace(sweep=sweep, apply=apply, push=push, extrapolate=extrapolate)
+    @ti.func
+    def moving(rows: t.Rows, motion: t.Motion, b0, b1, still, share, fall, floor):
+        """MOVING times the rows that the last sweep still moved, less all rows that can move.
+
+        ASTRAY where it moved one by FAR times as much. Moved is a row whose speed it changed by more than ``still`` +
+        ``share`` times what the impulses of the step have changed the velocity of the faster body by, beyond ``fall``.
+        """
+        count = 0
+        b = b0
+        while b < b1:
+            k = b * width
+            given = ti.max(pushed(rows, 2 * b, motion, floor), pushed(rows, 2 * b + 1, motion, floor))
+            limit = still + share * ti.max(given - fall, vec8(0.0))
+            dn = magnitude(rows.change[2 * b])
+            dt = magnitude(rows.change[2 * b + 1])
+            n = limit * rows.column[k + EN]
+            tangential = limit * rows.column[k + ET]
+            # NaN is moved, and far
+            moved = ti.select(dn <= n, ti.select(dt <= tangential, vec8(0.0), vec8(1.0)), vec8(1.0))
+            far = ti.select(dn <= FAR * n, ti.select(dt <= FAR * tangential, vec8(0.0), vec8(1.0)), vec8(1.0))
+            moves = ti.select(rows.column[k + EN] > 0.0, vec8(1.0), vec8(0.0))
+            count += ti.cast(total(MOVING * moved - moves), ti.i32)
+            b += 1
+            if total(far) > 0.0:
+                count = ASTRAY
+                b = b1
+        return count
+
+    @ti.func
+    def natural_map(rows: t.Rows, bodies: ti.template(), b0, b1, before, floor):
+        """Sum of the squared natural maps of rows [(N s)^2], row after row, added to what was ``before``.
+
+        That of a contact is the distance of its impulse x from the nearest point, in Coulomb's cone, to a step from it,
+        x - e (u_n + mu |u_t|, u_t) with De Saxce's augmented velocity, which the row's effective mass e makes an
+        impulse; that of a joint what would stop it; of a row with bounds the distance to a step within them.
+        """
+        squares = before
+        for b in range(b0, b1):
+            k = b * width
+            ax, ay, aw, _ = load_bodies(rows, 2 * b, bodies, floor)
+            bx, by, bw, _ = load_bodies(rows, 2 * b + 1, bodies, floor)
+            nx = rows.column[k + NX]
+            ny = rows.column[k + NY]
+            mass = rows.column[k + EN]
+            mu = rows.column[k + MU]
+            xn = rows.impulse[2 * b]
+            xt = rows.impulse[2 * b + 1]
+            un = nx * (bx - ax) + ny * (by - ay)
+            if ti.static(own):
+                un = (nx * bx - rows.column[k + AX] * ax) + (ny * by - rows.column[k + AY] * ay)
+            if ti.static(not discs):
+                un = un + (rows.column[k + RBN] * bw - rows.column[k + RAN] * aw)
+            if ti.static(own):
+                un = un + (rows.column[k + BIAS] + rows.column[k + SOFT] * xn)
+            else:
+                un = un + rows.column[k + BIAS]
+            ut = ny * (bx - ax) - nx * (by - ay)
+            if ti.static(discs):
+                ut = ut + (rows.column[k + RBT] * bw + rows.column[k + RAT] * aw)
+            else:
+                ut = ut + (rows.column[k + RBT] * bw - rows.column[k + RAT] * aw)
+            zn = xn - mass * (un + mu * magnitude(ut))
+            zt = xt - mass * ut
+            # the nearest point in Coulomb's cone: z itself inside, the apex behind it, else on the cone's edge
+            size = magnitude(zt)
+            edge = (zn + mu * size) / (1.0 + mu * mu)
+            behind = mu * size <= zn * -1.0
+            edge = ti.select(behind, vec8(0.0), edge)
+            along = mu * edge
+            along = ti.select(zt < 0.0, along * -1.0, along)
+            pn = ti.select(zn < 0.0, edge, ti.select(size > mu * zn, edge, zn))
+            pt = ti.select(zn < 0.0, along, ti.select(size > mu * zn, along, zt))
+            square = (xn - pn) * (xn - pn) + (xt - pt) * (xt - pt)
+            if ti.static(own):
+                off = xn - ti.min(ti.max(xn - mass * un, rows.column[k + LO]), rows.column[k + HI])
+                square = ti.select(rows.column[k + HI] < INFINITY, off * off, square)
+                square = ti.select(rows.column[k + LO] != 0.0, off * off, square)
+            elif ti.static(jointed):
+                square = ti.select(rows.column[k + LO] < 0.0, (mass * un) * (mass * un), square)
+            for lane in ti.static(range(LANES)):
+                squares += square[lane]
+        return squares
+
+    return SimpleNamespace(
+        sweep=sweep, apply=apply, push=push, extrapolate=extrapolate, moving=moving, natural_map=natural_map
+    )

@@ -1,4 +1,4 @@
-"""The laws of contact, each once: relative speed, Coulomb's cone, the natural map."""
+"""The laws of contact of single rows: relative speed, effective mass; ``lanes`` has the natural map."""
 
 from dc_kernels._taichi.runtime.compiler import ti
 
@@ -30,29 +30,3 @@ def inverse_or_zero(x):
     if x > 0.0:
         inverse = 1.0 / x
     return inverse
-
-
-@ti.func
-def project_cone(z, mu):
-    """The nearest point to z = (normal, tangential) in Coulomb's cone, |tangential| <= mu * normal."""
-    zn = z[0]
-    zt = z[1]
-    size = ti.abs(zt)
-    if zn < 0.0 or size > mu * zn:
-        if mu * size <= -zn:
-            zn = 0.0
-            zt = 0.0
-        else:
-            zn = (zn + mu * size) / (1.0 + mu * mu)
-            zt = ti.select(zt < 0.0, -1.0, 1.0) * (mu * zn)
-    return ti.Vector([zn, zt])
-
-
-@ti.func
-def natural_map_squared(x, z, mu):
-    """Squared distance of a contact's impulse x from the projection of z, a step from it, on Coulomb's cone.
-
-    z is x minus an effective mass times (u_n + mu |u_t|, u_t), De Saxce's augmented velocity; all in N s.
-    """
-    p = project_cone(z, mu)
-    return (x[0] - p[0]) * (x[0] - p[0]) + (x[1] - p[1]) * (x[1] - p[1])

@@ -6,7 +6,8 @@ from typing import Any
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.runtime.kernels import kernel
-from dc_kernels._taichi.solve.constraints.contact import contact_row
+from dc_kernels._taichi.solve.bodies import LANE_BITS, LAST_LANE, body_functions
+from dc_kernels._taichi.solve.constraints.contact import contact_rows
 from dc_kernels._taichi.solve.constraints.distance import distance_row
 from dc_kernels._taichi.solve.constraints.jacobian import jacobian_row
 from dc_kernels.model.config import METHODS
@@ -27,43 +28,35 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     t = group_types(dtype)
     vec2, vec8 = t.vec2, t.vec8
     columns = COLUMNS[variant]
-    discs = variant == "discs"
     jointed, own = variant in JOINTED, variant == "rows"
     width = len(columns)
     at = {name: i for i, name in enumerate(columns)}
     NX, NY, EN, ET, BIAS, MU, GAP = (at[c] for c in ("nx", "ny", "en", "et", "bias", "mu", "gap"))
     # the variant that lacks a column never writes it
     RAN, RBN, RAT, RBT, IA, IB = (at.get(c, 0) for c in ("rAn", "rBn", "rAt", "rBt", "iA", "iB"))
-    DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
-    HI, AX, AY, SOFT, HELD = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft", "held"))
-    make_contact_row = contact_row(dtype, variant)
+    LO, HI, AX, AY, SOFT, HELD = (at.get(c, 0) for c in ("lo", "hi", "ax", "ay", "soft", "held"))
+    make_contact_rows = contact_rows(dtype, variant)
+    unknown_floor = body_functions(dtype).unknown_floor
     make_distance_row = distance_row(dtype, variant)
     make_jacobian_row = jacobian_row(dtype, variant)
 
     @ti.func
     def store_row(rows: t.Rows, k, lane, row):
-        """The columns of one row, in a lane of the block whose first column is k."""
+        """The columns of one row of a joint or a caller's own, in a lane of the block whose first column is k."""
         rows.column[k + NX][lane] = row.normal[0]
         rows.column[k + NY][lane] = row.normal[1]
-        if ti.static(discs):
-            rows.column[k + DA][lane] = -row.tangent_arm_a
-            rows.column[k + DB][lane] = row.tangent_arm_b
-            rows.column[k + KA][lane] = -(row.inv_inertia_a * row.tangent_arm_a)
-            rows.column[k + KB][lane] = row.inv_inertia_b * row.tangent_arm_b
-        else:
-            rows.column[k + RAN][lane] = row.normal_arm_a
-            rows.column[k + RBN][lane] = row.normal_arm_b
-            rows.column[k + RAT][lane] = row.tangent_arm_a
-            rows.column[k + RBT][lane] = row.tangent_arm_b
-            rows.column[k + IA][lane] = row.inv_inertia_a
-            rows.column[k + IB][lane] = row.inv_inertia_b
+        rows.column[k + RAN][lane] = row.normal_arm_a
+        rows.column[k + RBN][lane] = row.normal_arm_b
+        rows.column[k + RAT][lane] = row.tangent_arm_a
+        rows.column[k + RBT][lane] = row.tangent_arm_b
+        rows.column[k + IA][lane] = row.inv_inertia_a
+        rows.column[k + IB][lane] = row.inv_inertia_b
         rows.column[k + EN][lane] = row.normal_mass
         rows.column[k + ET][lane] = row.tangent_mass
         rows.column[k + BIAS][lane] = row.bias
         rows.column[k + MU][lane] = row.friction
         rows.column[k + GAP][lane] = row.gap
-        if ti.static(jointed):
-            rows.column[k + LO][lane] = row.least
+        rows.column[k + LO][lane] = row.least
         if ti.static(own):
             rows.column[k + HI][lane] = row.most
             rows.column[k + AX][lane] = row.direction_a[0]
@@ -102,17 +95,17 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         rows.block_needed[w] = block - first
         if block > rows.block_start[w + 1]:
             used = -1
-        # empty lanes of a colour's last block
         for k in range(used):
             filled = rows.color_fill[count + k]
             rows.color_fill[count + k] = 0
-            if filled % LANES != 0:
-                last = rows.color_block[ends + k + 1] - 1
-                for i in range(last * width, (last + 1) * width):
-                    rows.column[i] = vec8(0.0)
-                for i in range(2 * last, 2 * last + 2):
-                    for lane in range(LANES):
-                        rows.body[i][lane] = padding_body
+            if ti.static(jointed):  # rows that are made one by one leave lanes empty
+                if filled % LANES != 0:
+                    last = rows.color_block[ends + k + 1] - 1
+                    for i in range(last * width, (last + 1) * width):
+                        rows.column[i] = vec8(0.0)
+                    for i in range(2 * last, 2 * last + 2):
+                        for lane in range(LANES):
+                            rows.body[i][lane] = padding_body
         return used
 
     @ti.func
@@ -130,6 +123,59 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             rows.body_rows[row.body_b] = rows.body_rows[row.body_b] + 1
         store_row(rows, block * width, lane, row)
         return 2 * block * LANES + lane
+
+    @ti.func
+    def place_contacts(
+        w,
+        used,
+        padding_body,
+        config: t.Config,
+        model: t.Model,
+        state: t.State,
+        motion: t.Motion,
+        contacts: t.Contacts,
+        rows: t.Rows,
+    ):
+        """Rows of a world's contacts, a block at a time: as soon as it is full, and what is left at the end.
+
+        A block's contacts stand where its bodies A then do. Empty lanes of a colour's last block are zero and point at
+        the padding body.
+        """
+        start = contacts.contact_start[w]
+        count = contacts.contact_count[w]
+        fill = w * COLORS
+        ends = w * (COLORS + 1)
+        floor = unknown_floor(config)
+        for i in range(count + used):
+            block = -1
+            lanes = LANES
+            if i < count:
+                color = contacts.color[start + i]
+                index = rows.color_fill[fill + color]
+                rows.color_fill[fill + color] = index + 1
+                at = rows.color_block[ends + color] + (index >> LANE_BITS)
+                lane = index & LAST_LANE
+                rows.slot[start + i] = 2 * at * LANES + lane
+                rows.body[2 * at][lane] = start + i
+                if lane == LAST_LANE:
+                    block = at
+            else:
+                color = i - count
+                filled = rows.color_fill[fill + color]
+                lanes = filled & LAST_LANE
+                if lanes != 0:
+                    block = rows.color_block[ends + color] + (filled >> LANE_BITS)
+                    for lane in range(lanes, LANES):
+                        rows.body[2 * block][lane] = rows.body[2 * block][0]
+            if block >= 0:
+                make_contact_rows(w, block, floor, config, model, state, motion, contacts, rows)
+                if lanes < LANES:
+                    for k in range(block * width, (block + 1) * width):
+                        for lane in range(lanes, LANES):
+                            rows.column[k][lane] = 0.0
+                    for lane in range(lanes, LANES):
+                        rows.body[2 * block][lane] = padding_body
+                        rows.body[2 * block + 1][lane] = padding_body
 
     @kernel
     def pack_rows(
@@ -155,19 +201,19 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 if jacobi:
                     for b in range(model.body_start[w], model.body_start[w + 1]):
                         rows.body_rows[b] = 0
+                place_contacts(w, used, launch.padding_body, config, model, state, motion, contacts, rows)
                 scale = 0.0
                 least = 0.0
                 start = contacts.contact_start[w]
                 for c in range(start, start + contacts.contact_count[w]):
-                    row = make_contact_row(c, w, config, model, state, motion, contacts)
-                    if ti.static(own):  # one normal serves both bodies, and pushes without bound
-                        row.direction_a = row.normal
-                        row.most = INFINITY
-                        row.held = 1.0
-                    rows.slot[c] = place(w, contacts.color[c], jacobi, row, rows)
                     least = ti.min(least, contacts.gap[c])
-                    rows.square[c] = row.square
-                    scale += row.square
+                    scale += rows.square[c]
+                if jacobi:
+                    for c in range(start, start + contacts.contact_count[w]):
+                        a = contacts.body_a[c]
+                        b = contacts.body_b[c]
+                        rows.body_rows[a] = rows.body_rows[a] + 1
+                        rows.body_rows[b] = rows.body_rows[b] + 1
                 if ti.static(jointed):
                     for j in range(rows.line_start[w], rows.line_start[w + 1]):
                         joint_row = make_distance_row(j, w, config, model, state, motion, joints)
@@ -202,9 +248,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             start = contacts.contact_start[w]
             for c in range(start, start + contacts.contact_count[w]):
                 i = rows.slot[c]
-                block = i // (2 * LANES)
-                lane = i % LANES
-                contacts.impulse[c] = vec2(rows.impulse[2 * block][lane], rows.impulse[2 * block + 1][lane])
+                k = i >> LANE_BITS
+                lane = i & LAST_LANE
+                contacts.impulse[c] = vec2(rows.impulse[k][lane], rows.impulse[k + 1][lane])
             if ti.static(jointed):
                 for j in range(rows.line_start[w], rows.line_start[w + 1]):
                     i = rows.joint_slot[j]

@@ -7,9 +7,10 @@ from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.runtime.interrupts import is_cut
 from dc_kernels._taichi.runtime.kernels import kernel
+from dc_kernels._taichi.solve.bodies import body_functions
 from dc_kernels._taichi.solve.lanes import lane_functions
 from dc_kernels._taichi.solve.row import row_functions
-from dc_kernels._taichi.solve.world import ENDS, world_functions
+from dc_kernels._taichi.solve.world import ENDS
 from dc_kernels.solve.rows import COLORS, JOINTED, LANES, SERIAL_COLOR
 
 
@@ -19,7 +20,7 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
     t = group_types(dtype)
     push_row = row_functions(dtype, variant).push_row
     push_lanes = lane_functions(dtype, variant).push
-    unknown_one = world_functions(dtype, variant).unknown_one
+    unknown_floor = body_functions(dtype).unknown_floor
     jointed = variant in JOINTED
 
     @kernel
@@ -52,7 +53,7 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
         last = rows.color_block[w * ENDS + COLORS]
         iteration = 0
         while iteration < config.position_iterations and pushed > 0.0:
-            pushed = push_lanes(rows, motion.displacement, first, serial, factor, limit, unknown_one(config))
+            pushed = push_lanes(rows, motion.displacement, first, serial, factor, limit, unknown_floor(config))
             for k in range(serial * LANES, last * LANES):
                 pushed = ti.max(pushed, push_row(k // LANES, k % LANES, rows, motion.displacement, factor, limit))
             iteration += 1

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
-from dc_kernels._taichi.solve.lanes import total
+from dc_kernels._taichi.solve.bodies import total
 from dc_kernels.solve.iteration import MOST_SUMS, SUMMED
 from dc_kernels.solve.rows import LANES
 

@@ -8,16 +8,13 @@ from types import SimpleNamespace
 
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
-from dc_kernels._taichi.solve.laws import linear_speed, natural_map_squared, relative_speed
-from dc_kernels.solve.iteration import ASTRAY, FAR, MOVING
+from dc_kernels._taichi.solve.laws import linear_speed, relative_speed
 from dc_kernels.solve.rows import COLUMNS, JOINTED
-
-INFINITY = float("inf")
 
 
 @cache
 def row_functions(dtype: str, variant: str) -> SimpleNamespace:
-    """``sweep_row``, ``jacobi_row``, ``apply_row``, ``push_row``, ``moving_row`` and ``natural_map_row``: one row each.
+    """``sweep_row``, ``jacobi_row``, ``apply_row`` and ``push_row``: one row each.
 
     They are the oracle of the lanes, the serial colour and the colour schedule. Velocities ``bodies`` are those of
     ``motion`` that a sweep changes: solved ones, or displacements. ``k`` is a block's first column.
@@ -259,61 +256,9 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         bodies[b] = normal_change_b(rows, k, lane, vb, dn)
         return ti.abs(dn)
 
-    @ti.func
-    def moving_row(block, lane, rows: t.Rows, motion: t.Motion, span: ti.template(), share):
-        """What a row adds to a world's ``moving``: MOVING where the last sweep moved it, less one where it can move.
-
-        ASTRAY where it moved it by FAR times as much.
-        """
-        k = block * width
-        a = rows.body[2 * block][lane]
-        b = rows.body[2 * block + 1][lane]
-        va = motion.solved[a] - motion.predicted[a]
-        vb = motion.solved[b] - motion.predicted[b]
-        given = ti.max(ti.abs(va[0]), ti.abs(va[1]), ti.abs(vb[0]), ti.abs(vb[1]))
-        limit = span.still + share * ti.max(given - span.fall, 0.0)
-        dn = ti.abs(rows.change[2 * block][lane])
-        dt = ti.abs(rows.change[2 * block + 1][lane])
-        n = limit * rows.column[k + EN][lane]
-        tangential = limit * rows.column[k + ET][lane]
-        count = 0
-        if rows.column[k + EN][lane] > 0.0:
-            count = -1
-        if not (dn <= n and dt <= tangential):  # NaN is moved, and far
-            count += MOVING
-        if not (dn <= FAR * n and dt <= FAR * tangential):
-            count = ASTRAY
-        return count
-
-    @ti.func
-    def natural_map_row(block, lane, rows: t.Rows, bodies: ti.template()):
-        """Squared natural map of one row [(N s)^2]: impulse minus its projected step on the friction cone.
-
-        The step r - e (u_n + mu |u_t|, u_t) is scaled by the row's effective mass e, so that both are impulses.
-        """
-        k = block * width
-        va = bodies[rows.body[2 * block][lane]]
-        vb = bodies[rows.body[2 * block + 1][lane]]
-        un = normal_speed(rows, k, lane, va, vb) + bias_of(rows, k, lane, rows.impulse[2 * block][lane])
-        e = rows.column[k + EN][lane]
-        ut = tangent_speed(rows, k, lane, va, vb)
-        mu = rows.column[k + MU][lane]
-        x = vec2(rows.impulse[2 * block][lane], rows.impulse[2 * block + 1][lane])
-        square = natural_map_squared(x, vec2(x[0] - e * (un + mu * ti.abs(ut)), x[1] - e * ut), mu)
-        if ti.static(own):
-            if rows.column[k + LO][lane] != 0.0 or rows.column[k + HI][lane] < INFINITY:
-                off = x[0] - within(rows, k, lane, x[0] - e * un)
-                square = off * off
-        elif ti.static(jointed):
-            if rows.column[k + LO][lane] < 0.0:
-                square = (e * un) * (e * un)
-        return square
-
     return SimpleNamespace(
         sweep_row=sweep_row,
         jacobi_row=jacobi_row,
         apply_row=apply_row,
         push_row=push_row,
-        moving_row=moving_row,
-        natural_map_row=natural_map_row,
     )

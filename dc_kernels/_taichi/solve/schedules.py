@@ -101,7 +101,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                         done = PAUSES
                 else:
                     sweeping = 0
-            report(span, motion, rows, stats, it)
+            report(span, config, motion, rows, stats, it)
             store(stats.iteration, w, it)
 
     @kernel
@@ -214,7 +214,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         w = tid + launch.world_offset
         if state.flags[w] == 0:
             it = load(stats.iteration, w)
-            report(span_of(w, 0, config, model, motion, rows), motion, rows, stats, it)
+            report(span_of(w, 0, config, model, motion, rows), config, motion, rows, stats, it)
 
     return {
         "solve_world": solve_world,

@@ -10,11 +10,12 @@ from types import SimpleNamespace
 
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
+from dc_kernels._taichi.solve.bodies import LANE_BITS, LAST_LANE, body_functions
 from dc_kernels._taichi.solve.lanes import lane_functions
 from dc_kernels._taichi.solve.ranges import piece
 from dc_kernels._taichi.solve.row import row_functions
 from dc_kernels.model.config import METHODS, STOPS
-from dc_kernels.solve.iteration import ASTRAY, FALL, NEVER
+from dc_kernels.solve.iteration import FALL, NEVER
 from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, SERIAL_COLOR
 
 ENDS = COLORS + 1
@@ -46,9 +47,9 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     Span = t.Span
     row = row_functions(dtype, variant)
     sweep_row, jacobi_row, apply_row = row.sweep_row, row.jacobi_row, row.apply_row
-    natural_map_row, moving_row = row.natural_map_row, row.moving_row
+    unknown_floor = body_functions(dtype).unknown_floor
     lanes = lane_functions(dtype, variant)
-    sweep_lanes, apply_lanes = lanes.sweep, lanes.apply
+    sweep_lanes, apply_lanes, natural_map_lanes, moving = lanes.sweep, lanes.apply, lanes.natural_map, lanes.moving
     jointed, own = variant in JOINTED, variant == "rows"
     columns = COLUMNS[variant]
     width = len(columns)
@@ -90,11 +91,6 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         return span
 
     @ti.func
-    def unknown_one(config: t.Config):
-        """1, which the compiler does not know (see ``lanes``)."""
-        return config.omega * 0.0 + 1.0
-
-    @ti.func
     def sweep(span, config: t.Config, omega, motion: t.Motion, rows: t.Rows):
         """One sweep over all rows of a world in colour order; the largest impulse change [N s]."""
         first = span.first
@@ -104,7 +100,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                 moved = jacobi_row(k // LANES, k % LANES, rows, motion.solved, motion.summed, omega)
                 change = ti.max(change, moved)
         else:
-            change = sweep_lanes(rows, motion.solved, first, span.serial, omega, unknown_one(config))
+            change = sweep_lanes(rows, motion.solved, first, span.serial, omega, unknown_floor(config))
             for k in range(span.serial * LANES, span.last * LANES):
                 change = ti.max(change, sweep_row(k // LANES, k % LANES, rows, motion.solved, omega))
         return change
@@ -117,7 +113,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                 motion.solved[b] = motion.predicted[b]
         if what == ANEW or what == CHANGE:
             anew = ti.cast(what == ANEW, ti.i32)
-            apply_lanes(rows, motion.solved, anew, span.first, span.serial, unknown_one(config))
+            apply_lanes(rows, motion.solved, anew, span.first, span.serial, unknown_floor(config))
             for k in range(span.serial * LANES, span.last * LANES):
                 apply_row(k // LANES, k % LANES, rows, motion.solved, anew)
 
@@ -128,17 +124,17 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         A row along which nothing can move has none: no sweep would change it.
         """
         w = span.world
-        for i in range(2 * span.first, 2 * span.last):
-            rows.impulse[i] = vec8(0.0)
         start = contacts.contact_start[w]
         for c in range(start, start + contacts.contact_count[w]):
             i = rows.slot[c]
-            k = i // (2 * LANES) * width
-            lane = i % LANES
-            if rows.column[k + EN][lane] > 0.0:
-                rows.impulse[i // LANES][lane] = contacts.impulse[c][0]
-            if rows.column[k + ET][lane] > 0.0:
-                rows.impulse[i // LANES + 1][lane] = contacts.impulse[c][1]
+            given = contacts.impulse[c]
+            rows.impulse[i >> LANE_BITS][i & LAST_LANE] = given[0]
+            rows.impulse[(i >> LANE_BITS) + 1][i & LAST_LANE] = given[1]
+        for b in range(span.first, span.last):  # empty lanes have no mass
+            along = ti.select(rows.column[b * width + EN] > 0.0, rows.impulse[2 * b], vec8(0.0))
+            across = ti.select(rows.column[b * width + ET] > 0.0, rows.impulse[2 * b + 1], vec8(0.0))
+            rows.impulse[2 * b] = along
+            rows.impulse[2 * b + 1] = across
         if ti.static(jointed):
             for j in range(rows.line_start[w], rows.line_start[w + 1]):
                 i = rows.joint_slot[j]
@@ -152,31 +148,31 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     @ti.func
     def is_still(span, config: t.Config, motion: t.Motion, rows: t.Rows):
         """1 where the last sweep has moved at most one row in MOVING, and none far: see ``SolverConfig.stop``."""
-        count = 0
-        for k in range(span.first * LANES, span.last * LANES):
-            if count < ASTRAY:
-                here = moving_row(k // LANES, k % LANES, rows, motion, span, config.motion_share)
-                count = ti.select(here == ASTRAY, here, count + here)
+        share, floor = config.motion_share, unknown_floor(config)
+        count = moving(rows, motion, span.first, span.last, span.still, share, span.fall, floor)
         return ti.cast(count <= 0, ti.i32)
 
     @ti.func
-    def natural_map(span, bodies: ti.template(), rows: t.Rows):
+    def natural_map(span, config: t.Config, bodies: ti.template(), rows: t.Rows):
         """Relative natural map of a world's rows [1]: how far its impulses are from a solution.
 
         It is the 2-norm of the natural maps of all rows over ``rows.scale``, the 2-norm of the impulses that would
         stop each row, with its friction, if it were alone; where that is zero, the former itself [N s].
         """
         total = 0.0
+        floor = unknown_floor(config)
         begin = span.first
         length = piece(span.serial - span.first, 2 * LANES)
-        while begin < span.serial:
-            part = 0.0
-            for k in range(begin * LANES, ti.min(begin + length, span.serial) * LANES):
-                part += natural_map_row(k // LANES, k % LANES, rows, bodies)
-            total += part
-            begin += length
-        for k in range(span.serial * LANES, span.last * LANES):
-            total += natural_map_row(k // LANES, k % LANES, rows, bodies)
+        while begin < span.last:
+            end = ti.min(begin + length, span.serial)
+            before = total
+            start = 0.0
+            if begin >= span.serial:  # row after row
+                end = span.last
+                before = 0.0
+                start = total
+            total = before + natural_map_lanes(rows, bodies, begin, end, start, floor)
+            begin = end
         total = ti.sqrt(total)
         scale = rows.scale[span.world]
         if scale > TINY:
@@ -185,7 +181,6 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     return SimpleNamespace(
         span_of=span_of,
-        unknown_one=unknown_one,
         sweep=sweep,
         follow=follow,
         load_impulses=load_impulses,

@@ -1,4 +1,4 @@
-"""The row of a contact: J = [-n, -r_A x n, n, r_B x n] along its normal and, with t for n, its tangent.
+"""The rows of contacts: J = [-n, -r_A x n, n, r_B x n] along the normal of each and, with t for n, its tangent.
 
 These are equations 2.21 and 2.22 of Wu (2018), and the effective mass, 1 / (J M^-1 J^T), is 2.24 and 2.25.
 """
@@ -6,35 +6,60 @@ These are equations 2.21 and 2.22 of Wu (2018), and the effective mass, 1 / (J M
 from functools import cache
 from typing import Any
 
-from dc_kernels._taichi.common import cross, length, tangent
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
-from dc_kernels._taichi.solve.laws import inverse_or_zero, relative_speed
+from dc_kernels._taichi.solve.bodies import body_functions, largest, pairs_at, values_at
 from dc_kernels.model.config import POSITION_CORRECTIONS
+from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES
 
 BAUMGARTE = POSITION_CORRECTIONS["baumgarte"]
 OPEN = 1e6  # a row that lets this many times the gap close within the step never acts
+INFINITY = float("inf")
 
 
 @cache
-def contact_row(dtype: str, variant: str) -> Any:
-    """The function that makes the row of a contact."""
+def contact_rows(dtype: str, variant: str) -> Any:
+    """The function that makes the rows of a block of contacts, side by side."""
     t = group_types(dtype)
-    vec4 = t.vec4
-    Row = t.Row
+    vec8 = t.vec8
+    of_bodies = body_functions(dtype)
+    bodies_at, indices = of_bodies.bodies_at, of_bodies.indices
+    columns = COLUMNS[variant]
+    width = len(columns)
     discs = variant == "discs"
+    jointed, own = variant in JOINTED, variant == "rows"
+    at = {name: i for i, name in enumerate(columns)}
+    NX, NY, EN, ET, BIAS, MU, GAP = (at[c] for c in ("nx", "ny", "en", "et", "bias", "mu", "gap"))
+    # the variant that lacks a column never writes it
+    RAN, RBN, RAT, RBT, IA, IB = (at.get(c, 0) for c in ("rAn", "rBn", "rAt", "rBt", "iA", "iB"))
+    DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
+    HI, AX, AY, SOFT, HELD = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft", "held"))
 
     @ti.func
-    def make_contact_row(
-        c,
+    def inverse_or_zero(x):
+        return ti.select(x > 0.0, 1.0 / x, vec8(0.0))
+
+    @ti.func
+    def along_normal(nx, ny, ran, rbn, x, y, spin_a, spin_b):
+        """Speeds along the normals of bodies that move by (x, y) against each other."""
+        speed = nx * x + ny * y
+        if ti.static(not discs):
+            speed = speed + (rbn * spin_b - ran * spin_a)
+        return speed
+
+    @ti.func
+    def make_contact_rows(
         w,
+        block,
+        floor,
         config: t.Config,
         model: t.Model,
         state: t.State,
         motion: t.Motion,
         contacts: t.Contacts,
+        rows: t.Rows,
     ):
-        """The row of contact c of world w.
+        """The rows of a block of world w whose contacts stand where its bodies A then do; ``floor``: see ``lanes``.
 
         Bias velocity: a gap may close within the step (gap / dt), but one below the slop counts as closed: the
         round-off of resting gaps would change the problem in each step and cost the warm start a tenth of its gain.
@@ -46,70 +71,89 @@ def contact_row(dtype: str, variant: str) -> Any:
         """
         dt = motion.step_dt[w]
         per_dt = 1.0 / dt
-        slop = config.slop * model.length_scale[w]
-        a = contacts.body_a[c]
-        b = contacts.body_b[c]
-        va = motion.predicted[a]
-        vb = motion.predicted[b]
-        ia = model.inv_inertia[a]
-        ib = model.inv_inertia[b]
-        n = contacts.normal[c]
-        tan = tangent(n)
-        rat = cross(contacts.arm_a[c], tan)
-        rbt = cross(contacts.arm_b[c], tan)
-        ran = 0.0
-        rbn = 0.0
+        size = model.length_scale[w]
+        slop = config.slop * size
+        pull = model.gravity[w]
+        hardly = config.restitution_threshold * ti.sqrt(ti.sqrt(pull[0] * pull[0] + pull[1] * pull[1]) * size)
+        k = block * width
+        c = indices(rows, 2 * block)
+        a = values_at(contacts.body_a, c)
+        b = values_at(contacts.body_b, c)
+        nx, ny = pairs_at(contacts.normal, c)
+        arm_ax, arm_ay = pairs_at(contacts.arm_a, c)
+        arm_bx, arm_by = pairs_at(contacts.arm_b, c)
+        gap = values_at(contacts.gap, c)
+        e = values_at(contacts.restitution, c)
+        mu = values_at(contacts.friction, c)
+        rows.body[2 * block] = a
+        rows.body[2 * block + 1] = b
+        ax, ay, aw, am = bodies_at(motion.predicted, a, floor)
+        bx, by, bw, bm = bodies_at(motion.predicted, b, floor)
+        ia = values_at(model.inv_inertia, a)
+        ib = values_at(model.inv_inertia, b)
+        rat = arm_ax * (nx * -1.0) - arm_ay * ny
+        rbt = arm_bx * (nx * -1.0) - arm_by * ny
+        ran = vec8(0.0)
+        rbn = vec8(0.0)
+        en = inverse_or_zero(am + bm)
         if ti.static(not discs):
-            ran = cross(contacts.arm_a[c], n)
-            rbn = cross(contacts.arm_b[c], n)
-        un = relative_speed(n, va, vb, ran, rbn)
-        ut = relative_speed(tan, va, vb, rat, rbt)
-        g = contacts.gap[c]
-        e = contacts.restitution[c]
-        bias = 0.0
-        if g > slop:
-            bias = g * per_dt
-        elif config.position_correction == BAUMGARTE and g < -slop:
-            limit = config.max_correction * model.length_scale[w]
-            bias = ti.max(config.position_factor * (g + slop), -limit) * per_dt
-        counted = 1.0
-        if e > 0.0:
-            if g > slop and g + un * dt >= 0.0:
-                bias = OPEN * g * per_dt
-                counted = 0.0
-            else:
-                v0a = vec4(state.velocity[a][0], state.velocity[a][1], state.angular_velocity[a], 0.0)
-                v0b = vec4(state.velocity[b][0], state.velocity[b][1], state.angular_velocity[b], 0.0)
-                before = relative_speed(n, v0a, v0b, ran, rbn)
-                if before > 0.0:
-                    bias = ti.max(bias, e * before)
-                else:
-                    threshold = 0.0
-                    if e < 1.0:
-                        scale = length(model.gravity[w]) * model.length_scale[w]
-                        threshold = config.restitution_threshold * ti.sqrt(scale)
-                    if before < -threshold:
-                        bias = ti.min(bias, e * before)
-        ma = va[3]
-        mb = vb[3]
-        en = inverse_or_zero(ma + mb + ia * ran * ran + ib * rbn * rbn)
-        et = inverse_or_zero(ma + mb + ia * rat * rat + ib * rbt * rbt)
-        row = Row()
-        row.body_a = a
-        row.body_b = b
-        row.normal = n
-        row.normal_arm_a = ran
-        row.normal_arm_b = rbn
-        row.tangent_arm_a = rat
-        row.tangent_arm_b = rbt
-        row.inv_inertia_a = ia
-        row.inv_inertia_b = ib
-        row.normal_mass = en
-        row.tangent_mass = et
-        row.bias = bias
-        row.friction = contacts.friction[c]
-        row.gap = g + slop
-        row.square = counted * ((en * (un + bias)) * (en * (un + bias)) + (en * ut) * (en * ut))
-        return row
+            ran = arm_ax * ny - arm_ay * nx
+            rbn = arm_bx * ny - arm_by * nx
+            en = inverse_or_zero(am + bm + ia * ran * ran + ib * rbn * rbn)
+        et = inverse_or_zero(am + bm + ia * rat * rat + ib * rbt * rbt)
+        x = bx - ax
+        y = by - ay
+        un = along_normal(nx, ny, ran, rbn, x, y, aw, bw)
+        ut = (ny * x + (nx * -1.0) * y) + (rbt * bw - rat * aw)
+        bias = ti.select(gap > slop, gap * per_dt, vec8(0.0))
+        counted = vec8(1.0)
+        if config.position_correction == BAUMGARTE:
+            limit = vec8(0.0 - config.max_correction * size)
+            bias = ti.select(gap < -slop, ti.max(config.position_factor * (gap + slop), limit) * per_dt, bias)
+        if largest(e) > 0.0:
+            vax, vay = pairs_at(state.velocity, a)
+            vbx, vby = pairs_at(state.velocity, b)
+            spin_a = values_at(state.angular_velocity, a)
+            spin_b = values_at(state.angular_velocity, b)
+            before = along_normal(nx, ny, ran, rbn, vbx - vax, vby - vay, spin_a, spin_b)
+            after = e * before
+            threshold = ti.select(e < 1.0, vec8(hardly), vec8(0.0))
+            closed = ti.select(before < threshold * -1.0, ti.min(bias, after), bias)
+            closed = ti.select(before > 0.0, ti.max(bias, after), closed)
+            # a gap that stays open
+            open_bias = ti.select(gap + un * dt >= 0.0, OPEN * gap * per_dt, closed)
+            open_counted = ti.select(gap + un * dt >= 0.0, vec8(0.0), counted)
+            bias = ti.select(e > 0.0, ti.select(gap > slop, open_bias, closed), bias)
+            counted = ti.select(e > 0.0, ti.select(gap > slop, open_counted, counted), counted)
+        rows.column[k + NX] = nx
+        rows.column[k + NY] = ny
+        if ti.static(discs):
+            rows.column[k + DA] = rat * -1.0
+            rows.column[k + DB] = rbt
+            rows.column[k + KA] = (ia * rat) * -1.0
+            rows.column[k + KB] = ib * rbt
+        else:
+            rows.column[k + RAN] = ran
+            rows.column[k + RBN] = rbn
+            rows.column[k + RAT] = rat
+            rows.column[k + RBT] = rbt
+            rows.column[k + IA] = ia
+            rows.column[k + IB] = ib
+        rows.column[k + EN] = en
+        rows.column[k + ET] = et
+        rows.column[k + BIAS] = bias
+        rows.column[k + MU] = mu
+        rows.column[k + GAP] = gap + slop
+        if ti.static(jointed):
+            rows.column[k + LO] = vec8(0.0)
+        if ti.static(own):  # one normal serves both bodies, and pushes without bound
+            rows.column[k + HI] = vec8(INFINITY)
+            rows.column[k + AX] = nx
+            rows.column[k + AY] = ny
+            rows.column[k + SOFT] = vec8(0.0)
+            rows.column[k + HELD] = vec8(1.0)
+        alone = counted * ((en * (un + bias)) * (en * (un + bias)) + (en * ut) * (en * ut))
+        for lane in ti.static(range(LANES)):
+            rows.square[c[lane]] = alone[lane]
 
-    return make_contact_row
+    return make_contact_rows
