@@ -304,7 +304,7 @@ def manifold_functions(dtype: str) -> SimpleNamespace:
             side = -1.0
         own = model.vertex_normals[a.first + face]
         wanted = -1
-        if ti.abs(cross(own, normal)) > 1e-3:
+        if not (ti.abs(cross(own, normal)) <= 1e-3):  # nor where corners touch, whose normal is NaN
             neighbour = model.vertices[a.first + 3] - v2
             turn = cross(v2 - v1, neighbour) * side
             if dot(normal, v2 - v1) < 0.0:  # at the start
