@@ -73,6 +73,53 @@ def kernels(dtype: str) -> dict[str, Any]:
             box[3] + 0.5 * (y + way) + ti.max(y * before, 0.0) + grow,
         )
 
+    @ti.func
+    def is_candidate(a, b, pairs: t.Pairs):
+        """1 where the swept boxes of two shapes overlap: added to the number of pairs, it needs no branch."""
+        return ti.cast(overlaps(pairs.swept[a], pairs.swept[b]), ti.i32)
+
+    @ti.func
+    def put(n, a, b, pairs: t.Pairs):
+        pairs.shape_a[n] = a
+        pairs.shape_b[n] = b
+
+    @ti.func
+    def cull(w, pairs: t.Pairs):
+        """Of the pairs that are kept those whose boxes, swept over the step, overlap.
+
+        Four are looked at before any is stored: where an array lies is looked up anew after each store.
+        """
+        start = pairs.start[w]
+        end = start + pairs.near_count[w]
+        n = start
+        i = start
+        while i + 4 <= end:
+            a0 = pairs.near_a[i]
+            a1 = pairs.near_a[i + 1]
+            a2 = pairs.near_a[i + 2]
+            a3 = pairs.near_a[i + 3]
+            b0 = pairs.near_b[i]
+            b1 = pairs.near_b[i + 1]
+            b2 = pairs.near_b[i + 2]
+            b3 = pairs.near_b[i + 3]
+            n1 = n + is_candidate(a0, b0, pairs)
+            n2 = n1 + is_candidate(a1, b1, pairs)
+            n3 = n2 + is_candidate(a2, b2, pairs)
+            n4 = n3 + is_candidate(a3, b3, pairs)
+            put(n, a0, b0, pairs)
+            put(n1, a1, b1, pairs)
+            put(n2, a2, b2, pairs)
+            put(n3, a3, b3, pairs)
+            n = n4
+            i += 4
+        while i < end:
+            a = pairs.near_a[i]
+            b = pairs.near_b[i]
+            put(n, a, b, pairs)
+            n += is_candidate(a, b, pairs)
+            i += 1
+        pairs.count[w] = n - start
+
     @kernel
     def update_pairs(
         tid,
@@ -131,15 +178,7 @@ def kernels(dtype: str) -> dict[str, Any]:
                     pairs.near_a, pairs.near_b, pairs.near_count, pairs.shape_a, pairs.shape_b,
                 )  # fmt: skip
             if state.flags[w] == 0:
-                start = pairs.start[w]
-                n = start
-                for i in range(start, start + pairs.near_count[w]):
-                    a = pairs.near_a[i]
-                    b = pairs.near_b[i]
-                    pairs.shape_a[n] = a
-                    pairs.shape_b[n] = b
-                    n += ti.cast(overlaps(pairs.swept[a], pairs.swept[b]), ti.i32)  # no branch to guess
-                pairs.count[w] = n - start
+                cull(w, pairs)
 
     return {"update_pairs": update_pairs}
 

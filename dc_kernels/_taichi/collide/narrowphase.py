@@ -59,16 +59,12 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         vb = motion.predicted[bb]
         ra = model.shape_radius[a]
         rb = model.shape_radius[b]
-        pa = state.position[ba]
-        pb = state.position[bb]
+        pa = center_at(a, ba, model, state)
+        pb = center_at(b, bb, model, state)
         m = Manifold()
-        center_a = model.shape_center[a]
-        center_b = model.shape_center[b]
-        pa = pa + rotate(ti.cos(state.angle[ba]), ti.sin(state.angle[ba]), center_a)
-        pb = pb + rotate(ti.cos(state.angle[bb]), ti.sin(state.angle[bb]), center_b)
         # nearly all candidates end here: too far apart even if they close at their full relative speed
         far = ra + rb + speculative + dt * (ti.abs(vb[0] - va[0]) + ti.abs(vb[1] - va[1]))
-        far += dt * (ti.abs(va[2]) * length(center_a) + ti.abs(vb[2]) * length(center_b))
+        far += dt * (ti.abs(va[2]) * length(model.shape_center[a]) + ti.abs(vb[2]) * length(model.shape_center[b]))
         d = pb - pa
         if dot(d, d) <= far * far:
             to_a = pa - state.position[ba]
@@ -79,10 +75,19 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         return m
 
     @ti.func
-    def hull_disc_manifold(a, b, given, left, toward, model: t.Model, state: t.State):
+    def center_at(shape, body, model: t.Model, state: t.State):
+        """Where the centre of a shape of a body is."""
+        center = model.shape_center[shape]
+        at = state.position[body]
+        if center[0] != 0.0 or center[1] != 0.0:
+            at = at + rotate(ti.cos(state.angle[body]), ti.sin(state.angle[body]), center)
+        return at
+
+    @ti.func
+    def hull_disc_manifold(a, b, c, s, given, left, toward, model: t.Model, state: t.State):
         """A disc and a hull, whichever comes first; whether it is in the way, and the velocity of the second shape.
 
-        That is ``left`` where it is ``given``.
+        That is ``left`` where it is ``given``. ``c``, ``s``: cosine and sine of the hull's angle.
         """
         disc_first = model.shape_type[a] == DISC
         disc = b
@@ -93,10 +98,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         body = model.shape_body[other]
         round_body = model.shape_body[disc]
         x = state.position[body]
-        c = ti.cos(state.angle[body])
-        s = ti.sin(state.angle[body])
-        center = rotate(ti.cos(state.angle[round_body]), ti.sin(state.angle[round_body]), model.shape_center[disc])
-        p = state.position[round_body] + center
+        p = center_at(disc, round_body, model, state)
         hull = hull_of(other, model.shape_type[other], model.shape_radius[other], model)
         drift = velocity_at(body, round_body, p - x, p - state.position[round_body], state)
         if given:
@@ -111,8 +113,10 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         return m, blocked, drift
 
     @ti.func
-    def hulls_manifold(a, b, speculative, given, left, toward, model: t.Model, state: t.State, motion: t.Motion):
-        """Two hulls, as in ``hull_disc_manifold``."""
+    def hulls_manifold(
+        a, b, ca, sa, speculative, given, left, toward, model: t.Model, state: t.State, motion: t.Motion
+    ):
+        """Two hulls, as in ``hull_disc_manifold``; ``ca``, ``sa``: of the angle of A."""
         ba = model.shape_body[a]
         bb = model.shape_body[b]
         xa = state.position[ba]
@@ -120,8 +124,6 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         vb = motion.predicted[bb]
         center_a = model.shape_center[a]
         center_b = model.shape_center[b]
-        ca = ti.cos(state.angle[ba])
-        sa = ti.sin(state.angle[ba])
         cb = ti.cos(state.angle[bb])
         sb = ti.sin(state.angle[bb])
         c = ca * cb + sa * sb
@@ -175,6 +177,9 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
             capacity = contacts.contact_start[w + 1] - start
             n = 0
             listed = 0
+            turned = -1  # the body of cosine c and sine s: pairs of one first shape follow each other
+            c = 1.0
+            s = 0.0
             first_pair = pairs.start[w]
             last_pair = first_pair + pairs.count[w]
             pair = first_pair
@@ -191,6 +196,11 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                         if ti.static(not only_discs):
                             m = discs_manifold(a, b, speculative, dt, slop, model, state, motion)
                     else:
+                        hull_body = model.shape_body[ti.select(kind_a == DISC, b, a)]
+                        if hull_body != turned:
+                            turned = hull_body
+                            c = ti.cos(state.angle[hull_body])
+                            s = ti.sin(state.angle[hull_body])
                         asked = kind_a == DISC or model.body_type[model.shape_body[a]] != STATIC
                         given = False
                         left = vec2(0.0, 0.0)
@@ -200,11 +210,11 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                             blocked = False
                             drift = left
                             if kind_a == DISC or kind_b == DISC:
-                                m, blocked, drift = hull_disc_manifold(a, b, given, left, toward, model, state)
+                                m, blocked, drift = hull_disc_manifold(a, b, c, s, given, left, toward, model, state)
                             else:
                                 if ti.static(not only_discs):
                                     m, blocked, drift = hulls_manifold(
-                                        a, b, speculative, given, left, toward, model, state, motion
+                                        a, b, c, s, speculative, given, left, toward, model, state, motion
                                     )
                             if blocked and not asked:
                                 asked = True
