@@ -98,6 +98,7 @@ class Bound:
         real: Any,
         parallel: bool,
         deferred: bool = False,
+        large: bool = False,
     ) -> None:
         """Check the arrays and compile what they need.
 
@@ -109,13 +110,14 @@ class Bound:
             real: Taichi's type of the numbers in the kernel's source.
             parallel: whether threads share the work, in a program that has them.
             deferred: compile when it is called first.
+            large: compile with the options of large kernels, see ``program.compiling``.
 
         Raises:
             ValueError: see ``check_memory``.
         """
         check_memory(arguments)
         self.name, self.make, self.arguments, self.real, self.parallel = name, make, list(arguments), real, parallel
-        self.elements = list(elements)
+        self.elements, self.large = list(elements), large
         self._index = {argument.name: i for i, argument in enumerate(self.arguments)}
         if parallel:
             _parallel.add(self)
@@ -169,7 +171,7 @@ class Bound:
             calm_threads(prog)
         self.kernel = self.make(parallel)
         values = [argument.value for argument in self.arguments]
-        with compiling(prog, self.real):
+        with compiling(prog, self.real, large=self.large):
             try:
                 compiled = _compile(self.kernel, prog, values)
             except (AttributeError, KeyError):  # another version of the compiler
@@ -198,7 +200,7 @@ class Bound:
 
     def _call(self, values: Sequence[Any], _: None) -> None:
         """Launch as Taichi does it for everybody."""
-        with compiling(self._prog, self.real):
+        with compiling(self._prog, self.real, large=self.large):
             self.kernel(*values)
 
 

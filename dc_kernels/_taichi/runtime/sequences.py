@@ -99,7 +99,7 @@ def repeated(
         return _made[key]
 
     real = kernels[0].real
-    return Bound("a step", make, arguments, real=real, parallel=parallel)
+    return Bound("a step", make, arguments, real=real, parallel=parallel, large=True)
 
 
 def _agree(one: Any, other: Any) -> bool:

@@ -26,7 +26,10 @@ PAUSES = 2
 
 @cache
 def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
-    """``start``, ``prepare_sweep``, ``conclude_sweep``, and ``report`` of a world's solve."""
+    """What a world's solve does around its sweeps.
+
+    ``start``, then ``prepare_sweep``, ``end_sweep``, ``asks_for_residual`` and ``conclude_sweep``; at last ``report``.
+    """
     t = group_types(dtype)
     accelerate = accelerate_functions(dtype, variant)
     reset, accelerated = accelerate.reset, accelerate.after_sweep
@@ -34,7 +37,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     ranges = range_functions(dtype)
     squares, copy = ranges.squares, ranges.copy
     world = world_functions(dtype, variant)
-    natural_map, is_still = world.natural_map, world.is_still
+    is_still = world.is_still
 
     @ti.func
     def start(span, config: t.Config, it: ti.template()):
@@ -58,15 +61,27 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
                 motion.summed[b] = motion.solved[b]
 
     @ti.func
-    def has_converged(span, change, sweeps, config: t.Config, motion: t.Motion, rows: t.Rows):
+    def end_sweep(span, config: t.Config, motion: t.Motion):
+        """Take the velocities of ``motion.summed``, behind a sweep of Jacobi's rows."""
+        if config.method == JACOBI:
+            for b in range(span.first_body, span.last_body):
+                motion.solved[b] = motion.summed[b]
+
+    @ti.func
+    def asks_for_residual(sweeps, config: t.Config):
+        """Whether after so many sweeps the residual decides if the solve goes on."""
+        due = sweeps % config.residual_every == 0 or sweeps >= config.max_sweeps
+        return config.stop == BY_RESIDUAL and sweeps >= config.min_sweeps and due
+
+    @ti.func
+    def has_converged(span, change, residual, sweeps, config: t.Config, motion: t.Motion, rows: t.Rows):
         """1 where a sweep ends the solve: at the tolerance, by change, residual or motion, or at the cap."""
         done = 0
         if sweeps < config.min_sweeps:
             done = 0
         elif config.stop == BY_RESIDUAL:
-            if sweeps % config.residual_every == 0 or sweeps >= config.max_sweeps:
-                if natural_map(span, config, motion.solved, rows) < span.bound:
-                    done = 1
+            if asks_for_residual(sweeps, config) and residual < span.bound:
+                done = 1
         elif change < span.bound:
             done = 1
         elif config.stop == BY_MOTION and sweeps % config.residual_every == 0:
@@ -115,6 +130,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     def conclude_sweep(
         span,
         change,
+        residual,
         config: t.Config,
         motion: t.Motion,
         rows: t.Rows,
@@ -123,21 +139,18 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     ):
         """Stop, pause or accelerate: ENDED when the world is done, PAUSES where it pauses; and what is to ``follow``.
 
-        A pause is due from ``pause_at`` sweeps on, where the steps of the last two are known: with Aitken at the end of
-        a period.
+        ``residual`` is looked at where ``asks_for_residual`` says so. A pause is due from ``pause_at`` sweeps on, where
+        the steps of the last two are known: with Aitken at the end of a period.
         """
         follow = 0
         state = GOES_ON
         w = span.world
-        if config.method == JACOBI:
-            for b in range(span.first_body, span.last_body):
-                motion.solved[b] = motion.summed[b]
         if stats.history.shape[1] > it.sweeps:
             stats.history[w, it.sweeps] = change
         sweeps = it.sweeps + 1
         it.sweeps = sweeps
         it.change = change
-        it.finished = has_converged(span, change, sweeps, config, motion, rows)
+        it.finished = has_converged(span, change, residual, sweeps, config, motion, rows)
         if it.finished == 1 and config.acceleration == ADAPTIVE and it.stretch_method == MOMENTUM:
             follow = ANEW
         if config.acceleration != PLAIN and span.pause_at == NEVER:
@@ -166,7 +179,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         return state, follow
 
     @ti.func
-    def report(span, config: t.Config, motion: t.Motion, rows: t.Rows, stats: t.Stats, it: ti.template()):
+    def report(span, residual, stats: t.Stats, it: ti.template()):
         """What a solve tells of itself: sweeps, change, and where it has ended its residual."""
         w = span.world
         stats.sweeps[w] = it.sweeps
@@ -174,6 +187,13 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         if it.finished == 1:
             for k in range(it.sweeps, stats.history.shape[1]):
                 stats.history[w, k] = 0.0
-            stats.residual[w] = natural_map(span, config, motion.solved, rows)
+            stats.residual[w] = residual
 
-    return SimpleNamespace(start=start, prepare_sweep=prepare_sweep, conclude_sweep=conclude_sweep, report=report)
+    return SimpleNamespace(
+        start=start,
+        prepare_sweep=prepare_sweep,
+        end_sweep=end_sweep,
+        asks_for_residual=asks_for_residual,
+        conclude_sweep=conclude_sweep,
+        report=report,
+    )

@@ -30,9 +30,15 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     """All solver kernels of a scalar type and row variant."""
     t = group_types(dtype)
     iteration = iteration_functions(dtype, variant)
-    start, prepare_sweep, conclude_sweep, report = vars(iteration).values()
+    start, conclude_sweep, report = iteration.start, iteration.conclude_sweep, iteration.report
+    prepare_sweep, end_sweep, asks_for_residual = (
+        iteration.prepare_sweep,
+        iteration.end_sweep,
+        iteration.asks_for_residual,
+    )
     world = world_functions(dtype, variant)
     span_of, sweep, follow, load_impulses = world.span_of, world.sweep, world.follow, world.load_impulses
+    natural_map = world.natural_map
     end_period = aitken.functions(dtype, variant).end_period
     reset_nncg = nncg.functions(dtype, variant).reset
     relaxation = accelerate_functions(dtype, variant).relaxation
@@ -93,15 +99,23 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             sweeping = 1
             while sweeping == 1:
                 follow(span, what, config, motion, rows)
+                largest = 0.0
+                asked = it.finished == 1
                 if done == GOES_ON:
                     prepare_sweep(span, config, motion)
                     largest = sweep(span, config, omega, motion, rows)
-                    done, what = conclude_sweep(span, largest, config, motion, rows, stats, it)
+                    end_sweep(span, config, motion)
+                    asked = asks_for_residual(it.sweeps + 1, config)
+                residual = 0.0
+                if asked:  # in the middle and at the end: compiled once
+                    residual = natural_map(span, config, motion.solved, rows)
+                if done == GOES_ON:
+                    done, what = conclude_sweep(span, largest, residual, config, motion, rows, stats, it)
                     if is_cut((span.last - span.first) * LANES, launch.cut):
                         done = PAUSES
                 else:
                     sweeping = 0
-            report(span, config, motion, rows, stats, it)
+                    report(span, residual, stats, it)
             store(stats.iteration, w, it)
 
     @kernel
@@ -195,7 +209,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         it = load(stats.iteration, w)
         if state.flags[w] == 0 and it.finished == 0:
             span = span_of(w, launch.past_offset + tid * launch.past_step, config, model, motion, rows)
-            _, what = conclude_sweep(span, stats.change[w], config, motion, rows, stats, it)
+            end_sweep(span, config, motion)
+            residual = 0.0
+            if asks_for_residual(it.sweeps + 1, config):
+                residual = natural_map(span, config, motion.solved, rows)
+            _, what = conclude_sweep(span, stats.change[w], residual, config, motion, rows, stats, it)
             follow(span, what, config, motion, rows)
             store(stats.iteration, w, it)
 
@@ -214,7 +232,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         w = tid + launch.world_offset
         if state.flags[w] == 0:
             it = load(stats.iteration, w)
-            report(span_of(w, 0, config, model, motion, rows), config, motion, rows, stats, it)
+            span = span_of(w, 0, config, model, motion, rows)
+            residual = 0.0
+            if it.finished == 1:
+                residual = natural_map(span, config, motion.solved, rows)
+            report(span, residual, stats, it)
 
     return {
         "solve_world": solve_world,

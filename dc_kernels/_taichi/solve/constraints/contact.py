@@ -91,6 +91,9 @@ def contact_rows(dtype: str, variant: str) -> Any:
         bx, by, bw, bm = bodies_at(motion.predicted, b, floor)
         ia = values_at(model.inv_inertia, a)
         ib = values_at(model.inv_inertia, b)
+        if ti.static(own):
+            ia = ia / (1.0 + ia * values_at(rows.stiff_inertia, a))
+            ib = ib / (1.0 + ib * values_at(rows.stiff_inertia, b))
         rat = arm_ax * (nx * -1.0) - arm_ay * ny
         rbt = arm_bx * (nx * -1.0) - arm_by * ny
         ran = vec8(0.0)
