@@ -45,5 +45,6 @@ def choose_kernels(model: Model, joints: Joints, config: SolverConfig, specializ
         sleep=config.sleep,
         traits=has_traits(model),
         joints=linked,
+        soft=config.soft,
     )
     return Choice(found, variant, linked, table)

@@ -60,13 +60,15 @@ def explain(sim: Simulation) -> str:
         lines.append("friction: no shape has any; tangential impulses stay zero")
     if not bounce:
         lines.append("restitution: no shape has any; impact biases are skipped")
-    if config.method == "jacobi":
+    if config.soft:
+        lines.append(f"solver: {config.substeps} substeps with soft contacts, each with a sweep that relaxes them")
+    elif config.method == "jacobi":
         lines.append("solver: Jacobi with mass splitting, scalar rows")
     elif sim.schedule == "world" and sim.device == "cpu":
         lines.append(f"solver: PGS in colour order, {LANES} rows side by side in SIMD lanes")
     else:
         lines.append("solver: PGS in colour order, scalar rows")
-    chosen = (config.corrects_positions, config.sleep, sim.joint_kernels)
+    chosen = (config.corrects_positions, config.sleep, sim.joint_kernels, config.soft)
     stages = [name for phase in PHASES for name in of_phase(phase, *chosen)]
     lines.append(f"stages of a step: {', '.join(stages)}")
     stop, tolerance, relative = config.ends_at

@@ -29,9 +29,9 @@ from dc_kernels.runtime.sequences import Needing, Rounds, Watch
 from dc_kernels.runtime.stepping import shards_of
 from dc_kernels.runtime.threads import GPU_CALLS, OneCaller, uninterrupted
 from dc_kernels.sleep.sleepers import Sleepers
+from dc_kernels.solve import schedules
 from dc_kernels.solve.integrate import Motion
 from dc_kernels.solve.joints import are_rods
-from dc_kernels.solve.schedules import SCHEDULES, SOLVES, check_iteration, check_solve, settings_of_solve
 from dc_kernels.solve.storage import Rows, SolveStats
 from dc_kernels.stages import PHASES, Phase, Turn, needs_of, of_phase
 from dc_kernels.storage import Storage
@@ -125,6 +125,7 @@ class Simulation(Driven):
         self.threads = self._shards.over_worlds + self._shards.helpers
         self.specialize = options.specialize
         self._config = options.config or SolverConfig()
+        schedules.check_schedule(self._config, self.schedule)
         self._choose_kernels(self._config)
         # on a CPU a shard of the host solves world after world; threads of the backend's own share one shard
         shards = self._shards.parts
@@ -177,6 +178,7 @@ class Simulation(Driven):
         """Take arrays and settings anew; launches are bound when they are first wanted."""
         config = self._config
         self.storage.share_joints()
+        self._parts = config.whole_substeps
         for name, group in self.storage.groups().items():
             setattr(self, name, group)
         groups = {name: getattr(self, name) for name in GROUPS}
@@ -205,11 +207,11 @@ class Simulation(Driven):
         self, phase: Phase, first: int, count: int, changed: Mapping[str, Any] | None = None
     ) -> list[Launch]:
         config = self._config
-        names = of_phase(phase, config.corrects_positions, config.sleep, self.joint_kernels)
+        names = of_phase(phase, config.corrects_positions, config.sleep, self.joint_kernels, config.soft)
         if phase != "solve":
             launches = [self.bind(name, first, count) for name in names]
         else:
-            launches = SCHEDULES[self.schedule](self, first, count, changed or {})
+            launches = schedules.SCHEDULES[self.schedule](self, first, count, changed or {})
             if config.sleep:
                 launches = [self.bind(names[0], first, count), *launches, self.bind(names[-1], first, count)]
                 names = [names[0], *["solve_world"] * (len(launches) - 2), names[-1]]
@@ -236,7 +238,8 @@ class Simulation(Driven):
         refuse_recording("a change of config", "make it before")
         with self.calls:
             with uninterrupted():
-                if config.sleep != self._config.sleep:
+                if (config.sleep, config.soft) != (self._config.sleep, self._config.soft):
+                    schedules.check_change(config, self._config, self._turn.ran, self.schedule)
                     self._choose_kernels(config)
                     self._binding.kernels = self.kernels
                 self.storage.adapt(config)
@@ -258,8 +261,7 @@ class Simulation(Driven):
 
         Arrays are allocated anew when a step, a new configuration or the contacts of an earlier run need more room. A
         view is an array, NumPy array or tensor taken from a field such as ``contacts.impulse``; where the number has
-        changed, take it again. It changes with ``change_model`` too, where a graph that was recorded before would go by
-        what the model was.
+        changed, take it again. So it has with ``change_model``, where a graph recorded before goes by the old model.
         """
         return self.storage.version
 
@@ -297,7 +299,7 @@ class Simulation(Driven):
         Args:
             steps: number of steps.
             dt: time step, > 0 [s].
-            start: see ``step``.
+            start: see ``step``; called in each of the ``whole_substeps`` of a step.
             callback: called after each step.
             stepper: see ``step``.
 
@@ -311,9 +313,10 @@ class Simulation(Driven):
         self.calls.begin()
         try:
             refuse_hosted(self.backend, self.schedule, self.device)
-            self.storage.integrator.set_time_step(dt)
+            parts = self._parts
+            self.storage.integrator.set_time_step(dt, parts)
             if plain:
-                self._run_steps(steps)
+                self._run_steps(steps * parts)
             else:
                 run_between(self, steps, dt, start, callback, stepper)
         finally:
@@ -323,7 +326,7 @@ class Simulation(Driven):
         """Predict velocities and find the contacts of the step; their impulses hold the start of the solve.
 
         Args:
-            dt: time step, > 0 [s], of all worlds, or of each, (W,).
+            dt: time step, > 0 [s], of all worlds, or of each, (W,); it has no substeps but those of "tgs_soft".
 
         Raises:
             ValueError, OverflowError: see ``step``.
@@ -375,20 +378,20 @@ class Simulation(Driven):
         return ~done & (self.state.numpy("flags") == 0)
 
     def _solve(self, config: SolverConfig | None, pause: int | None, resume: bool) -> None:
-        config, pause = check_solve(config, pause, resume, self.schedule)
+        config, pause = schedules.check_solve(config, pause, resume, self.schedule, self._config.soft)
         refuse_hosted(self.backend, self.schedule, self.device)
         if config is None and pause is None and not resume:
             self._take("solve")
         else:
             key = (config, pause, resume)
             if key not in self._solves:
-                if len(self._solves) >= SOLVES:
+                if len(self._solves) >= schedules.SOLVES:
                     self._solves.clear()
                 if config is not None:
-                    check_iteration(config, self._config)
+                    schedules.check_iteration(config, self._config)
                     if self.storage.provide(config):
                         self._bind_all()
-                changed = settings_of_solve(config or self._config, pause, resume)
+                changed = schedules.settings_of_solve(config or self._config, pause, resume)
                 self._solves[key] = self._bind_rounds(("solve",), changed)
             self._take("solve", self._solves[key])
 

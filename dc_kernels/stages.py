@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 from dc_kernels.model.enums import Activity
 from dc_kernels.runtime.backends import kernel_file, make_kernels
 from dc_kernels.runtime.capture import recording
-from dc_kernels.solve.rows import COLUMNS
+from dc_kernels.solve.rows import COLUMNS, OWN
 
 Phase = Literal["advance", "collide", "solve"]
 PHASES: tuple[Phase, ...] = ("collide", "solve", "advance")
@@ -192,10 +192,21 @@ LINKED = (
     ),
 )  # fmt: skip
 """What joints that are not all rods add to the stages (see ``of_phase``)."""
+SOFT = (
+    Stage(
+        "solve", "solve_soft", "solve.soft", ("variant",), ("model", "state", "joints", "contacts"),
+        ("motion", "rows", "stats"), "all substeps with soft contacts, and what they move the bodies by",
+    ),
+)  # fmt: skip
+"""What stands in the place of ``solve_world``, ``displace`` and ``correct_positions`` with method "tgs_soft"."""
 
 
 def of_phase(
-    phase: Phase, position_correction: bool = True, sleep: bool = False, joints: Collection[str] = ()
+    phase: Phase,
+    position_correction: bool = True,
+    sleep: bool = False,
+    joints: Collection[str] = (),
+    soft: bool = False,
 ) -> list[str]:
     """Kernels of a phase in order.
 
@@ -204,6 +215,7 @@ def of_phase(
         position_correction: whether it has the position phase.
         sleep: whether bodies may sleep; then ``solve`` is the part between what these give for it first and last.
         joints: kernels of ``LINKED`` that the scene needs.
+        soft: whether the method is "tgs_soft".
     """
     names = [stage.kernel for stage in STEP if stage.phase == phase]
     if "separate_joined" in joints and phase == "collide":
@@ -214,6 +226,8 @@ def of_phase(
         names.insert(names.index("commit"), "break_joints")
     if not position_correction:
         names = [name for name in names if name != "correct_positions"]
+    if soft:
+        names = ["solve_soft" if name == "solve_world" else name for name in names if name != "displace"]
     if not sleep:
         return names
     if phase == "collide":
@@ -233,7 +247,7 @@ def needs_of(names: Sequence[str]) -> list[Activity]:
     return needs
 
 
-WORDS = {"surfaces": "surfaces that move or resist rolling"}
+WORDS = {"surfaces": "surfaces that move or resist rolling", "rows": "joints but rods"}
 """What rows are of that a backend may lack, by variant."""
 
 
@@ -266,6 +280,7 @@ def kernel_table(
     sleep: bool = False,
     traits: bool = False,
     joints: Collection[str] = (),
+    soft: bool = False,
 ) -> dict[str, Any]:
     """All kernels of a simulation by name.
 
@@ -277,6 +292,7 @@ def kernel_table(
         sleep: whether bodies may sleep.
         traits: whether bodies have damping, or a gravity of their own.
         joints: kernels of ``LINKED`` that the scene needs.
+        soft: whether the method is "tgs_soft".
 
     Raises:
         ValueError: where a backend has not got the kernels, naming those that have.
@@ -285,8 +301,10 @@ def kernel_table(
         having = [name for name in ("warp", "numpy") if variant in variants_of(name)]  # which need no extra
         raise ValueError(f"backend is {backend!r}, which has no rows of {WORDS[variant]}; it must be one of {having}")
     options = {"variant": variant, "only_discs": only_discs, "traits": traits}
+    if soft and variant in OWN:
+        raise ValueError(f"SolverConfig.method is 'tgs_soft', which has no rows of {WORDS[variant]}; use another one")
     table: dict[str, Any] = {}
-    more = (*(SLEEP if sleep else ()), *(stage for stage in LINKED if stage.kernel in joints))
+    more = (*(SLEEP if sleep else ()), *(SOFT if soft else ()), *(stage for stage in LINKED if stage.kernel in joints))
     for file, names in {stage.file: stage.options for stage in (*STEP, *more)}.items():
         table.update(make_kernels(backend, file, dtype, *(options[name] for name in names)))
     return table

@@ -120,7 +120,11 @@ class Ours:
         """Launch each stage by itself and take medians; a step that outgrows its room is taken by ``run`` instead."""
         sim = self.sim
         sim.run(1, DT)
-        names = [name for phase in PHASES for name in of_phase(phase, sim.config.corrects_positions, sim.config.sleep)]
+        names = [
+            name
+            for phase in PHASES
+            for name in of_phase(phase, sim.config.corrects_positions, sim.config.sleep, soft=sim.config.soft)
+        ]
         launches = [sim.bind(name, 0, self.worlds) for name in names]
         spent: list[list[float]] = []
         for _ in range(steps):

@@ -28,7 +28,7 @@ def check_between(sim: Any, start: Any, callback: Any, stepper: Any) -> None:
 
     Raises:
         TypeError: naming the argument: ``start`` or ``callback`` cannot be called, ``stepper`` has no method ``solve``.
-        ValueError: the stepper was made for another simulation.
+        ValueError: the stepper was made for another simulation, or the method is "tgs_soft".
         RuntimeError: within a recording, as all of them run in Python.
     """
     check_maybe_callable("start", start)
@@ -36,6 +36,8 @@ def check_between(sim: Any, start: Any, callback: Any, stepper: Any) -> None:
     if stepper is not None:
         if not callable(getattr(stepper, "solve", None)):
             raise WrongType(f"stepper is {shown(stepper)}; it must have a method solve")
+        if sim.config.soft:
+            raise ValueError("SolverConfig.method is 'tgs_soft', whose solve moves the bodies too: a stepper cannot")
         if getattr(stepper, "sim", None) is not sim:
             raise ValueError("the stepper was made for another simulation")
     refuse_recording("a step with start, stepper or callback", "these run in Python")
@@ -43,15 +45,17 @@ def check_between(sim: Any, start: Any, callback: Any, stepper: Any) -> None:
 
 def run_between(sim: Any, steps: int, dt: float, start: Any, callback: Any, stepper: Any) -> None:
     """Make steps of dt [s] one by one, with what a program has to say within them or after each."""
+    parts = sim.config.whole_substeps
     for _ in range(steps):
         if start is None and stepper is None:
             sim.run(1, dt)
         else:
-            sim.collide(dt)
-            if start is not None:
-                start(sim)
-                sim.check_start()
-            (stepper or sim).solve()
-            sim.advance()
+            for _ in range(parts):
+                sim.collide(dt / parts)
+                if start is not None:
+                    start(sim)
+                    sim.check_start()
+                (stepper or sim).solve()
+                sim.advance()
         if callback is not None:
             callback(sim)

@@ -24,7 +24,7 @@ from dc_kernels.model.settings import (
 )
 
 # how kernels know a choice of SolverConfig
-METHODS = {"pgs": 0, "jacobi": 1}
+METHODS = {"pgs": 0, "jacobi": 1, "tgs_soft": 2}
 ACCELERATIONS = {"none": 0, "sor": 1, "aitken": 2, "nncg": 3, "adaptive": 4}
 STOPS = {"change": 0, "residual": 1, "motion": 2}
 STARTS = {"zero": 0, "cache": 1}
@@ -69,11 +69,21 @@ class SolverConfig(Settings):
 
     settings_prefix: ClassVar[str] = "SolverConfig."
 
-    method: Literal["pgs", "jacobi"] = "pgs"
-    """Projected Gauss-Seidel in colour order, or Jacobi with mass splitting (Tonge et al. 2012)."""
+    method: Literal["pgs", "jacobi", "tgs_soft"] = "pgs"
+    """Projected Gauss-Seidel in colour order; Jacobi with mass splitting (Tonge et al. 2012); or substeps of one sweep
+    with soft contacts and one that relaxes them (Catto 2024, as in Box2D 3), which is not solved to any tolerance."""
     joint_solver: Literal["direct", "sweeps"] = "direct"
     """How joints are solved: "direct", all whose bodies form trees at once after each sweep, exactly whatever their
     masses; "sweeps", row by row as the contacts are. Method "jacobi" knows sweeps alone."""
+    substeps: Count = 1
+    """Parts of a step. With method "tgs_soft" they share pairs, contacts and rows, whose gaps follow the bodies to
+    first order; with the others ``step`` and ``run`` take as many whole steps of dt / substeps, whose narrowphase is
+    their own and whose pairs are kept while no shape leaves its box [1]."""
+    soft_frequency: Annotated[float, Limits(above=0.0, most=1.0)] = 0.125
+    """With method "tgs_soft" the natural frequency of a contact of two moving bodies, half of that of one with a fixed
+    body and of rods; 30 Hz of 240 substeps a second, as in Box2D 3 [1/substep]."""
+    soft_damping: Positive = 10.0
+    """With method "tgs_soft" the damping of contacts over the critical one, as in Box2D 3 [1]."""
     acceleration: Literal["none", "sor", "aitken", "nncg", "adaptive"] = "adaptive"
     """What is done between sweeps: "none"; "sor", over-relaxation by omega; "aitken", extrapolation with back-off;
     "nncg", nonsmooth nonlinear conjugate gradients (Silcowitz et al. 2010); "adaptive", Aitken's extrapolation,
@@ -183,6 +193,10 @@ class SolverConfig(Settings):
                 f"SolverConfig.aitken_period_max is {self.aitken_period_max}; "
                 f"it must not be below aitken_period = {self.aitken_period}"
             )
+        if self.method == "tgs_soft" and self.sleep:
+            raise ValueError(
+                "SolverConfig.method is 'tgs_soft' and sleep is True; bodies sleep with other methods only"
+            )
         if self.method == "jacobi" and self.acceleration == "sor" and self.omega > 1.0:
             raise ValueError(f"SolverConfig.omega is {self.omega}; Jacobi with mass splitting is proven only up to 1")
 
@@ -193,7 +207,17 @@ class SolverConfig(Settings):
     @property
     def corrects_positions(self) -> bool:
         """Whether a step has the position phase."""
-        return self.position_correction == "ngs" and self.position_iterations > 0
+        return self.position_correction == "ngs" and self.position_iterations > 0 and not self.soft
+
+    @property
+    def soft(self) -> bool:
+        """Whether the method has substeps of its own, which move the bodies as well."""
+        return self.method == "tgs_soft"
+
+    @property
+    def whole_substeps(self) -> int:
+        """Whole steps that ``Simulation.step`` is made of."""
+        return 1 if self.soft else self.substeps
 
     def restitution_speed(self, gravity: np.ndarray, length_scale: np.ndarray) -> np.ndarray:
         """Approach speed below which contacts of each world do not bounce, unless they are elastic, (W,) [m/s].
@@ -257,11 +281,15 @@ check_config = checker(SolverConfig)
 
 
 def check_awake(config: SolverConfig) -> SolverConfig:
-    """Return settings of what cannot let bodies sleep.
+    """Return settings of what moves no bodies, and so cannot let them sleep or take substeps.
 
     Raises:
         ValueError: for settings that want it to.
     """
+    if config.soft or config.substeps > 1:
+        raise ValueError(
+            f"SolverConfig.method is {config.method!r}, substeps {config.substeps}; only a Simulation takes substeps"
+        )
     if config.sleep:
         raise ValueError("SolverConfig.sleep is True; only a Simulation lets bodies sleep")
     return config

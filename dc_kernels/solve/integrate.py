@@ -54,13 +54,16 @@ class Integrator:
         """Weigh the typical bodies of a model that has changed."""
         self.motion.assign("weight", typical_weight(model))
 
-    def set_time_step(self, dt: float | np.ndarray) -> None:
-        """Write the time step [s] of all worlds, or of each, (W,).
+    def set_time_step(self, dt: float | np.ndarray, parts: int = 1) -> None:
+        """Write the time step [s] of all worlds, or of each, (W,), or one of so many equal parts of it.
 
         Raises:
             ValueError: for one that is not finite and positive.
             RuntimeError: for one of each world in a recording.
         """
+        if parts > 1:
+            check_time_step(dt, len(self._step_dt), self.motion.dtype)
+            dt = dt / parts
         if self._on_cpu and isinstance(dt, float) and dt == self._checked and not recording():
             if self._only is None:
                 self._step_dt.fill(dt)

@@ -39,6 +39,8 @@ OWN = ("rows", "surfaces")
 """Variants whose rows have two bounds, softness, and directions of their own at each body."""
 SURFACED = ("surfaces",)
 """Variants for surfaces that move, or resist rolling."""
+TOUCH = 0.01
+"""Share of the slop by which shapes must overlap for a soft contact: those that a substep let close are hard."""
 ROLLING_COLOR = 32
 """Colour of the rows of rolling resistance of the contacts of colour 0, where contacts and joints have no more."""
 

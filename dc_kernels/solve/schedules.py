@@ -72,8 +72,23 @@ def check_iteration(config: SolverConfig, own: SolverConfig) -> None:
         )
 
 
+def check_schedule(config: SolverConfig, schedule: str) -> None:
+    """Raise ValueError for a schedule that has no kernels of the method."""
+    if config.soft and schedule != "world":
+        raise ValueError(f"schedule is {schedule!r}; method 'tgs_soft' runs with 'world' only")
+
+
+def check_change(config: SolverConfig, before: SolverConfig, ran: str, schedule: str) -> None:
+    """Raise ValueError where a method cannot follow another one after the phase that ran last."""
+    check_schedule(config, schedule)
+    if config.soft != before.soft and ran == "solve":
+        raise ValueError(
+            f"config.method is {config.method!r}, of the step in flight {before.method!r}: finish it with advance()"
+        )
+
+
 def check_solve(
-    config: SolverConfig | None, pause: int | None, resume: bool, schedule: str
+    config: SolverConfig | None, pause: int | None, resume: bool, schedule: str, soft: bool = False
 ) -> tuple[SolverConfig | None, int | None]:
     """Return settings and pause of one solve.
 
@@ -84,6 +99,8 @@ def check_solve(
     pause = None if pause is None else _pause("pause", pause)
     if (pause is not None or resume) and schedule != "world":
         raise ValueError(f"schedule is {schedule!r}; only 'world' can pause a solve")
+    if (pause is not None or resume) and soft:
+        raise ValueError("SolverConfig.method is 'tgs_soft'; only a solve of sweeps can pause")
     return config, pause
 
 
@@ -97,7 +114,8 @@ def settings_of_solve(config: SolverConfig, pause: int | None, resume: bool) -> 
 
 def world_schedule(solver: Solver, first: int, count: int, values: Mapping[str, Any]) -> list[Launch]:
     """One launch a solve: a thread runs a world's sweeps to the end. For many worlds, and on a CPU."""
-    return [solver.bind("solve_world", first, count, values), solver.bind("unpack_impulses", first, count)]
+    kernel = "solve_soft" if solver.config.soft else "solve_world"
+    return [solver.bind(kernel, first, count, values), solver.bind("unpack_impulses", first, count)]
 
 
 def color_schedule(solver: Solver, first: int, count: int, values: Mapping[str, Any]) -> list[Launch]:

@@ -20,7 +20,7 @@ from dc_kernels.model.enums import CAPACITY_FLAGS, Flag
 from dc_kernels.model.fields import GROUPS, LAUNCH, MOTION, STATE
 from dc_kernels.runtime.backends import argument_names, bind
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR, has_traits
-from dc_kernels.stages import SLEEP, STEP, kernel_table
+from dc_kernels.stages import SLEEP, SOFT, STEP, kernel_table
 from tests.parity.scenes import (
     SCRATCH,
     bounce,
@@ -59,8 +59,8 @@ def test_backends_have_the_same_kernels(dtype: str, variant: str, only_discs: bo
 
 
 def test_kernels_take_what_their_stages_name() -> None:
-    table = kernel_table("numpy", "float32", "general", False, sleep=True)
-    for stage in (*STEP, *SLEEP):
+    table = kernel_table("numpy", "float32", "general", False, sleep=True, soft=True)
+    for stage in (*STEP, *SLEEP, *SOFT):
         wanted = {*stage.reads, *stage.writes}
         assert set(argument_names(table[stage.kernel])) & set(GROUPS) == wanted, stage.kernel
 

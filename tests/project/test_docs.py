@@ -125,6 +125,7 @@ def check_stepping(scope: dict) -> None:
     sim, crate = scope["sim"], scope["crate"]
     sim.run(100, 0.01)
     assert sim.state.numpy("velocity")[crate, 0] == pytest.approx(-2.0, abs=0.01)
+    assert scope["tower"].stats.numpy("sweeps").tolist() == [8]
 
 
 def check_joints(scope: dict) -> None:
@@ -331,6 +332,7 @@ def test_the_table_of_stages_is_that_of_the_code():
 
 def test_the_table_of_what_sleep_adds_is_that_of_the_code():
     assert stages.markdown(stages.SLEEP) in (ROOT / "docs" / "sleep.md").read_text(encoding="utf-8")
+    assert stages.markdown(stages.SOFT) in (ROOT / "docs" / "stepping.md").read_text(encoding="utf-8")
 
 
 def test_the_table_of_what_joints_add_is_that_of_the_code():

@@ -320,6 +320,12 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         return natural_map_squared(x, vec2(x[0] - e * (un + mu * wp.abs(ut)), x[1] - e * ut), mu)
 
     return SimpleNamespace(
+        normal_speed=normal_speed,
+        tangent_speed=tangent_speed,
+        normal_change=normal_change,
+        tangent_change=tangent_change,
+        least_normal=least_normal,
+        within=within,
         sweep_row=sweep_row,
         jacobi_row=jacobi_row,
         apply_row=apply_row,

@@ -1,0 +1,160 @@
+"""Substeps, and the method that takes them with soft contacts."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import dc_kernels as dc
+from dc_kernels.model.config import check_awake
+from tests.parity.scenes import bounce, discs, pendulum, simulation
+
+SOFT = dc.SolverConfig(method="tgs_soft", substeps=4)
+DT = 1 / 60
+G = 9.8
+
+
+def boxes(backend="warp", count=5, config=SOFT):
+    """A stack at rest."""
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, -G))
+    builder.add_box(builder.add_body(type=dc.BodyType.STATIC), 20.0, 0.5, center=(0.0, -0.5))
+    for i in range(count):
+        builder.add_box(builder.add_body((0.0, 0.5 + i)), 0.5, 0.5)
+    return dc.Simulation(*builder.finalize("float64", backend=backend), config=config)
+
+
+def disc(config, backend="warp", gravity=0.0, velocity=-3.0, height=1.5, restitution=0.0):
+    """A disc above a floor."""
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, -gravity))
+    builder.add_box(builder.add_body(type=dc.BodyType.STATIC), 20.0, 0.5, center=(0.0, -0.5))
+    builder.add_disc(builder.add_body((0.0, height), velocity=(0.0, velocity)), 0.5, restitution=restitution)
+    return dc.Simulation(*builder.finalize("float64", backend=backend), config=config)
+
+
+@pytest.mark.parametrize("method", ["pgs", "tgs_soft"])
+@pytest.mark.parametrize("n", [1, 3, 8])
+def test_a_free_fall_is_that_of_its_substeps(method, n):
+    """Semi-implicit Euler falls by g h^2 k (k + 1) / 2 in k steps of h."""
+    config = dc.SolverConfig(method=method, substeps=n)
+    sim = disc(config, "numpy", gravity=G, velocity=0.0, height=50.0)
+    sim.run(5, DT)
+    k, h = 5 * n, DT / n
+    np.testing.assert_allclose(sim.state.numpy("position")[1, 1], 50.0 - G * h * h * k * (k + 1) / 2, rtol=1e-13)
+    np.testing.assert_allclose(sim.state.numpy("velocity")[1, 1], -G * 5 * DT, rtol=1e-13)
+    np.testing.assert_allclose(sim.state.numpy("time"), 5 * DT, rtol=1e-13)
+
+
+def test_whole_substeps_have_the_bits_of_as_many_steps():
+    one, two = (boxes("numpy", 2, dc.SolverConfig(substeps=n)) for n in (2, 1))
+    called, starts = [], []
+    one.run(3, DT, start=starts.append, callback=called.append)
+    two.run(6, DT / 2)
+    assert (len(starts), len(called)) == (6, 3)
+    for name in one.state.table:
+        assert one.state.numpy(name).tobytes() == two.state.numpy(name).tobytes(), name
+
+
+def test_a_stack_comes_to_rest_and_carries_its_weight():
+    sim = boxes()
+    sim.run(300, DT)
+    assert np.abs(sim.state.numpy("velocity")).max() < 1e-5
+    height = sim.state.numpy("position")[1:, 1]
+    assert (np.abs(np.diff(height) - 1.0) < 4e-3).all()  # contacts give way, by more than the slop
+    normal = sim.contacts.numpy("impulse")[:10, 0].reshape(5, 2).sum(axis=1) / DT
+    np.testing.assert_allclose(np.sort(normal), G * np.arange(1, 6), rtol=2e-3)
+    assert sim.stats.numpy("sweeps").tolist() == [8]
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_a_bounce_keeps_its_share_of_the_speed(restitution):
+    sim = disc(SOFT, restitution=restitution)
+    sim.run(60, DT)
+    np.testing.assert_allclose(sim.state.numpy("velocity")[1, 1], 3.0 * restitution, atol=1e-9)
+
+
+def test_the_impulses_of_an_impact_are_those_of_its_step():
+    """Mass times the change of velocity, though the last of the substeps had nothing to do."""
+    sim = disc(SOFT, restitution=1.0)
+    mass, most = np.pi / 4, 0.0
+    for _ in range(30):
+        sim.step(DT)
+        most = max(most, sim.contacts.numpy("impulse")[: sim.contacts.numpy("contact_count")[0], 0].max(initial=0.0))
+    np.testing.assert_allclose(most, mass * 6.0, rtol=1e-9)
+
+
+def test_overlaps_are_pushed_out_slowly_and_leave_no_speed():
+    """The relaxing sweep takes away what the softness gave."""
+    sim = disc(SOFT, velocity=0.0, height=0.4)
+    sim.run(1, DT)
+    assert 0.4 < sim.state.numpy("position")[1, 1] < 0.45
+    sim.run(200, DT)
+    np.testing.assert_allclose(sim.state.numpy("position")[1, 1], 0.5, atol=2e-3)
+    assert np.abs(sim.state.numpy("velocity")).max() < 1e-9
+
+
+@pytest.mark.parametrize("scene", [discs, pendulum, bounce])
+def test_warp_and_the_oracle_agree(scene):
+    one, two = (simulation(scene, "float64", backend, config=SOFT) for backend in ("warp", "numpy"))
+    for sim in (one, two):
+        sim.run(12, 0.01)
+    assert one.contacts.numpy("contact_count")[0] > 2
+    for group in ("state", "joints"):
+        for name in getattr(one, group).table:
+            want, got = (getattr(sim, group).numpy(name) for sim in (one, two))
+            np.testing.assert_allclose(got, want, rtol=0, atol=1e-9, err_msg=name)
+
+
+def test_rods_keep_their_length():
+    sim = simulation(pendulum, "float64", "warp", config=dataclasses.replace(SOFT, substeps=8))
+    sim.run(100, DT)
+    a, b = (sim.joints.numpy(f"joint_body_{end}") for end in "ab")
+    angle, at = sim.state.numpy("angle"), sim.state.numpy("position")
+
+    def ends(body, anchor):
+        c, s = np.cos(angle[body]), np.sin(angle[body])
+        return at[body] + np.stack((c * anchor[:, 0] - s * anchor[:, 1], s * anchor[:, 0] + c * anchor[:, 1]), axis=1)
+
+    way = ends(b, sim.joints.numpy("joint_anchor_b")) - ends(a, sim.joints.numpy("joint_anchor_a"))
+    np.testing.assert_allclose(np.hypot(*way.T), sim.joints.numpy("joint_length"), atol=0.03)
+
+
+def test_a_method_may_follow_another_between_steps():
+    sim = boxes("numpy", 2, dc.SolverConfig())
+    sim.run(3, DT)
+    sim.config = SOFT
+    sim.run(3, DT)
+    sim.config = dc.SolverConfig()
+    sim.collide(DT)
+    sim.solve()
+    with pytest.raises(ValueError, match=r"config\.method is 'tgs_soft', of the step in flight 'pgs'"):
+        sim.config = SOFT
+    sim.advance()
+    sim.run(3, DT)
+    np.testing.assert_allclose(sim.state.numpy("position")[1:, 1], [0.5, 1.5], atol=2e-3)
+
+
+def test_what_it_has_not_got_is_said():
+    with pytest.raises(ValueError, match="schedule is 'color'; method 'tgs_soft' runs with 'world' only"):
+        dc.Simulation(*dc_scene(), config=SOFT, schedule="color")
+    with pytest.raises(ValueError, match="sleep is True; bodies sleep with other methods only"):
+        dc.SolverConfig(method="tgs_soft", sleep=True)
+    with pytest.raises(ValueError, match="only a solve of sweeps can pause"):
+        sim = dc.Simulation(*dc_scene(), config=SOFT)
+        sim.collide(DT)
+        sim.solve(pause=2)
+    with pytest.raises(ValueError, match="'tgs_soft', which has no rows of surfaces"):
+        dc.Simulation(*dc_scene(rolling_resistance=0.1), config=SOFT)
+    with pytest.raises(ValueError, match="only a Simulation takes substeps"):
+        check_awake(SOFT)
+    pytest.importorskip("taichi")
+    with pytest.raises(ValueError, match=r"no kernels of solve.soft; it must be one of \('warp', 'numpy'\)"):
+        dc.Simulation(*dc_scene("taichi"), config=SOFT)
+
+
+def dc_scene(backend="numpy", **shape):
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_disc(builder.add_body(), 0.5, **shape)
+    return builder.finalize(backend=backend)
