@@ -84,10 +84,10 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         return at
 
     @ti.func
-    def hull_disc_manifold(a, b, c, s, given, left, toward, model: t.Model, state: t.State):
+    def hull_disc_manifold(a, b, turn, given, left, toward, model: t.Model, state: t.State):
         """A disc and a hull, whichever comes first; whether it is in the way, and the velocity of the second shape.
 
-        That is ``left`` where it is ``given``. ``c``, ``s``: cosine and sine of the hull's angle.
+        That is ``left`` where it is ``given``. ``turn``: cosine and sine of the hull's angle.
         """
         disc_first = model.shape_type[a] == DISC
         disc = b
@@ -98,6 +98,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         body = model.shape_body[other]
         round_body = model.shape_body[disc]
         x = state.position[body]
+        c = turn[0]
+        s = turn[1]
         p = center_at(disc, round_body, model, state)
         hull = hull_of(other, model.shape_type[other], model.shape_radius[other], model)
         drift = velocity_at(body, round_body, p - x, p - state.position[round_body], state)
@@ -113,10 +115,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         return m, blocked, drift
 
     @ti.func
-    def hulls_manifold(
-        a, b, ca, sa, speculative, given, left, toward, model: t.Model, state: t.State, motion: t.Motion
-    ):
-        """Two hulls, as in ``hull_disc_manifold``; ``ca``, ``sa``: of the angle of A."""
+    def hulls_manifold(a, b, turn, speculative, given, left, toward, model: t.Model, state: t.State, motion: t.Motion):
+        """Two hulls, as in ``hull_disc_manifold``; ``turn``: of the angle of A."""
         ba = model.shape_body[a]
         bb = model.shape_body[b]
         xa = state.position[ba]
@@ -124,6 +124,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         vb = motion.predicted[bb]
         center_a = model.shape_center[a]
         center_b = model.shape_center[b]
+        ca = turn[0]
+        sa = turn[1]
         cb = ti.cos(state.angle[bb])
         sb = ti.sin(state.angle[bb])
         c = ca * cb + sa * sb
@@ -177,9 +179,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
             capacity = contacts.contact_start[w + 1] - start
             n = 0
             listed = 0
-            turned = -1  # the body of cosine c and sine s: pairs of one first shape follow each other
-            c = 1.0
-            s = 0.0
+            turned = -1  # the body of this cosine and sine: pairs of one first shape follow each other
+            turn = vec2(1.0, 0.0)
             first_pair = pairs.start[w]
             last_pair = first_pair + pairs.count[w]
             pair = first_pair
@@ -199,8 +200,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                         hull_body = model.shape_body[ti.select(kind_a == DISC, b, a)]
                         if hull_body != turned:
                             turned = hull_body
-                            c = ti.cos(state.angle[hull_body])
-                            s = ti.sin(state.angle[hull_body])
+                            turn = vec2(ti.cos(state.angle[hull_body]), ti.sin(state.angle[hull_body]))
                         asked = kind_a == DISC or model.body_type[model.shape_body[a]] != STATIC
                         given = False
                         left = vec2(0.0, 0.0)
@@ -210,11 +210,11 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                             blocked = False
                             drift = left
                             if kind_a == DISC or kind_b == DISC:
-                                m, blocked, drift = hull_disc_manifold(a, b, c, s, given, left, toward, model, state)
+                                m, blocked, drift = hull_disc_manifold(a, b, turn, given, left, toward, model, state)
                             else:
                                 if ti.static(not only_discs):
                                     m, blocked, drift = hulls_manifold(
-                                        a, b, c, s, speculative, given, left, toward, model, state, motion
+                                        a, b, turn, speculative, given, left, toward, model, state, motion
                                     )
                             if blocked and not asked:
                                 asked = True
