@@ -266,8 +266,8 @@ class ContactSolver(InPlace):
         config = check_awake(check_config("config", config))
         refuse_recording("a change of config", "make it before")
         with self.calls:
-            self._config = config
             self._storage.keep_history(config)
+            self._config = config
             self._provide(config)
             self._packed = False
             self._bind_all()

@@ -15,6 +15,7 @@ from dc_kernels.solve.iteration import PAST
 from dc_kernels.solve.joints import Apart, Forest
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, OWN, SURFACED
 
+MOST_HISTORY = 10**8  # numbers of all worlds: each solve clears what it leaves over, and an interrupt must not wait
 SPARE_BLOCKS = 10  # blocks beyond full ones: a colour's last block is partly empty, and piles have 6-10 colours
 
 
@@ -32,6 +33,21 @@ class SolveStats(ArrayGroup):
     """
 
     table = STATS
+
+
+def sweeps_kept(config: SolverConfig, worlds: int) -> int:
+    """Sweeps of each world whose change is kept.
+
+    Raises:
+        MemoryError: those of all worlds are more than ``MOST_HISTORY``.
+    """
+    sweeps = config.max_sweeps if config.history else 0
+    if sweeps * worlds > MOST_HISTORY:
+        raise MemoryError(
+            f"SolveStats.history of max_sweeps {sweeps} in {worlds} worlds would be {sweeps * worlds} numbers; "
+            f"it may be {MOST_HISTORY}"
+        )
+    return sweeps
 
 
 class SolverStorage:
@@ -84,7 +100,7 @@ class SolverStorage:
             "body+1": bodies,
             "world color": worlds * COLORS,
             "world color+1": worlds * (COLORS + 1),
-            "sweep": config.max_sweeps if config.history else 0,
+            "sweep": sweeps_kept(config, worlds),
             "row direction": 0,
             "row past": 0,
             "own row": int(own_rows.sum()),
@@ -172,8 +188,12 @@ class SolverStorage:
         return self.rows.numpy("block_needed")
 
     def keep_history(self, config: SolverConfig) -> None:
-        """Allocate the history of sweeps as the settings want it, unless it is so already."""
-        sweeps = config.max_sweeps if config.history else 0
+        """Allocate the history of sweeps as the settings want it, unless it is so already.
+
+        Raises:
+            MemoryError: see ``sweeps_kept``.
+        """
+        sweeps = sweeps_kept(config, self.stats.sizes["world"])
         if sweeps != self.stats.sizes["sweep"]:
             self.stats.reallocate(("history",), sweep=sweeps)
 

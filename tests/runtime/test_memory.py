@@ -48,11 +48,14 @@ def test_huge_counts_are_refused_by_name(name, call):
         call()
 
 
-def test_a_history_that_does_not_fit_is_refused_and_nothing_has_changed():
-    sim = discs(64)
+@pytest.mark.parametrize(("worlds", "sweeps"), [(1, 2**31 - 1), (64, 2_000_000)])
+def test_a_history_that_takes_long_to_clear_is_refused_and_nothing_has_changed(worlds, sweeps):
+    sim = discs(worlds)
     before = sim.config
-    with pytest.raises(MemoryError, match=r"SolveStats.history .*GB are free"):
-        sim.config = replace(before, history=True, max_sweeps=2**31 - 1)
+    with pytest.raises(MemoryError, match=rf"history of max_sweeps {sweeps} in {worlds} worlds .* may be 100000000"):
+        sim.config = replace(before, history=True, max_sweeps=sweeps)
+    with pytest.raises(MemoryError, match=f"max_sweeps {sweeps}"):
+        discs(worlds, config=replace(before, history=True, max_sweeps=sweeps))
     assert sim.config == before
     sim.run(1, 0.01)
 
