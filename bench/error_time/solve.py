@@ -20,7 +20,7 @@ from bench.cases import DT
 from bench.error_time.references import Reference, mass_norm
 from bench.error_time.scenes import Case, State
 from dc_kernels.measure import contact_slots
-from dc_kernels.model.config import ACCELERATIONS, METHODS
+from dc_kernels.model.config import ACCELERATIONS
 
 ERRORS = ("residual", "change", "velocity", "impulse")
 """Relative natural map [1]; largest impulse change of the last sweep [N s]; error in velocity, in the mass norm, over
@@ -74,10 +74,11 @@ DEFAULT = Setting(acceleration=dc.SolverConfig().acceleration)
 def settings(learned: bool, quick: bool = False) -> list[Setting]:
     """All that are compared: each method with each acceleration, and whatever else there is with plain and default.
 
-    Jacobi with over-relaxation is not: mass splitting is proven up to a factor of 1.
+    Jacobi with over-relaxation is not: mass splitting is proven up to a factor of 1. Nor are soft contacts, whose
+    impulses solve no problem of the step.
     """
     found = []
-    for method in METHODS:
+    for method in ("pgs", "jacobi"):
         for acceleration in ACCELERATIONS:
             setting = Setting(method=method, acceleration=acceleration)
             try:

@@ -14,7 +14,7 @@ import numpy as np
 import dc_kernels as dc
 from bench.stability import invariants
 from bench.verdicts import Cases, Check
-from dc_kernels.model.config import ACCELERATIONS, METHODS, STOPS
+from dc_kernels.model.config import ACCELERATIONS, STOPS
 from dc_kernels.model.enums import BodyType
 
 cases = Cases()
@@ -133,7 +133,7 @@ def worlds() -> Any:
     )
     config = st.builds(
         dc.SolverConfig,
-        method=st.sampled_from(list(METHODS)),
+        method=st.sampled_from(["pgs", "jacobi"]),  # which solve each step's problem
         acceleration=st.sampled_from(list(ACCELERATIONS)),
         stop=st.sampled_from(list(STOPS)),
         start=st.sampled_from(["cache", "zero"]),

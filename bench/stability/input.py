@@ -46,7 +46,7 @@ REFUSED: list[tuple[str, tuple[Any, ...], dict[str, Any], str]] = [
     ("add_polygon", (0, ((0.0, 0.0), (1.0, 0.0), (0.0, NAN))), {}, "vertices of shape 1[2, 1]"),
     ("add_chain", (1, ((0.0, 0.0), (0.0, 0.0))), {}, "vertices of shape 1"),
     ("add_distance_joint", (0, 0), {}, "body_a and body_b of joint 0"),
-    ("add_distance_joint", (0, 1), {"length": 0.0}, "length of joint 0"),
+    ("add_distance_joint", (0, 1), {"length": -1.0}, "length of joint 0"),
     ("add_discs", (((0.0, 0.0), (0.0, NAN)), 1.0), {}, "positions[1, 1]"),
     ("add_discs", (((0.0, 0.0), (1.0, 0.0)), (1.0, 0.0)), {}, "radius[1]"),
 ]

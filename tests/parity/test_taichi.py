@@ -236,12 +236,13 @@ def test_colors_of_a_callers_own_rows_are_those_of_warp() -> None:
         a, b = draw.permuted(np.tile(np.arange(12, dtype=np.int32), (90, 1)), axis=1)[:, :2].T
         every = {
             "launch": {},
-            "model": {"body_start": [0, 12], "joint_start": [0, 0], "body_type": np.arange(12) % 4 // 2 * 2},
+            "model": {"body_start": [0, 12], "body_type": np.arange(12) % 4 // 2 * 2},
             "state": {"flags": [0]},
             "joints": {},
             "contacts": {"contact_start": [0, 50], "contact_count": [50], "body_a": a[:50], "body_b": b[:50]},
             "rows": {"row_start": [0, 40], "row_body_a": a[50:], "row_body_b": b[50:], "row_color": np.zeros(40)},
         }
+        every["rows"]["line_start"] = [0, 0]
         every["contacts"]["color"] = draw.integers(-1, 9, 50)
         arrays = {group: {k: np.array(v, np.int32) for k, v in some.items()} for group, some in every.items()}
         arrays["rows"]["color_mask"] = np.zeros(12, np.uint64)
