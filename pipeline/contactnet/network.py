@@ -19,6 +19,7 @@ from dc_kernels.model.settings import Positive, Settings
 from dc_kernels.runtime.optional import require
 from pipeline.networks.models import Channels
 from pipeline.networks.registry import register
+from pipeline.networks.trunk import Trunk
 
 torch = require("torch", "pipeline")
 nn = torch.nn
@@ -55,19 +56,14 @@ class ContactNetConfig(Settings):
 
 
 @register("contactnet", ContactNetConfig, None)
-class ContactNet(Module):
+class ContactNet(Trunk):
     """Maps features of contacts and images of worlds to corrections (contacts, len(OUTPUT))."""
 
     def __init__(self, config: ContactNetConfig | None = None) -> None:
         """Draw random weights; the answer begins as a share of Aitken's step, ``SHARE`` for every contact."""
-        super().__init__()
-        self.config = config = config or ContactNetConfig()
-        widths = config.channels
-        self.down = nn.ModuleList(
-            nn.Conv2d(before, width, 3, padding=1) for before, width in zip((len(IMAGE), *widths), widths)
-        )
-        self.up = nn.ModuleList(nn.Conv2d(low + high, high, 3, padding=1) for high, low in itertools.pairwise(widths))
-        self.near = nn.Conv2d(widths[0], config.near, 1)
+        config = config or ContactNetConfig()
+        super().__init__(len(IMAGE), config.channels, config.near)
+        self.config = config
         first, *rest = config.hidden
         self.own = nn.Linear(len(LOCAL), first)
         self.places = nn.ModuleList(nn.Linear(config.near, first, bias=False) for _ in range(3))
@@ -80,20 +76,6 @@ class ContactNet(Module):
             self.last.weight.mul_(0.1)
             self.last.bias.zero_()
         self.to(memory_format=torch.channels_last)  # half the time of a convolution on a CPU
-
-    def trunk(self, images: Any) -> Any:
-        """Map images (K, len(IMAGE), rows, columns) to what contacts read of them, (K, near, rows, columns)."""
-        kept = []
-        x = images
-        for i, layer in enumerate(self.down):
-            if i:
-                x = F.avg_pool2d(x, 2, ceil_mode=True)
-            x = F.relu(layer(x))
-            kept.append(x)
-        for layer, skip in zip(reversed(self.up), reversed(kept[:-1])):
-            x = F.interpolate(x, size=skip.shape[2:], mode="nearest")
-            x = F.relu(layer(torch.cat([skip, x], dim=1)))
-        return self.near(x)
 
     def head(self, local: Any, near: Any) -> Any:
         """Map features (n, len(LOCAL)) and the trunk at three places (n, near) to corrections (n, len(OUTPUT))."""

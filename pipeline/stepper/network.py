@@ -8,7 +8,6 @@ Impulses stay on their friction cones, and act on both bodies: whatever the weig
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -18,6 +17,7 @@ from dc_kernels.runtime.optional import require
 from dc_kernels.torch_ops.transfer import gather_torch
 from pipeline.networks.models import Channels
 from pipeline.networks.registry import register
+from pipeline.networks.trunk import Trunk
 from pipeline.stepper.view import CHANNELS, ContactFrame, StepView
 
 torch = require("torch", "pipeline")
@@ -59,19 +59,14 @@ class StepNetConfig(Settings):
 
 
 @register("stepnet", StepNetConfig, None)
-class StepNet(Module):
+class StepNet(Trunk):
     """Maps a view of worlds before a step to the ways of their bodies with contacts."""
 
     def __init__(self, config: StepNetConfig | None = None) -> None:
         """Draw random weights; the answer begins as rounds of damped Jacobi steps."""
-        super().__init__()
-        self.config = config = config or StepNetConfig()
-        widths = config.channels
-        self.down = nn.ModuleList(
-            nn.Conv2d(before, width, 3, padding=1) for before, width in zip((len(CHANNELS), *widths), widths)
-        )
-        self.up = nn.ModuleList(nn.Conv2d(low + high, high, 3, padding=1) for high, low in itertools.pairwise(widths))
-        self.near = nn.Conv2d(widths[0], config.near, 1)
+        config = config or StepNetConfig()
+        super().__init__(len(CHANNELS), config.channels, config.near)
+        self.config = config
         self.first = nn.Linear(MOTION, config.hidden)
         inputs = MOTION + 2 * config.near + 3 * config.hidden
         self.rounds = nn.ModuleList(
@@ -84,26 +79,11 @@ class StepNet(Module):
                 cell[-1].bias[:ANSWER] = 0.0
         self.to(memory_format=torch.channels_last)  # half the time of a convolution on a CPU
 
-    def trunk(self, image: Any) -> Any:
-        """Map images (B, len(CHANNELS), rows, columns) to what bodies read of them, (B, near, rows, columns)."""
-        kept = []
-        x = image.contiguous(memory_format=torch.channels_last)
-        for i, layer in enumerate(self.down):
-            if i:
-                x = F.avg_pool2d(x, 2, ceil_mode=True)
-            x = F.relu(layer(x))
-            kept.append(x)
-        for layer, skip in zip(reversed(self.up), reversed(kept[:-1])):
-            x = F.interpolate(x, size=skip.shape[2:], mode="nearest")
-            x = F.relu(layer(torch.cat([skip, x], dim=1)))
-        return self.near(x)
-
     def forward(self, view: StepView, grid: Grid) -> tuple[Any, Any]:
         """Return ways of the bodies with contacts, (N, 3) [unit], and the impulses of them, (M, 2) [kg unit]."""
         frame = view.of_contacts()
-        seen = gather_torch(
-            self.trunk(view.image(frame, grid)).contiguous(), view.position, grid, start=view.body_start
-        )
+        image = view.image(frame, grid).contiguous(memory_format=torch.channels_last)
+        seen = gather_torch(self.trunk(image).contiguous(), view.position, grid, start=view.body_start)
         moving = view.dynamic
         return self.head(view, frame, seen * moving, moving)
 
