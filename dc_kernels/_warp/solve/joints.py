@@ -49,23 +49,13 @@ def kernels(dtype: str) -> dict[str, Any]:
     make_general_rows = general_rows(dtype)
 
     @wp.func(module=module)
-    def stiffen(
-        j: int,
-        w: int,
-        config: t.Config,
-        model: t.Model,
-        state: t.State,
-        motion: t.Motion,
-        joints: t.Joints,
-        rows: t.Rows,
-    ):
+    def stiffen(j: int, e: ends.Ends, joints: t.Joints, rows: t.Rows):
         """What the forces of joint j turn its bodies back by, as they pull at their arms: dt^2 r . f, summed up."""
         x = real(0.0)
         y = real(0.0)
         for k in range(joints.joint_row_start[j], joints.joint_row_start[j + 1]):
             x += joints.joint_impulse[k] * rows.row_jacobian_b[k][0]
             y += joints.joint_impulse[k] * rows.row_jacobian_b[k][1]
-        e = ends_of(j, w, config, model, state, motion, joints)
         ra = e.d + e.ra
         along_a = -(ra[0] * x + ra[1] * y)
         along_b = e.rb[0] * x + e.rb[1] * y
@@ -103,27 +93,27 @@ def kernels(dtype: str) -> dict[str, Any]:
             b = joints.joint_body_b[j]
             kind = joints.joint_kind[j]
             asleep = wp.min(motion.predicted[a][3], motion.predicted[b][3]) < real(0.0)
+            e = ends_of(j, w, config, model, state, motion, joints)
             if asleep or joints.joint_broken[j] == BROKEN:
-                e = ends_of(j, w, config, model, state, motion, joints)
                 for k in range(joints.joint_row_start[j], joints.joint_row_start[j + 1]):
                     idle(k, e, rows)
             elif kind == DISTANCE:
-                make_stretch_rows(j, w, config, model, state, motion, joints, rows)
+                make_stretch_rows(j, e, config, model, motion, joints, rows)
             elif kind == REVOLUTE:
-                make_revolute_rows(j, w, config, model, state, motion, joints, rows)
+                make_revolute_rows(j, e, config, joints, rows)
             elif kind == PRISMATIC:
-                make_prismatic_rows(j, w, config, model, state, motion, joints, rows)
+                make_prismatic_rows(j, e, config, state, joints, rows)
             elif kind == WELD:
-                make_weld_rows(j, w, config, model, state, motion, joints, rows)
+                make_weld_rows(j, e, config, model, motion, joints, rows)
             elif kind == WHEEL:
-                make_wheel_rows(j, w, config, model, state, motion, joints, rows)
+                make_wheel_rows(j, e, config, model, state, motion, joints, rows)
             elif kind == TARGET:
-                make_target_rows(j, w, config, model, state, motion, joints, rows)
+                make_target_rows(j, e, model, motion, joints, rows)
             elif kind == GEAR:
-                make_gear_rows(j, w, config, model, state, motion, joints, rows)
+                make_gear_rows(j, e, config, state, joints, rows)
             else:
-                make_general_rows(j, w, config, model, state, motion, joints, rows)
-            stiffen(j, w, config, model, state, motion, joints, rows)
+                make_general_rows(j, e, joints, rows)
+            stiffen(j, e, joints, rows)
         for body in range(model.body_start[w], model.body_start[w + 1]):
             rows.stiff_inertia[body] = wp.max(rows.stiff_inertia[body] - model.inertia[body], real(0.0))
 

@@ -20,7 +20,7 @@ BAUMGARTE = wp.constant(POSITION_CORRECTIONS["baumgarte"])
 
 @cache
 def end_functions(dtype: str) -> SimpleNamespace:
-    """``ends_of`` a joint, and what writes a row: ``hold``, ``spring``, ``motor``, ``limit``, ``bounded``, ``idle``.
+    """``Ends`` and ``ends_of`` a joint; ``hold``, ``spring``, ``motor``, ``limit``, ``bounded``, ``idle`` write a row.
 
     ``point``, ``slide`` and ``turn`` give Jacobians as ``Along``: of B against A at the anchors along a direction of
     the world, along one of body A, and in angle.
@@ -218,6 +218,7 @@ def end_functions(dtype: str) -> SimpleNamespace:
         write(k, e, along, sign * bias, low, high, real(0.0), gap, real(1.0), rows)
 
     return SimpleNamespace(
+        Ends=Ends,
         Along=Along,
         ends_of=ends_of,
         point=point,

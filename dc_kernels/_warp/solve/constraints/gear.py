@@ -15,21 +15,11 @@ def gear_rows(dtype: str) -> Any:
     """The function that makes the rows of a gear."""
     t = group_types(dtype)
     ends = end_functions(dtype)
-    ends_of, hold, turn = ends.ends_of, ends.hold, ends.turn
+    hold, turn = ends.hold, ends.turn
 
     @wp.func(module=kernel_module("joints", dtype))
-    def make_gear_rows(
-        j: int,
-        w: int,
-        config: t.Config,
-        model: t.Model,
-        state: t.State,
-        motion: t.Motion,
-        joints: t.Joints,
-        rows: t.Rows,
-    ):
+    def make_gear_rows(j: int, e: ends.Ends, config: t.Config, state: t.State, joints: t.Joints, rows: t.Rows):
         """The angle of B less ratio times that of A."""
-        e = ends_of(j, w, config, model, state, motion, joints)
         ratio = joints.joint_ratio[j]
         off = state.angle[e.b] - ratio * state.angle[e.a] - joints.joint_reference[j]
         hold(joints.joint_row_start[j], e, turn(e, ratio, off), config, rows)

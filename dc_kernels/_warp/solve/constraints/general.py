@@ -15,21 +15,11 @@ def general_rows(dtype: str) -> Any:
     """The function that makes the rows of a general joint."""
     t = group_types(dtype)
     ends = end_functions(dtype)
-    Along, bounded, ends_of = ends.Along, ends.bounded, ends.ends_of
+    Along, bounded = ends.Along, ends.bounded
 
     @wp.func(module=kernel_module("joints", dtype))
-    def make_general_rows(
-        j: int,
-        w: int,
-        config: t.Config,
-        model: t.Model,
-        state: t.State,
-        motion: t.Motion,
-        joints: t.Joints,
-        rows: t.Rows,
-    ):
+    def make_general_rows(j: int, e: ends.Ends, joints: t.Joints, rows: t.Rows):
         """J_A V_A + J_B V_B = speed, by a force within bounds."""
-        e = ends_of(j, w, config, model, state, motion, joints)
         along = Along()
         along.ja = joints.joint_jacobian_a[j]
         along.jb = joints.joint_jacobian_b[j]

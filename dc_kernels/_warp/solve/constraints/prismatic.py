@@ -20,21 +20,11 @@ def prismatic_rows(dtype: str) -> Any:
     t = group_types(dtype)
     real, vec2 = t.real, t.vec2
     ends = end_functions(dtype)
-    ends_of, hold, limit, motor, slide, turn = ends.ends_of, ends.hold, ends.limit, ends.motor, ends.slide, ends.turn
+    hold, limit, motor, slide, turn = ends.hold, ends.limit, ends.motor, ends.slide, ends.turn
 
     @wp.func(module=kernel_module("joints", dtype))
-    def make_prismatic_rows(
-        j: int,
-        w: int,
-        config: t.Config,
-        model: t.Model,
-        state: t.State,
-        motion: t.Motion,
-        joints: t.Joints,
-        rows: t.Rows,
-    ):
+    def make_prismatic_rows(j: int, e: ends.Ends, config: t.Config, state: t.State, joints: t.Joints, rows: t.Rows):
         """Across the line and in angle; then the motor, and the range of the way along it."""
-        e = ends_of(j, w, config, model, state, motion, joints)
         s = rotate(wp.cos(state.angle[e.a]), wp.sin(state.angle[e.a]), joints.joint_axis[j])
         k = joints.joint_row_start[j]
         hold(k, e, slide(e, vec2(-s[1], s[0])), config, rows)

@@ -20,21 +20,11 @@ def revolute_rows(dtype: str) -> Any:
     t = group_types(dtype)
     real, vec2 = t.real, t.vec2
     ends = end_functions(dtype)
-    ends_of, hold, limit, motor, point, turn = ends.ends_of, ends.hold, ends.limit, ends.motor, ends.point, ends.turn
+    hold, limit, motor, point, turn = ends.hold, ends.limit, ends.motor, ends.point, ends.turn
 
     @wp.func(module=kernel_module("joints", dtype))
-    def make_revolute_rows(
-        j: int,
-        w: int,
-        config: t.Config,
-        model: t.Model,
-        state: t.State,
-        motion: t.Motion,
-        joints: t.Joints,
-        rows: t.Rows,
-    ):
+    def make_revolute_rows(j: int, e: ends.Ends, config: t.Config, joints: t.Joints, rows: t.Rows):
         """Two points together along x and y; then the motor, and the range of the angle."""
-        e = ends_of(j, w, config, model, state, motion, joints)
         k = joints.joint_row_start[j]
         hold(k, e, point(e, vec2(real(1.0), real(0.0))), config, rows)
         hold(k + 1, e, point(e, vec2(real(0.0), real(1.0))), config, rows)

@@ -20,26 +20,18 @@ def stretch_rows(dtype: str) -> Any:
     t = group_types(dtype)
     real, vec2 = t.real, t.vec2
     ends = end_functions(dtype)
-    ends_of, hold, limit, point, spring = ends.ends_of, ends.hold, ends.limit, ends.point, ends.spring
+    hold, limit, point, spring = ends.hold, ends.limit, ends.point, ends.spring
     infinity = real(float("inf"))
 
     @wp.func(module=kernel_module("joints", dtype))
     def make_stretch_rows(
-        j: int,
-        w: int,
-        config: t.Config,
-        model: t.Model,
-        state: t.State,
-        motion: t.Motion,
-        joints: t.Joints,
-        rows: t.Rows,
+        j: int, e: ends.Ends, config: t.Config, model: t.Model, motion: t.Motion, joints: t.Joints, rows: t.Rows
     ):
         """A rod, or a spring about the length; then the range of the length.
 
         Along the line between the anchors, which turns within the step; where they meet it has no direction, and is
         taken along x.
         """
-        e = ends_of(j, w, config, model, state, motion, joints)
         length = wp.length(e.d)
         n = vec2(real(1.0), real(0.0))
         if length > real(0.0):

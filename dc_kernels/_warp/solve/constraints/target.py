@@ -16,21 +16,11 @@ def target_rows(dtype: str) -> Any:
     t = group_types(dtype)
     real, vec2 = t.real, t.vec2
     ends = end_functions(dtype)
-    ends_of, point, spring = ends.ends_of, ends.point, ends.spring
+    point, spring = ends.point, ends.spring
 
     @wp.func(module=kernel_module("joints", dtype))
-    def make_target_rows(
-        j: int,
-        w: int,
-        config: t.Config,
-        model: t.Model,
-        state: t.State,
-        motion: t.Motion,
-        joints: t.Joints,
-        rows: t.Rows,
-    ):
+    def make_target_rows(j: int, e: ends.Ends, model: t.Model, motion: t.Motion, joints: t.Joints, rows: t.Rows):
         """The springs along x and y."""
-        e = ends_of(j, w, config, model, state, motion, joints)
         k = joints.joint_row_start[j]
         frequency = joints.joint_frequency[j]
         ratio = joints.joint_damping_ratio[j]

@@ -16,22 +16,14 @@ def weld_rows(dtype: str) -> Any:
     t = group_types(dtype)
     real, vec2 = t.real, t.vec2
     ends = end_functions(dtype)
-    ends_of, hold, point, spring, turn = ends.ends_of, ends.hold, ends.point, ends.spring, ends.turn
+    hold, point, spring, turn = ends.hold, ends.point, ends.spring, ends.turn
     infinity = real(float("inf"))
 
     @wp.func(module=kernel_module("joints", dtype))
     def make_weld_rows(
-        j: int,
-        w: int,
-        config: t.Config,
-        model: t.Model,
-        state: t.State,
-        motion: t.Motion,
-        joints: t.Joints,
-        rows: t.Rows,
+        j: int, e: ends.Ends, config: t.Config, model: t.Model, motion: t.Motion, joints: t.Joints, rows: t.Rows
     ):
         """Two points together along x and y; then the angle."""
-        e = ends_of(j, w, config, model, state, motion, joints)
         k = joints.joint_row_start[j]
         hold(k, e, point(e, vec2(real(1.0), real(0.0))), config, rows)
         hold(k + 1, e, point(e, vec2(real(0.0), real(1.0))), config, rows)

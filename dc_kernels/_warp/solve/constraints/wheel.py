@@ -20,14 +20,14 @@ def wheel_rows(dtype: str) -> Any:
     t = group_types(dtype)
     real, vec2 = t.real, t.vec2
     ends = end_functions(dtype)
-    ends_of, hold, spring, motor, limit = ends.ends_of, ends.hold, ends.spring, ends.motor, ends.limit
+    hold, spring, motor, limit = ends.hold, ends.spring, ends.motor, ends.limit
     slide, turn = ends.slide, ends.turn
     infinity = real(float("inf"))
 
     @wp.func(module=kernel_module("joints", dtype))
     def make_wheel_rows(
         j: int,
-        w: int,
+        e: ends.Ends,
         config: t.Config,
         model: t.Model,
         state: t.State,
@@ -36,7 +36,6 @@ def wheel_rows(dtype: str) -> Any:
         rows: t.Rows,
     ):
         """Across the line, and the spring along it; then the motor, and the range of the spring's way."""
-        e = ends_of(j, w, config, model, state, motion, joints)
         s = rotate(wp.cos(state.angle[e.a]), wp.sin(state.angle[e.a]), joints.joint_axis[j])
         k = joints.joint_row_start[j]
         hold(k, e, slide(e, vec2(-s[1], s[0])), config, rows)
