@@ -23,14 +23,15 @@ def sent(name: str = "INT") -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def interrupted() -> Iterator[None]:
-    """Interrupt the block, which must end by KeyboardInterrupt within a second of that."""
+def interrupted(within: float = 1.0) -> Iterator[None]:
+    """Interrupt the block, which must end by KeyboardInterrupt within that many seconds of work [s]."""
     # tests in the background of a shell would ignore Ctrl-C
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        begun = time.perf_counter()
+        begun, worked = time.perf_counter(), time.process_time()
         with sent(), pytest.raises(KeyboardInterrupt):
             yield
-        assert time.perf_counter() - begun - DELAY < 1.0
+        # on a busy machine the process itself works for less time than passes, with several threads for more
+        assert min(time.perf_counter() - begun - DELAY, time.process_time() - worked) < within
     finally:
         signal.signal(signal.SIGINT, before)

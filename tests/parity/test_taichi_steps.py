@@ -108,9 +108,9 @@ def test_an_interrupt_ends_a_step_of_endless_sweeps(taichi: dc.Simulation) -> No
 
 
 def test_a_step_that_ends_in_time_is_whole(taichi: dc.Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stepping, "GRACE", 10.0)
+    monkeypatch.setattr(stepping, "GRACE", 20.0)
     config, found = dc.SolverConfig(min_sweeps=100_000, max_sweeps=1_000_000), []
-    for stop in (contextlib.nullcontext(), interrupted()):
+    for stop in (contextlib.nullcontext(), interrupted(stepping.GRACE)):
         taichi.reset()
         taichi.config = dc.SolverConfig(max_sweeps=30)
         taichi.run(20, DT)
