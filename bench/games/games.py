@@ -102,16 +102,23 @@ def measure_row(row: Row, configs: Sequence[str], peer: program.Program | None, 
         if row.anew:
             _round(row, engine)
         before[name] = engine.places()[0]
+    model, state, joints = handed.exact
+    gauge = Gauge(*handed.exact)
+    apart: dict[str, list[np.ndarray]] = {name: [] for name in engines}
     for _ in range(rounds):
         for name, engine in engines.items():
             times[name].append(_round(row, engine) * row.worlds / engine.worlds / row.steps)
-    model, state, _ = handed.exact
-    gauge = Gauge(*handed.exact)
+            if joints.sizes["joint"]:
+                apart[name].append(gauge.separations(*engine.places()))
     found: dict[str, dict[str, Any]] = {}
     start = state.numpy("position").copy()
     for name, engine in engines.items():
         position, angle = engine.places()
         values = _held(gauge, position, angle)
+        if apart[name]:
+            of_all = np.concatenate(apart[name])
+            values["separation_mean_mm"] = 1e3 * float(of_all.mean()) if np.isfinite(of_all).all() else None
+            values["separation_max_mm"] = 1e3 * float(of_all.max()) if np.isfinite(of_all).all() else None
         if row.still:
             moves = (model.numpy("body_type") == BodyType.DYNAMIC)[: len(position)]
             gone = np.linalg.norm(position - before[name], axis=1)[moves] / (rounds * row.steps * DT)
@@ -145,7 +152,7 @@ def _held(gauge: Gauge, position: np.ndarray, angle: np.ndarray) -> dict[str, fl
 
 
 COLUMNS = ("ms", "over_peer", "over_pymunk", "over_pybox2d")
-HELD = ("overlap_mean_mm", "overlap_max_mm", "creep_mm_s", "drift_mm")
+HELD = ("overlap_mean_mm", "overlap_max_mm", "creep_mm_s", "drift_mm", "separation_mean_mm", "separation_max_mm")
 
 
 def report(values: dict[str, Any]) -> str:
@@ -162,6 +169,6 @@ def report(values: dict[str, Any]) -> str:
                 shares.append(f"{scene}, {texts[name]}: {told}")
     header = (
         "a step", "ms", "over peer", "over pymunk", "over pybox2d",
-        "overlap mean [mm]", "max [mm]", "creep [mm/s]", "drift [mm]",
+        "overlap mean [mm]", "max [mm]", "creep [mm/s]", "drift [mm]", "joints apart, mean [mm]", "max [mm]",
     )  # fmt: skip
     return "\n".join([timing.table(header, rows), "", *shares])

@@ -14,7 +14,9 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 
 import dc_kernels as dc
-from dc_kernels.model.enums import BodyType, ShapeType
+from dc_kernels.model.enums import BodyType, JointKind, JointPart, ShapeType
+from dc_kernels.model.fields import UNBOUNDED
+from pipeline.scenes.peer_joints import PeerJoint, peer_joints
 
 VARIABLE = "PEER"
 KINDS = {BodyType.STATIC: "static", BodyType.KINEMATIC: "kinematic", BodyType.DYNAMIC: "dynamic"}
@@ -29,7 +31,8 @@ def lines_of(model: dc.Model, state: dc.State, joints: dc.Joints) -> Iterator[st
     """Describe all worlds, line by line.
 
     Raises:
-        ValueError: for forces, which last in our steps and which the protocol does not have.
+        ValueError: for forces, which last in our steps and which the protocol does not have, and for joints that it
+            does not have (``peer_joints``).
     """
     m = {name: model.numpy(name) for name in model.table}
     s = {name: state.numpy(name) for name in state.table}
@@ -45,9 +48,8 @@ def lines_of(model: dc.Model, state: dc.State, joints: dc.Joints) -> Iterator[st
             yield _line("body", KINDS[kind], *pose, m["mass"][b], m["inertia"][b])
             for shape in range(*m["body_shape_start"][b : b + 2].tolist()):
                 yield _shape(m, shape)
-        for n in range(*m["joint_start"][world : world + 2].tolist()):
-            ends = [int(j[f"joint_body_{end}"][n]) - first for end in "ab"]
-            yield _line("joint", *ends, *j["joint_anchor_a"][n], *j["joint_anchor_b"][n], j["joint_length"][n])
+        for joint in peer_joints(j, range(*m["joint_start"][world : world + 2].tolist()), first):
+            yield _joint(joint)
 
 
 def _shape(m: Mapping[str, np.ndarray], shape: int) -> str:
@@ -62,6 +64,26 @@ def _shape(m: Mapping[str, np.ndarray], shape: int) -> str:
     material = m["shape_friction"][shape], m["shape_restitution"][shape]
     bits = (int(m[f"shape_{name}"][shape]) & 0xFFFFFFFF for name in ("category", "mask"))
     return _line(name, *material, *bits, m["shape_radius"][shape], *points.ravel())
+
+
+def _joint(joint: PeerJoint) -> str:
+    ends = (*joint.bodies, int(joint.collides), *joint.anchors[0], *joint.anchors[1])
+    limits = (-UNBOUNDED if joint.lower is None else joint.lower, UNBOUNDED if joint.upper is None else joint.upper)
+    motor = (joint.speed, -1 if joint.strength is None else joint.strength)
+    spring = (joint.frequency, joint.damping_ratio)
+    if joint.kind == JointKind.DISTANCE:
+        if JointPart.HOLD in joint.parts:
+            if joint.is_spring:
+                return _line("spring", *ends, joint.length, *spring, *limits)
+            return _line("rod", *ends, joint.length)
+        return _line("rope", *ends, *limits)
+    if joint.kind == JointKind.REVOLUTE:
+        return _line("hinge", *ends, joint.reference, *limits, *motor)
+    if joint.kind == JointKind.PRISMATIC:
+        return _line("slider", *ends, *joint.axis, joint.reference, *limits, *motor)
+    if joint.kind == JointKind.WELD:
+        return _line("weld", *ends, joint.reference, *spring)
+    return _line("wheel", *ends, *joint.axis, *spring, *limits, *motor)
 
 
 def _line(*words: object) -> str:

@@ -87,6 +87,19 @@ ROWS: Mapping[str, Row] = {
     "tumbler_2000": Row("2 000 boxes in a drum", scenes.Tumbler(bodies=2_000), fall=300, rest=20, still=False),
     "boxes_64_worlds": Row("64 worlds of 10 boxes", scenes.Stack(), worlds=64, steps=100),
     "boxes_1024_worlds": Row("1 024 worlds of 10 boxes", scenes.Stack(), worlds=1024, steps=20, peer_worlds=64),
+    "joint_grid_10000": Row(
+        "a net of 10 000 discs on hinges", scenes.JointGrid(bodies=10_000), rest=30, steps=5, still=False, large=True
+    ),
+    "joint_grid_900": Row(
+        "a net of 900 discs on hinges", scenes.JointGrid(bodies=900), rest=100, steps=20, still=False
+    ),
+    "ragdolls_100": Row(
+        "100 ragdolls of 11 bodies", scenes.Ragdolls(bodies=1_100, abreast=20), fall=600, rest=100, steps=20
+    ),
+    "bridge": Row(
+        "5 discs fall on a bridge of 30 planks", scenes.Bridge(), rest=50, steps=100, anew=True, still=False
+    ),
+    "cars": Row("three cars on hills", scenes.Cars(), rest=100, steps=50, still=False),
     "one_disc_run": Row("one disc, `run`", scenes.Thesis(bodies=1), rest=200, steps=2_000),
     "one_disc_step": Row("one disc, `step`", scenes.Thesis(bodies=1), rest=200, steps=2_000, stepwise=True),
     "ten_boxes_run": Row("10 boxes, `run`", scenes.Stack(), rest=200, steps=1_000),

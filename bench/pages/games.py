@@ -6,6 +6,11 @@ from bench.games.games import FOREIGN, HELD, PEERS
 from bench.games.rows import ROWS
 from bench.pages.markdown import Record, paragraphs, table
 
+UNITS = (
+    *("mean overlap [mm]", "largest overlap [mm]", "creep [mm/s]", "drift [mm]"),
+    *("joints apart in the mean [mm]", "joints apart at most [mm]"),
+)
+
 
 def games(record: Record) -> str:
     """Show of each scene the time of a step beside the others, what it holds, and where our time goes."""
@@ -23,7 +28,7 @@ def games(record: Record) -> str:
                 *(of.get(f"over_{other}") for of in ours for other in others),
             )
         )
-        for key, unit in zip(HELD, ("mean overlap [mm]", "largest overlap [mm]", "creep [mm/s]", "drift [mm]")):
+        for key, unit in zip(HELD, UNITS, strict=True):
             if any(key in engines.get(name, {}) for name in names):
                 held.append((f"{title}: {unit}", *(engines.get(name, {}).get(key) for name in names)))
         parts = sorted(row.get("shares", {}).items(), key=lambda part: -part[1])[:4]

@@ -1,4 +1,4 @@
-"""How far the bodies of any engine overlap: one ruler for all, our narrowphase in float64 on the places it left."""
+"""How far bodies of any engine overlap and joints come apart: one ruler for all, on the places it left, in float64."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 import dc_kernels as dc
 from dc_kernels.measure import contact_slots
+from dc_kernels.model.enums import JointKind, JointPart
 
 TOUCHING = 1e-3  # gap below which surfaces touch [diameters]
 
@@ -42,3 +43,46 @@ class Gauge:
         scale = self.model.numpy("length_scale")
         gap = sim.contacts.numpy("gap")[slots]
         return np.maximum(-gap[(gap < TOUCHING * scale[world]) & (world < worlds)], 0.0)
+
+    def separations(self, position: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        """Return how far apart each joint that holds points rigidly has come, from the places alone.
+
+        Of hinges and welds it is the distance of the anchors, of sliders and wheels how far anchor B is off
+        the line, of rods and ropes how much longer or shorter they are than they may be; springs have none.
+
+        Args:
+            position: see ``overlaps``.
+            angle: of these (n,) [rad].
+
+        Returns:
+            Of the joints of these worlds, (joints,) [m].
+        """
+        j = {name: self.joints.numpy(name) for name in self.joints.table}
+        ends = j["joint_body_a"], j["joint_body_b"]
+        parts, kind = j["joint_parts"], j["joint_kind"]
+        held = parts & int(JointPart.HOLD) != 0
+        keeps = (np.maximum(*ends) < len(position)) & (j["joint_broken"] == 0)
+        keeps &= ~np.isin(kind, (JointKind.GEAR, JointKind.GENERAL, JointKind.TARGET))
+        keeps &= ~((kind == JointKind.DISTANCE) & held & (j["joint_frequency"] > 0))
+        chosen = np.flatnonzero(keeps)
+        points = []
+        for body, anchor in zip(ends, (j["joint_anchor_a"], j["joint_anchor_b"]), strict=True):
+            points.append(position[body[chosen]] + _turned(anchor[chosen], angle[body[chosen]]))
+        way = points[1] - points[0]
+        apart = np.linalg.norm(way, axis=1)
+        line = _turned(j["joint_axis"][chosen], angle[ends[0][chosen]])
+        across = np.abs(line[:, 0] * way[:, 1] - line[:, 1] * way[:, 0])
+        low, high = (
+            np.where(held[chosen], j["joint_length"][chosen], j[f"joint_{end}"][chosen]) for end in ("lower", "upper")
+        )
+        stretch = np.maximum(np.maximum(apart - high, low - apart), 0.0)
+        of = kind[chosen]
+        on_a_line = (of == JointKind.PRISMATIC) | (of == JointKind.WHEEL)
+        return np.asarray(np.where(of == JointKind.DISTANCE, stretch, np.where(on_a_line, across, apart)))
+
+
+def _turned(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Vectors (n, 2) turned by angles (n,) [rad]."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = vectors.astype(np.float64).T
+    return np.stack([c * x - s * y, s * x + c * y], axis=1)

@@ -9,6 +9,7 @@ from pipeline.scenes.boxes import Pyramid, Stack
 from pipeline.scenes.chain import Chain
 from pipeline.scenes.discs import THESIS_BODIES, Settled, Thesis, ThesisClustered, box_side
 from pipeline.scenes.incline import Incline
+from pipeline.scenes.machines import BallAndChain, Bridge, Cars, Gears, JointGrid, Ragdolls
 from pipeline.scenes.mixed import Mixed
 from pipeline.scenes.peers import PeerWorld, to_box2d, to_pymunk
 from pipeline.scenes.placement import CLEARANCE, Sampler, place_discs
@@ -21,13 +22,19 @@ __all__ = [
     "SCENES",
     "THESIS_BODIES",
     "Arch",
+    "BallAndChain",
+    "Bridge",
     "CardHouse",
+    "Cars",
     "Chain",
     "Dominoes",
+    "Gears",
     "Incline",
+    "JointGrid",
     "Mixed",
     "PeerWorld",
     "Pyramid",
+    "Ragdolls",
     "Sampler",
     "Scene",
     "Settled",

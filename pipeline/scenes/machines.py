@@ -49,7 +49,7 @@ class Bridge(Scene):
 
 @dataclass(frozen=True, kw_only=True)
 class Ragdolls(Scene):
-    """Dolls of eleven bodies with joints that bend as far as limbs do, dropped one above the other."""
+    """Dolls of eleven bodies with joints that bend as far as limbs do, dropped in columns."""
 
     name: ClassVar[str] = "ragdolls"
 
@@ -57,6 +57,8 @@ class Ragdolls(Scene):
     """About how many bodies; a doll has eleven [1]."""
     size: Positive = 1.8
     """Height of a doll [m]."""
+    abreast: Count = 1
+    """Columns side by side, in which the dolls stand one above the other [1]."""
 
     @property
     def count(self) -> int:
@@ -64,11 +66,12 @@ class Ragdolls(Scene):
         return 11 * max(1, round(self.bodies / 11))
 
     def add_bodies(self, builder: dc.ModelBuilder, stream: np.random.Generator) -> None:
-        """Add the floor and the dolls, each turned at random."""
-        dolls = self.count // 11
-        self.add_static_chain(builder, [(-3.0 * self.size, 0.0), (3.0 * self.size, 0.0)])
+        """Add the floor and the dolls from below, each turned at random."""
+        dolls, aside = self.count // 11, 0.5 * (self.abreast - 1)
+        self.add_static_chain(builder, [((-3.0 - aside) * self.size, 0.0), ((3.0 + aside) * self.size, 0.0)])
         for i, turn in enumerate(stream.uniform(-0.5, 0.5, dolls)):
-            self._add_doll(builder, (0.0, (0.8 + 1.3 * i) * self.size), float(turn))
+            place = (i % self.abreast - aside) * self.size, (0.8 + 1.3 * (i // self.abreast)) * self.size
+            self._add_doll(builder, place, float(turn))
 
     def _add_doll(self, builder: dc.ModelBuilder, place: tuple[float, float], turn: float) -> None:
         """Add a doll whose hips are at a place, turned by an angle [rad]; its limbs pass through each other."""

@@ -16,9 +16,9 @@ from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.settings import WrongType, shown
 from dc_kernels.runtime.inputs import check_whole
 from dc_kernels.runtime.optional import require
-from dc_kernels.solve.joints import are_rods
 from dc_kernels.solve.rows import SURFACED, has_traits, variant_of
 from pipeline.scenes.base import Scene
+from pipeline.scenes.peer_joints import add_to_box2d, add_to_pymunk, peer_joints
 
 WELD = 0.0025  # vertices of a polygon that are nearer than this become one in Box2D [m]
 BITS = 16  # of Box2D's filters
@@ -61,8 +61,8 @@ class _World:
         self.model = {name: model.numpy(name) for name in model.table}
         self.state = {name: state.numpy(name).astype(np.float64) for name in state.table}
         self.gravity = tuple(self.model["gravity"][world].tolist())
-        lines = slice(*model.numpy("joint_start")[world : world + 2])
-        self.joints = {name: joints.numpy(name)[lines] for name in joints.table}
+        fields = {name: joints.numpy(name) for name in joints.table}
+        self.joints = peer_joints(fields, range(*model.numpy("joint_start")[world : world + 2].tolist()), self.first)
         self.shapes = [self._shapes(b) for b in self.bodies]
         for name in ("force", "torque"):
             lasting = np.abs(self.state[name][self.first : self.last])
@@ -74,9 +74,6 @@ class _World:
             raise ValueError(
                 "the scene has damping, gravity scales, or surfaces that move or resist rolling: theirs differ"
             )
-
-        if not are_rods(joints):
-            raise ValueError("the scene has joints that are no rods that last and let bodies collide: theirs differ")
 
     @property
     def bodies(self) -> range:
@@ -95,12 +92,6 @@ class _World:
             category, mask = (int(self.model[f"shape_{name}"][s]) for name in ("category", "mask"))
             found.append(_Shape(s, kind, points, radius, friction, restitution, category, mask))
         return found
-
-    def joint(self, j: int) -> tuple[list[int], list[tuple[float, float]], float]:
-        """Bodies counted from the first of the world, anchors in their frames [m] and length [m]."""
-        ends = [int(self.joints[f"joint_body_{end}"][j]) - self.first for end in "ab"]
-        anchors = [tuple(self.joints[f"joint_anchor_{end}"][j].tolist()) for end in "ab"]
-        return ends, anchors, float(self.joints["joint_length"][j])
 
 
 def _groups(scene: Any, world: int, seed: int) -> Any:
@@ -135,8 +126,8 @@ def to_pymunk(scene: Any, world: int = 0, *, seed: int = 0) -> PeerWorld:
 
     Raises:
         ImportError: without pymunk.
-        TypeError, ValueError: for another scene or world, forces that last, or shapes of different restitution, of
-            which a pair of ours has the larger.
+        TypeError, ValueError: for another scene or world, forces that last, shapes of different restitution, of
+            which a pair of ours has the larger, or joints that pymunk does not have.
     """
     pymunk = require("pymunk", "bench")
     given = _World(scene, world, seed)
@@ -168,11 +159,8 @@ def to_pymunk(scene: Any, world: int = 0, *, seed: int = 0) -> PeerWorld:
             body.velocity = tuple(given.state["velocity"][b].tolist())
             body.angular_velocity = float(given.state["angular_velocity"][b])
         bodies.append(body)
-    for j in range(len(given.joints["joint_length"])):
-        ends, anchors, length = given.joint(j)
-        pin = pymunk.PinJoint(*(bodies[end] for end in ends), *anchors)
-        pin.distance = length
-        space.add(pin)
+    for joint in given.joints:
+        add_to_pymunk(pymunk, space, bodies, joint)
     return PeerWorld(space, bodies)
 
 
@@ -205,8 +193,8 @@ def to_box2d(scene: Any, world: int = 0, *, seed: int = 0) -> PeerWorld:
 
     Raises:
         ImportError: without pybox2d.
-        TypeError, ValueError: for another scene or world, forces that last, categories beyond 16 bits, or polygons
-            with vertices nearer than 2.5 mm, which Box2D welds.
+        TypeError, ValueError: for another scene or world, forces that last, categories beyond 16 bits, polygons
+            with vertices nearer than 2.5 mm, which Box2D welds, or joints that it does not have.
     """
     box2d = require("Box2D", "bench")
     given = _World(scene, world, seed)
@@ -236,17 +224,8 @@ def to_box2d(scene: Any, world: int = 0, *, seed: int = 0) -> PeerWorld:
             body.linearVelocity = tuple(given.state["velocity"][b].tolist())
             body.angularVelocity = float(given.state["angular_velocity"][b])
         bodies.append(body)
-    for j in range(len(given.joints["joint_length"])):
-        ends, anchors, length = given.joint(j)
-        a, b = (bodies[end] for end in ends)
-        space.CreateDistanceJoint(
-            bodyA=a,
-            bodyB=b,
-            localAnchorA=anchors[0],
-            localAnchorB=anchors[1],
-            length=length,
-            collideConnected=True,  # as in our worlds
-        )
+    for joint in given.joints:
+        add_to_box2d(space, bodies, joint)
     return PeerWorld(space, bodies)
 
 

@@ -44,7 +44,7 @@ for line in sys.stdin:
             print(*body[1:7])
     elif word == "quit":
         break
-    elif word == "joint":
+    elif word == "error":
         print("error no joints")
     sys.stdout.flush()
 """
@@ -90,8 +90,8 @@ def test_a_program_gets_the_bodies_and_returns_their_places(falling):
 
 def test_another_answer_than_the_protocol_has_is_an_error(falling):
     handed = free_fall()
-    with pytest.raises(RuntimeError, match=r"answered 'joint 0 1' with 'error no joints'; it must be 'built ...'"):
-        falling.ask("joint 0 1", "built")
+    with pytest.raises(RuntimeError, match=r"answered 'error 0 1' with 'error no joints'; it must be 'built ...'"):
+        falling.ask("error 0 1", "built")
     with pytest.raises(RuntimeError, match="its end"):
         program.Program([sys.executable, "-c", "pass"])
     handed.groups[1].assign("force", np.ones((4, 2)))
@@ -121,8 +121,53 @@ def test_lines_tell_all_of_a_scene():
         f"polygon 0.25 0 1 {every} 0 -1 -0.5 1 -0.5 1 0.5 -1 0.5",
         f"body dynamic 0 3 0.125 1 2 0 {mass} {inertia}",
         f"capsule 0.25 0.5 4 {every} 0.25 -0.5 0 0.5 0",
-        "joint 0 2 0 5 0 0 2",
+        "rod 0 2 1 0 5 0 0 2",
     ]
+
+
+def test_lines_tell_all_of_joints():
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    post, box = builder.add_body(type=dc.BodyType.STATIC), builder.add_body((0.0, 2.0), angle=0.5)
+    builder.add_box(box, 0.5, 0.5)
+    ends = {"anchor_a": (0.25, 0.0), "anchor_b": (0.0, -2.0)}
+    motor = {"motor_speed": 3.0, "max_motor_torque": 0.0}
+    builder.add_distance_joint(post, box, **ends, length=1.5, frequency=2.0, damping_ratio=0.5, upper=2.5)
+    builder.add_rope_joint(post, box, **ends, max_length=4.0, min_length=1.0)
+    builder.add_revolute_joint(post, box, **ends, lower=-0.25, **motor)
+    builder.add_prismatic_joint(post, box, (2.0, 0.0), **ends, reference_angle=0.25, collide_connected=True)
+    builder.add_weld_joint(post, box, **ends, frequency=4.0)
+    builder.add_wheel_joint(post, box, **ends, upper=0.5, **motor)
+    broken = builder.add_weld_joint(post, box)
+    groups = builder.finalize("float64")
+    groups[2].numpy("joint_broken")[broken] = 1
+    lines = [line.rstrip("\n") for line in program.lines_of(*groups)]
+    at = "0.25 0 0 -2"
+    assert lines[-6:] == [
+        f"spring 0 1 1 {at} 1.5 2 0.5 0 2.5",
+        f"rope 0 1 1 {at} 1 4",
+        f"hinge 0 1 0 {at} 0.5 -0.25 1e+30 3 0",
+        f"slider 0 1 1 {at} 1 0 0.25 -1e+30 1e+30 0 -1",
+        f"weld 0 1 0 {at} 0.5 4 0",
+        f"wheel 0 1 0 {at} 0 1 2 0.7 -1e+30 0.5 3 0",
+    ]
+
+
+def test_the_gauge_measures_how_far_joints_have_come_apart():
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    post, box = builder.add_body(type=dc.BodyType.STATIC), builder.add_body((0.0, 2.0))
+    builder.add_box(box, 0.5, 0.5)
+    builder.add_distance_joint(post, box, (0.0, 0.0), (1.0, 0.0), length=0.0, frequency=1.0)  # gives way
+    builder.add_distance_joint(post, box, length=2.5)
+    builder.add_rope_joint(post, box, max_length=1.75)
+    builder.add_rope_joint(post, box, max_length=2.0)
+    builder.add_revolute_joint(post, box, (0.0, 2.0), (1.0, 0.0))
+    builder.add_wheel_joint(post, box, (0.6, 0.8), (0.0, 2.0), (1.0, 0.0))
+    gauge = Gauge(*builder.finalize("float64"))
+    position, angle = np.array([[0.0, 0.0], [0.0, 2.0]]), np.array([0.0, np.pi / 2])
+    apart = gauge.separations(position, angle)  # the point of the box at (1, 0) is now at (0, 3)
+    np.testing.assert_allclose(apart, [0.5, 0.25, 0.0, 1.0, 0.6])
 
 
 def test_the_gauge_looks_at_the_worlds_that_an_engine_has():
@@ -144,6 +189,7 @@ def test_a_scene_is_measured(monkeypatch, falling, tmp_path):
             "", scenes.Stack(), worlds=2, rest=0, steps=2, anew=True, created=True, still=False, peer_worlds=1
         ),
         "asleep": rows.Row("", scenes.Thesis(bodies=6), fall=5, rest=2, steps=2, asleep=True),
+        "jointed": rows.Row("", scenes.JointGrid(bodies=4), rest=2, steps=2, still=False),
     }
     monkeypatch.setattr(games, "ROWS", small)
     monkeypatch.setenv(program.VARIABLE, " ".join(falling.words))
@@ -159,6 +205,9 @@ def test_a_scene_is_measured(monkeypatch, falling, tmp_path):
             assert {"over_peer", "overlap_mean_mm"} <= row.keys()
             assert sum(row["shares"].values()) == pytest.approx(1.0)
         assert ("creep_mm_s" in row["engines"]["peer"]) == small[name].still
+        assert ("separation_max_mm" in row["engines"]["peer"]) == (name == "jointed")
+    swung = values["scenes"]["jointed"]["engines"]
+    assert 0.0 < swung["default"]["separation_max_mm"] < 2.0 < swung["peer"]["separation_max_mm"]
     fallen = values["scenes"]["rest"]["engines"]["peer"]
     assert fallen["drift_mm"] == pytest.approx(1e3 * 9.8 * DT**2 * 45, rel=0.3)  # nine steps of free fall
     table = games.report(values)

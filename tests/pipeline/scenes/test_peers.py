@@ -144,3 +144,72 @@ def test_box2d_holds_16_bits_and_no_small_polygons():
     builder.add_box(builder.add_body(), 0.001, 0.5)
     with pytest.raises(ValueError, match=r"shape 0 has vertices 0.002 m apart; Box2D welds those nearer than"):
         scenes.to_box2d(builder)
+
+
+def add_joints(builder, kinds):
+    """Pairs of a fixed body and a box, one pair a joint, in a row."""
+    for i, add in enumerate(kinds):
+        base = builder.add_body((4.0 * i, 0.0), type=dc.BodyType.STATIC, angle=0.2)
+        box = builder.add_body((4.0 * i + 0.8, 0.3), angle=0.5)
+        builder.add_box(box, 0.5, 0.2, mask=0)
+        add(base, box)
+
+
+def joint_kinds(builder, engine):
+    """Calls that add joints which both engines have, or the one of this name."""
+    ends = {"anchor_a": (0.2, 0.1), "anchor_b": (-0.4, 0.0)}
+    spring = {"frequency": 2.0, "damping_ratio": 0.3}
+    kinds = [
+        lambda a, b: builder.add_distance_joint(a, b, **ends, collide_connected=False),
+        lambda a, b: builder.add_distance_joint(a, b, **ends, **spring, upper=1.0),
+        lambda a, b: builder.add_rope_joint(a, b, **ends, max_length=0.9),
+        lambda a, b: builder.add_revolute_joint(a, b, (0.2, 0.1), lower=-0.4, upper=0.3),
+        lambda a, b: builder.add_revolute_joint(a, b, (0.2, 0.1), motor_speed=2.0, max_motor_torque=30.0),
+        lambda a, b: builder.add_revolute_joint(a, b, (0.2, 0.1), motor_speed=2.0, max_motor_torque=0.5),
+        lambda a, b: builder.add_prismatic_joint(a, b, (0.6, -0.8), (0.2, 0.1), lower=-1.0, upper=0.3),
+        lambda a, b: builder.add_weld_joint(a, b, (0.2, 0.1)),
+        lambda a, b: builder.add_wheel_joint(a, b, (0.0, 1.0), (0.2, 0.1), **spring),
+        lambda a, b: builder.add_wheel_joint(a, b, (0.0, 1.0), motor_speed=3.0, max_motor_torque=0.3),
+    ]
+    if engine == "pymunk":
+        kinds.append(lambda a, b: builder.add_wheel_joint(a, b, **spring, lower=-0.1, upper=0.1))
+    else:
+        kinds.append(lambda a, b: builder.add_prismatic_joint(a, b, (0.6, -0.8), motor_speed=0.2, max_motor_force=9.0))
+    return kinds
+
+
+def test_joints_of_all_kinds_move_as_here(engine):
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, -9.8))
+    add_joints(builder, joint_kinds(builder, engine))
+    sim = dc.Simulation(*builder.finalize("float64"))
+    space, bodies = ENGINES[engine](sim)
+    step(engine, space, 0.001, 500)
+    sim.run(500, 0.001)
+    places = np.array([motion(engine, body)[0] for body in bodies])
+    moved = np.linalg.norm(sim.state.numpy("position") - builder.finalize("float64")[1].numpy("position"), axis=1)
+    assert (moved[1::2] > 0.05).sum() >= 9  # all but the weld
+    # of a spring of ours the stiffness follows the mass at its end as the body turns; that of pymunk is constant
+    at, turned = (0.04, 0.15) if engine == "pymunk" else (0.002, 0.005)
+    np.testing.assert_allclose(places, sim.state.numpy("position"), atol=at)
+    np.testing.assert_allclose([body.angle for body in bodies], sim.state.numpy("angle"), atol=turned)
+
+
+def test_joints_that_an_engine_lacks_are_named(engine):
+    def refused(message, add):
+        builder = dc.ModelBuilder()
+        builder.add_world()
+        add_joints(builder, [lambda a, b: add(builder, a, b)])
+        with pytest.raises(ValueError, match=message):
+            ENGINES[engine](builder)
+
+    refused(r"joint_kind\[0\] is GEAR; other engines have none as ours", lambda m, a, b: m.add_gear_joint(a, b, 2.0))
+    refused(r"joint_break_force\[0\] is 5 N", lambda m, a, b: m.add_weld_joint(a, b, break_force=5.0))
+    if engine == "pymunk":
+        slider = {"motor_speed": 1.0, "max_motor_force": 1.0}
+        refused("slider with a motor; pymunk has none", lambda m, a, b: m.add_prismatic_joint(a, b, (1, 0), **slider))
+    else:
+        refused("wheel with limits; Box2D 2.3 has none", lambda m, a, b: m.add_wheel_joint(a, b, upper=1.0))
+        refused(
+            r"joint_lower\[0\] is 0.1 m; Box2D 2.3 has no least", lambda m, a, b: m.add_rope_joint(a, b, min_length=0.1)
+        )
