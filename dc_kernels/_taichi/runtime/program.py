@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from dc_kernels._taichi.runtime.compiler import impl, ti
+from dc_kernels._taichi.runtime.frontend import reading
 from dc_kernels.runtime.building import building
 
 OPTIONS = {
@@ -107,7 +108,8 @@ def compiling(prog: Any, real: Any, *, large: bool = False) -> Iterator[None]:
             setattr(config, name, value)
         runtime.default_fp, runtime.default_ip, runtime.short_circuit_operators = real, ti.i32, True
         try:
-            yield
+            with reading():
+                yield
         except RuntimeError as error:
             if "main_thread_id" in str(error):
                 raise RuntimeError(
