@@ -36,6 +36,8 @@ if TYPE_CHECKING:
         joint_reactions,
         net_contact_forces,
     )
+    from dc_kernels.driving.events import contact_events, sensor_events
+    from dc_kernels.events.lists import Overlaps, PairList, Touches
     from dc_kernels.grid.grid import Grid, GridChoice, choose_grid, shared_cells
     from dc_kernels.grid.image_spec import ImageSpec
     from dc_kernels.grid.images import Images
@@ -45,7 +47,7 @@ if TYPE_CHECKING:
     from dc_kernels.model.arrays import Contacts, Model, State, to_numpy, to_torch
     from dc_kernels.model.builder import ModelBuilder
     from dc_kernels.model.config import SolverConfig
-    from dc_kernels.model.enums import BodyType, Flag, JointKind, JointPart, ShapeType
+    from dc_kernels.model.enums import BodyType, Flag, JointKind, JointPart, ShapeRole, ShapeType
     from dc_kernels.model.joints.groups import Joints
     from dc_kernels.neighbors.search import Neighbors, neighbor_lists, neighbor_pairs
     from dc_kernels.neighbors.stage import NeighborSearch
@@ -80,17 +82,22 @@ __all__ = [
     "Narrowphase",
     "NeighborSearch",
     "Neighbors",
+    "Overlaps",
+    "PairList",
     "Queries",
     "ShapeBoxes",
+    "ShapeRole",
     "ShapeType",
     "Simulation",
     "SolveStats",
     "SolverConfig",
     "State",
     "Stencil",
+    "Touches",
     "Transfer",
     "choose_grid",
     "color",
+    "contact_events",
     "contact_forces",
     "contact_slots",
     "delassus",
@@ -104,6 +111,7 @@ __all__ = [
     "net_contact_forces",
     "overlap",
     "potential_energy",
+    "sensor_events",
     "shared_cells",
     "sph_density",
     "sph_sum",
@@ -120,6 +128,8 @@ _MODULES = {
     "collide.narrowphase": ("Narrowphase",),
     "collide.shapes": ("ShapeBoxes",),
     "driving.contacts": ("ContactEvents", "contact_forces", "joint_forces", "joint_reactions", "net_contact_forces"),
+    "driving.events": ("contact_events", "sensor_events"),
+    "events.lists": ("Overlaps", "PairList", "Touches"),
     "grid.grid": ("Grid", "GridChoice", "choose_grid", "shared_cells"),
     "grid.image_spec": ("ImageSpec",),
     "grid.images": ("Images",),
@@ -129,7 +139,7 @@ _MODULES = {
     "model.arrays": ("Contacts", "Model", "State", "to_numpy", "to_torch"),
     "model.builder": ("ModelBuilder",),
     "model.config": ("SolverConfig",),
-    "model.enums": ("BodyType", "Flag", "JointKind", "JointPart", "ShapeType"),
+    "model.enums": ("BodyType", "Flag", "JointKind", "JointPart", "ShapeRole", "ShapeType"),
     "model.joints.groups": ("Joints",),
     "neighbors.search": ("Neighbors", "neighbor_lists", "neighbor_pairs"),
     "neighbors.stage": ("NeighborSearch",),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from dc_kernels.events.lists import event_kernels
 from dc_kernels.model.arrays import Model
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.joints.groups import Joints
@@ -19,8 +20,8 @@ class Choice(NamedTuple):
     """Whether all that moves are discs about their centre of mass."""
     variant: str
     """Layout of solver rows, a key of ``rows.COLUMNS``."""
-    joint_kernels: tuple[str, ...]
-    """Those that the joints need beside those of every step (``stages.LINKED``)."""
+    added_kernels: tuple[str, ...]
+    """Those that joints and events need beside those of every step (``stages.LINKED``, ``stages.EVENTS``)."""
     kernels: dict[str, Any]
     """All by name."""
 
@@ -36,7 +37,7 @@ def choose_kernels(model: Model, joints: Joints, config: SolverConfig, specializ
     """
     rods, found = are_rods(joints), only_centred_discs(model)
     variant = variant_of(model, found and specialize, rods)
-    linked = joint_kernels(joints, rods)
+    added = (*joint_kernels(joints, rods), *event_kernels(model, config))
     table = kernel_table(
         model.backend,
         model.dtype.name,
@@ -44,7 +45,7 @@ def choose_kernels(model: Model, joints: Joints, config: SolverConfig, specializ
         found and specialize,
         sleep=config.sleep,
         traits=has_traits(model),
-        joints=linked,
+        added=added,
         soft=config.soft,
     )
-    return Choice(found, variant, linked, table)
+    return Choice(found, variant, added, table)

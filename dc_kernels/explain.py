@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dc_kernels.model.enums import BodyType, ShapeType, flag_names
+from dc_kernels.events.lists import roles_of
+from dc_kernels.model.enums import BodyType, ShapeRole, ShapeType, flag_names
 from dc_kernels.model.settings import counted
 from dc_kernels.solve.rows import LANES, SERIAL_COLOR, has_traits
 from dc_kernels.stages import PHASES, of_phase
@@ -56,6 +57,12 @@ def explain(sim: Simulation) -> str:
         lines.append(f"rows: contacts and joints together ({kinds})")
     if has_traits(model):
         lines.append("bodies: with damping, or gravities of their own")
+    if sensors := int((roles_of(model) == ShapeRole.SENSOR).sum()):
+        now = counted(int(sim.overlaps.numpy("count").sum()), "overlap")
+        lines.append(f"sensors: {counted(sensors, 'shape')}, taken out of the candidate pairs; {now} at the last step")
+    if config.contact_events:
+        now = counted(int(sim.touches.numpy("count").sum()), "pair")
+        lines.append(f"contact events: {now} of shapes touch; those faster than {config.hit_speed:g} m/s hit")
     if not friction:
         lines.append("friction: no shape has any; tangential impulses stay zero")
     if not bounce:
@@ -68,7 +75,7 @@ def explain(sim: Simulation) -> str:
         lines.append(f"solver: PGS in colour order, {LANES} rows side by side in SIMD lanes")
     else:
         lines.append("solver: PGS in colour order, scalar rows")
-    chosen = (config.corrects_positions, config.sleep, sim.joint_kernels, config.soft)
+    chosen = (config.corrects_positions, config.sleep, sim.added_kernels, config.soft)
     stages = [name for phase in PHASES for name in of_phase(phase, *chosen)]
     lines.append(f"stages of a step: {', '.join(stages)}")
     stop, tolerance, relative = config.ends_at

@@ -13,11 +13,12 @@ from dc_kernels.collide.broadphase import Pairs
 from dc_kernels.collide.contacts import Cache
 from dc_kernels.driving.between import Stepper, check_between, run_between
 from dc_kernels.driving.driven import Driven
+from dc_kernels.events.lists import Overlaps, Touches
 from dc_kernels.explain import describe, explain
 from dc_kernels.model.arrays import Contacts, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig, check_config
 from dc_kernels.model.enums import CAPACITY_FLAGS
-from dc_kernels.model.fields import GROUPS
+from dc_kernels.model.groups import GROUPS
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.validate.scene import check_scene
 from dc_kernels.model.worlds import segments_of_worlds
@@ -62,6 +63,8 @@ class Simulation(Driven):
     ``Flag``. It goes on once finite values and flags of 0 are written (``state.assign``).
 
     Attributes:
+        overlaps: pairs of a sensor and another shape, of the last step (docs/events.md).
+        touches: pairs of shapes whose contacts touch, with ``SolverConfig.contact_events``.
         built: the state that it was made with, which ``reset`` goes back to.
         calls: what each call holds while it works; ``with sim.calls:`` keeps other threads out of several calls.
     """
@@ -74,6 +77,8 @@ class Simulation(Driven):
     rows: Rows
     stats: SolveStats
     sleepers: Sleepers
+    overlaps: Overlaps
+    touches: Touches
     calls: OneCaller
 
     def __init__(
@@ -160,7 +165,7 @@ class Simulation(Driven):
     def _choose_kernels(self, config: SolverConfig) -> None:
         """Take the kernels that the model and the settings need."""
         chosen = choose_kernels(self.model, self.joints, config, self.specialize)
-        self.only_discs, self.variant, self.joint_kernels, self.kernels = chosen
+        self.only_discs, self.variant, self.added_kernels, self.kernels = chosen
 
     def adapt_to_model(self, stale: bool) -> None:
         """Take the kernels and the coefficients of a model that has changed; ``stale``: graphs are to be made anew."""
@@ -168,6 +173,7 @@ class Simulation(Driven):
         self._choose_kernels(self._config)
         if variant != self.variant or self.storage.general == are_rods(self.joints):
             self.storage.use(self.variant, self._config)
+        stale |= self.storage.list_events(self._config)
         stale |= kernels != self.kernels or self._binding.stale
         if stale:
             self._binding.kernels = self.kernels
@@ -207,7 +213,7 @@ class Simulation(Driven):
         self, phase: Phase, first: int, count: int, changed: Mapping[str, Any] | None = None
     ) -> list[Launch]:
         config = self._config
-        names = of_phase(phase, config.corrects_positions, config.sleep, self.joint_kernels, config.soft)
+        names = of_phase(phase, config.corrects_positions, config.sleep, self.added_kernels, config.soft)
         if phase != "solve":
             launches = [self.bind(name, first, count) for name in names]
         else:
@@ -238,7 +244,7 @@ class Simulation(Driven):
         refuse_recording("a change of config", "make it before")
         with self.calls:
             with uninterrupted():
-                if (config.sleep, config.soft) != (self._config.sleep, self._config.soft):
+                if config.choosing != self._config.choosing:
                     schedules.check_change(config, self._config, self._turn.ran, self.schedule)
                     self._choose_kernels(config)
                     self._binding.kernels = self.kernels

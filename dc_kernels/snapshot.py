@@ -7,7 +7,8 @@ keep every bit, so a run that goes on from a snapshot on the same device equals 
 
 A step that was not finished, in a world that froze or after an OverflowError, leaves its contacts in ``contacts``,
 while the next step starts from those of the last finished one. Only then the group ``cache`` holds the latter.
-Where bodies may sleep, the group ``sleepers`` says which do, and holds their contacts. ``stats`` says what the last
+Where bodies may sleep, the group ``sleepers`` says which do, and holds their contacts; where there are sensors, or
+contact events, ``overlaps`` and ``touches`` hold their lists. ``stats`` says what the last
 solve took; files without it, of earlier versions, are read as well.
 """
 
@@ -25,6 +26,7 @@ from dc_kernels.model.arrays import ArrayGroup, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig
 from dc_kernels.model.dtypes import float_dtype, numpy_spec
 from dc_kernels.model.fields import CACHE, CONTACTS, ITERATION, SLEEPERS, STATS, TRAITS, Field
+from dc_kernels.model.groups import GROUPS
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.room import used_slots
 from dc_kernels.model.rules import BrokenRule, refuse
@@ -48,6 +50,8 @@ SCHEMA_VERSION = 1
 CACHED = "cached contact"
 KEPT = "sleeping contact"
 SOLVED = {name: STATS[name] for name in ("sweeps", "change", "residual", "colors")}
+EVENTS = ("overlaps", "touches")
+"""Groups of lists, which are there where sensors or contact events are."""
 SOLVED["finished"] = ITERATION["finished"]
 """What is kept of the last solve."""
 _AXES = ("world", "body", "shape", "vertex", "joint", "joint row", "contact")
@@ -114,6 +118,7 @@ def load(
         values = {name: _read(file, label, name, table, header) for name, table in tables.items()}
         cache = _read(file, label, "cache", CACHE, header.counting(CACHED)) if "cache" in file else None
         sleepers = _read(file, label, "sleepers", SLEEPERS, header.counting(KEPT)) if "sleepers" in file else None
+        listed = {n: _read(file, label, n, GROUPS[n], header.listing(n)) for n in EVENTS if n in file}
         solved = _read(file, label, "stats", SOLVED, header) if "stats" in file else {}
     contacts = values["contacts"]
     del contacts["contact_start"]  # the simulation reserves its slots itself
@@ -149,6 +154,8 @@ def load(
         group = "sleepers"
         if sleepers is not None and sim.config.sleep:
             sim.restore_sleepers(sleepers)
+        for group, lists in listed.items():
+            sim.restore_lists(group, lists)
         group = "stats"
         _show_solved(sim, solved)
     except ValueError as error:
@@ -198,7 +205,11 @@ def _write(file: Any, sim: Simulation) -> None:
         groups["sleepers"] = sim.sleepers
         used["sleepers"] = used_slots(sim.contacts.numpy("contact_start"), sim.sleepers.numpy("count"))
         sizes[KEPT] = len(used["sleepers"])
-    names = [*_AXES, *(name for name in TRAITS if sizes[name])]
+    lists = {name: sim.storage.packed_lists(name) for name in EVENTS if getattr(sim, name).sizes["world"]}
+    groups |= {name: getattr(sim, name) for name in lists}
+    listed = {GROUPS[name][field].per: len(array) for name in lists for field, array in lists[name].items()}
+    sizes = {**listed, **sizes}
+    names = [*_AXES, *(name for name in (*TRAITS, *listed) if sizes[name] and name not in _AXES)]
     names += (name for name, group in ((CACHED, "cache"), (KEPT, "sleepers")) if group in groups)
     file.create_group("sizes").attrs.update({name: sizes[name] for name in names})
     file.create_group("config").attrs.update(
@@ -207,7 +218,7 @@ def _write(file: Any, sim: Simulation) -> None:
     for name, group in groups.items():
         folder = file.create_group(name)
         for field in group.table.values():
-            values = group.numpy(field.name)
+            values = lists[name][field.name] if name in lists else group.numpy(field.name)
             if field.per in TRAITS and not len(values):
                 continue
             if field.per == "contact":
@@ -266,6 +277,7 @@ class _Header:
             sizes = {name: int(value) for name, value in file["sizes"].attrs.items()}
             self.sizes = {**{name: sizes[name] for name in _AXES}, **{name: sizes.get(name, 0) for name in TRAITS}}
             self._counts = {name: sizes.get(name) for name in (CACHED, KEPT)}
+            self._listed = {name: size for name, size in sizes.items() if name not in self.sizes}
         except KeyError as error:
             raise ValueError(f"{path}: an attribute is missing: {error}") from error
         except (TypeError, ValueError) as error:
@@ -288,6 +300,13 @@ class _Header:
             raise ValueError(f"{self.path}: an attribute is missing: {name!r}")
         other = copy.copy(self)
         other.sizes = {**self.sizes, "contact": count}
+        return other
+
+    def listing(self, group: str) -> _Header:
+        """The header of a group of lists; one without a size is empty."""
+        other = copy.copy(self)
+        axes = {field.per for field in GROUPS[group].values() if field.per not in self.sizes}
+        other.sizes = {**self.sizes, **{axis: self._listed.get(axis, 0) for axis in axes}}
         return other
 
 

@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from typing import Any, Literal, NamedTuple
 
 from dc_kernels.model.enums import Activity
-from dc_kernels.runtime.backends import kernel_file, make_kernels
+from dc_kernels.runtime.backends import has_kernels, kernel_file, make_kernels
 from dc_kernels.runtime.capture import recording
 from dc_kernels.solve.rows import COLUMNS, OWN
 
@@ -143,6 +143,8 @@ NEEDS = {
     "show_sleepers": Activity.ASLEEP | Activity.AWAKE,
     "rest": Activity(0),
     "fall_asleep": Activity.RESTED,
+    "note_overlaps": Activity(0),
+    "note_touches": Activity(0),
 }
 """Without what the kernels of ``SLEEP`` do nothing, so that they need not be launched; all others need AWAKE."""
 
@@ -192,6 +194,21 @@ LINKED = (
     ),
 )  # fmt: skip
 """What joints that are not all rods add to the stages (see ``of_phase``)."""
+EVENTS = (
+    Stage(
+        "collide", "sense_overlaps", "events.overlaps", (), ("model", "state", "pairs"), ("overlaps", "pairs"),
+        "pairs of sensors out of the candidates; those of them that overlap", "a scene without sensors",
+    ),
+    Stage(
+        "advance", "note_overlaps", "events.overlaps", (), ("state", "pairs"), ("overlaps",),
+        "overlaps of sensors that have begun and ended", "a scene without sensors",
+    ),
+    Stage(
+        "advance", "note_touches", "events.touches", (), ("model", "state", "contacts"), ("touches",),
+        "pairs that touch, that have begun and ceased to, that hit each other", "without `contact_events`",
+    ),
+)  # fmt: skip
+"""What sensors and contact events add to the stages (see ``of_phase``)."""
 SOFT = (
     Stage(
         "solve", "solve_soft", "solve.soft", ("variant",), ("model", "state", "joints", "contacts"),
@@ -201,11 +218,26 @@ SOFT = (
 """What stands in the place of ``solve_world``, ``displace`` and ``correct_positions`` with method "tgs_soft"."""
 
 
+BEFORE = {
+    "sense_overlaps": "narrowphase",
+    "separate_joined": "narrowphase",
+    "make_joint_rows": "color_constraints",
+    "break_joints": "commit",
+    "note_overlaps": "commit",
+    "note_touches": "commit",
+}
+"""Kernels of ``LINKED`` and ``EVENTS``, and those of a step before which they run."""
+NOTES = ("note_overlaps", "note_touches")
+"""Kernels that look at the contacts of sleepers too, so that they run once these are shown."""
+LACKING = {"events.overlaps": "sensors", "events.touches": "contact events (SolverConfig.contact_events)"}
+"""What kernels of files that a backend may lack are for."""
+
+
 def of_phase(
     phase: Phase,
     position_correction: bool = True,
     sleep: bool = False,
-    joints: Collection[str] = (),
+    added: Collection[str] = (),
     soft: bool = False,
 ) -> list[str]:
     """Kernels of a phase in order.
@@ -214,29 +246,28 @@ def of_phase(
         phase: of a step.
         position_correction: whether it has the position phase.
         sleep: whether bodies may sleep; then ``solve`` is the part between what these give for it first and last.
-        joints: kernels of ``LINKED`` that the scene needs.
+        added: kernels of ``LINKED`` and ``EVENTS`` that the scene needs.
         soft: whether the method is "tgs_soft".
     """
     names = [stage.kernel for stage in STEP if stage.phase == phase]
-    if "separate_joined" in joints and phase == "collide":
-        names.insert(names.index("narrowphase"), "separate_joined")
-    if "make_joint_rows" in joints and phase == "collide":
-        names.insert(names.index("color_constraints"), "make_joint_rows")
-    if "break_joints" in joints and phase == "advance":
-        names.insert(names.index("commit"), "break_joints")
+    for name, before in BEFORE.items():
+        if name in added and before in names:
+            names.insert(names.index(before), name)
     if not position_correction:
         names = [name for name in names if name != "correct_positions"]
     if soft:
         names = ["solve_soft" if name == "solve_world" else name for name in names if name != "displace"]
+    noting = [name for name in names if name in NOTES]
+    names = [name for name in names if name not in NOTES]
     if not sleep:
-        return names
+        return names if not noting else [*names[:-1], *noting, names[-1]]
     if phase == "collide":
         found = names.index("narrowphase")
         begin = ["notice_writes", "enter_worlds", *names[:found], "mark_sleepers", "narrowphase", "wake_touched"]
         return [*begin, "narrowphase", "admit_worlds", *names[found + 1 :], "leave_worlds"]
     if phase == "solve":
         return ["enter_worlds", *names, "leave_worlds"]
-    return ["enter_worlds", *names[:-1], "show_sleepers", names[-1], "rest", "fall_asleep"]
+    return ["enter_worlds", *names[:-1], "show_sleepers", *noting, names[-1], "rest", "fall_asleep"]
 
 
 def needs_of(names: Sequence[str]) -> list[Activity]:
@@ -279,7 +310,7 @@ def kernel_table(
     *,
     sleep: bool = False,
     traits: bool = False,
-    joints: Collection[str] = (),
+    added: Collection[str] = (),
     soft: bool = False,
 ) -> dict[str, Any]:
     """All kernels of a simulation by name.
@@ -291,7 +322,7 @@ def kernel_table(
         only_discs: whether all that moves are discs about their centre of mass.
         sleep: whether bodies may sleep.
         traits: whether bodies have damping, or a gravity of their own.
-        joints: kernels of ``LINKED`` that the scene needs.
+        added: kernels of ``LINKED`` and ``EVENTS`` that the scene needs.
         soft: whether the method is "tgs_soft".
 
     Raises:
@@ -304,7 +335,10 @@ def kernel_table(
     if soft and variant in OWN:
         raise ValueError(f"SolverConfig.method is 'tgs_soft', which has no rows of {WORDS[variant]}; use another one")
     table: dict[str, Any] = {}
-    more = (*(SLEEP if sleep else ()), *(SOFT if soft else ()), *(stage for stage in LINKED if stage.kernel in joints))
+    more = (*(SLEEP if sleep else ()), *(SOFT if soft else ()))
+    more += tuple(stage for stage in (*LINKED, *EVENTS) if stage.kernel in added)
     for file, names in {stage.file: stage.options for stage in (*STEP, *more)}.items():
+        if file in LACKING and not has_kernels(backend, file):
+            raise ValueError(f"backend is {backend!r}, which has no {LACKING[file]}; use 'warp' or 'numpy'")
         table.update(make_kernels(backend, file, dtype, *(options[name] for name in names)))
     return table

@@ -9,6 +9,7 @@ import numpy as np
 
 from dc_kernels.collide.broadphase import CandidatePairs
 from dc_kernels.collide.contacts import StepContacts
+from dc_kernels.events.lists import EventStorage, check_lists
 from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.fields import CACHE
@@ -24,7 +25,7 @@ class Storage:
     """All stages of a simulation; what each holds, and the room that it has.
 
     Attributes:
-        broadphase, narrowphase, solver, integrator, sleep: the stages.
+        broadphase, narrowphase, solver, integrator, sleep, events: the stages.
         general: whether joints have general rows, as not all of them are rods.
         changes: how often the model was changed so that launches are to be made anew.
     """
@@ -44,6 +45,8 @@ class Storage:
         self.broadphase = CandidatePairs.of_model(model, float(room["pairs"]))
         self.narrowphase = StepContacts(model, float(room["contacts"]), joints.sizes["joint row"])
         self.sleep = SleepStorage(model, self.narrowphase.contacts, config.sleep)
+        self.events = EventStorage(model)
+        self.list_events(config)
         self.integrator = Integrator(model, int(room["shards"]), config.method, typical_weight(model))
         self.general = not are_rods(joints)
         self.solver = SolverStorage(
@@ -92,6 +95,8 @@ class Storage:
             "rows": self.solver.rows,
             "stats": self.solver.stats,
             "sleepers": self.sleep.sleepers,
+            "overlaps": self.events.overlaps,
+            "touches": self.events.touches,
         }
 
     def adopt(self, groups: Mapping[str, Any], slots: Mapping[str, np.ndarray]) -> None:
@@ -101,6 +106,7 @@ class Storage:
         self.solver.adopt(groups["rows"], groups["stats"], slots["blocks"])
         self.integrator.adopt(groups["motion"])
         self.sleep.adopt(groups["sleepers"])
+        self.events.adopt(groups["overlaps"], groups["touches"])
 
     @property
     def version(self) -> int:
@@ -109,7 +115,7 @@ class Storage:
         found, solver = self.narrowphase, self.solver
         taken = self.changes + self.integrator.motion.version + self.broadphase.pairs.version + solver.rows.version
         taken += found.contacts.version + found.cache.version + solver.stats.version
-        return taken + self.sleep.sleepers.version
+        return taken + self.sleep.sleepers.version + self.events.version
 
     @property
     def contact_room(self) -> np.ndarray:
@@ -120,7 +126,14 @@ class Storage:
         """Allocate what a new configuration needs."""
         self.solver.keep_history(config)
         self.sleep.allow(config.sleep, self.narrowphase.contacts)
+        self.list_events(config)
         self.provide(config)
+
+    def list_events(self, config: SolverConfig) -> bool:
+        """Allocate the lists of events that the model and the settings need; whether any were, or were freed."""
+        before = self.events.version
+        self.events.allow(self.model, config, self.broadphase.room.total, self.narrowphase.room.total)
+        return self.events.version != before
 
     def provide(self, config: SolverConfig) -> bool:
         """Allocate what an iteration needs and has not got yet; whether there was any."""
@@ -140,8 +153,12 @@ class Storage:
         self._relayout(config)
 
     def _relayout(self, config: SolverConfig) -> None:
+        contacts, pairs = self.narrowphase.contacts, self.broadphase.pairs
+        before = contacts.numpy("contact_start").copy(), pairs.numpy("start").copy()
         self.narrowphase.relayout(self.sleep.groups())
         self.broadphase.relayout()
+        self.events.touches.move(before[0], contacts.numpy("contact_start"))
+        self.events.overlaps.move(before[1], pairs.numpy("start"))
         self.solver.relayout(self.contact_room, config)
 
     def restore(
@@ -181,6 +198,46 @@ class Storage:
             self._relayout(config)
         self.sleep.restore(arrays, self.narrowphase.contacts.numpy("contact_start"))
         return more
+
+    def restore_lists(
+        self, group: str, arrays: Mapping[str, np.ndarray], flags: np.ndarray, config: SolverConfig
+    ) -> bool:
+        """Let the lists of ``group``, "overlaps" or "touches", be those of an earlier run, where there are such lists.
+
+        Args:
+            group: of lists.
+            arrays: its fields by name, lists packed world after world.
+            flags: of the worlds; numbers of a world with any flag may be NaN or inf.
+            config: settings of the solver.
+
+        Returns:
+            Whether the lists needed more room.
+
+        Raises:
+            ValueError: naming array, index, value and limit.
+        """
+        lists = getattr(self.events, group)
+        longest = check_lists(arrays, lists, self.model, flags)
+        if not lists.sizes["world"]:
+            return False
+        room = self.broadphase.room if group == "overlaps" else self.narrowphase.room
+        more = bool((longest > room.slots).any())
+        if more:
+            room.slots = np.maximum(room.slots, longest)
+            self._relayout(config)
+        lists.restore(arrays, self._starts(group))
+        return more
+
+    def packed_lists(self, group: str) -> dict[str, np.ndarray]:
+        """The fields of ``group``, "overlaps" or "touches", by name, lists packed world after world."""
+        packed: dict[str, np.ndarray] = getattr(self.events, group).packed(self._starts(group))
+        return packed
+
+    def _starts(self, group: str) -> np.ndarray:
+        """First slot of each world of the lists of a group, (W + 1,)."""
+        if group == "overlaps":
+            return self.broadphase.pairs.numpy("start")
+        return self.narrowphase.contacts.numpy("contact_start")
 
     def restore_cache(
         self, count: np.ndarray, arrays: Mapping[str, np.ndarray], contact_dt: np.ndarray, joint_impulse: np.ndarray

@@ -17,7 +17,8 @@ from dc_kernels._taichi.common import integer_types, scalar_types
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels.model.config import CONFIG
 from dc_kernels.model.dtypes import FLOATS, aligned_zeros, numpy_spec, struct_dtype
-from dc_kernels.model.fields import CONTACTS, GROUPS, ITERATION, LAUNCH, ROW, SPAN, Field, field_table
+from dc_kernels.model.fields import CONTACTS, ITERATION, LAUNCH, ROW, SPAN, Field, field_table
+from dc_kernels.model.groups import GROUPS
 
 # what the narrowphase finds of a contact; the rest is matched with the step before
 _FOUND = ("key", "body_a", "body_b", "normal", "arm_a", "arm_b", "gap", "friction", "restitution")

@@ -11,7 +11,8 @@ import warp as wp
 from dc_kernels._warp.common import scalar_types
 from dc_kernels.model.config import CONFIG
 from dc_kernels.model.dtypes import FLOATS, aligned_zeros, float_name, numpy_spec, struct_dtype
-from dc_kernels.model.fields import CONTACTS, GROUPS, ITERATION, LAUNCH, ROW, SPAN, Field
+from dc_kernels.model.fields import CONTACTS, ITERATION, LAUNCH, ROW, SPAN, Field
+from dc_kernels.model.groups import GROUPS
 from dc_kernels.runtime.building import building
 
 # what the narrowphase finds of a contact; the rest is matched with the step before

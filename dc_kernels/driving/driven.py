@@ -195,6 +195,12 @@ class Driven(Phases):
             if self.storage.restore_sleepers(arrays, self._flags, self._config):
                 self._bind_all()
 
+    def restore_lists(self, group: str, arrays: Mapping[str, np.ndarray]) -> None:
+        """Let what touches or overlaps be as in an earlier run (see ``Storage.restore_lists``)."""
+        with self.calls, uninterrupted():
+            if self.storage.restore_lists(group, arrays, self._flags, self._config):
+                self._bind_all()
+
     def _let(self, bodies: Any, rest: Rest) -> None:
         refuse_recording("a change of who sleeps", "it is made at once")
         with self.calls:

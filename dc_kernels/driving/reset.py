@@ -27,6 +27,8 @@ EMPTIED = {
     "pairs": ("count", "valid"),
     "state": ("flags",),
     "sleepers": ("asleep", "rest_time", "sleeping", "dormant", "waited", "count"),
+    "overlaps": ("count", "before_count", "begun_count", "ended_count", "part"),
+    "touches": ("count", "before_count", "begun_count", "ended_count", "hit_count", "part"),
 }
 """Fields that are zero before the first step, by group."""
 
@@ -70,7 +72,7 @@ class Reset:
             self._rows(groups[group], name)
             for group, names in EMPTIED.items()
             for name in names
-            if groups[group].sizes.get("world", 1)  # no sleepers where none may sleep
+            if groups[group].sizes.get("world", 1)  # no sleepers where none may sleep, no lists without events
         ]
 
     def _rows(self, group: ArrayGroup, name: str) -> _Rows:

@@ -34,7 +34,12 @@ class World(NamedTuple):
 
 
 def assemble(
-    worlds: list[World], bodies: np.ndarray, shapes: np.ndarray, vertices: np.ndarray, joints: np.ndarray
+    worlds: list[World],
+    bodies: np.ndarray,
+    shapes: np.ndarray,
+    vertices: np.ndarray,
+    joints: np.ndarray,
+    sensors: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
     """All fields of the model, state and joints that are not zero, in float64 (integers as they are).
 
@@ -43,6 +48,8 @@ def assemble(
         bodies: (n, 9) and ``shapes`` (m, 9), with the columns named above.
         vertices: (v, 2) [m], shape after shape, in the frames of the bodies.
         joints: (j, ``joints.WIDTH``), with the columns named in ``joints.COLUMNS``.
+        sensors: which shapes, sorted by body, are sensors, (m,) bool: these are no measure of a world's lengths, and
+            move no centre of mass unless they weigh; None: none.
 
     Raises:
         ValueError: a dynamic body without mass; too many shapes in a world.
@@ -65,9 +72,11 @@ def assemble(
     world_of = np.repeat(np.arange(len(worlds)), np.diff(body_start))
 
     geometry = Geometry(shapes, vertices)
-    com, mass, inertia = _masses(bodies, shapes, owner, shapes_of, geometry)
+    weighed = np.ones(len(shapes), bool) if sensors is None else ~sensors | (shapes[:, DENSITY] > 0)
+    com, mass, inertia = _masses(bodies, shapes, owner, weighed, geometry)
+    solid = slice(None) if sensors is None else ~sensors
     dynamic = bodies[:, TYPE] == BodyType.DYNAMIC
-    length_scale, cell_size = _scales(worlds, world_of[owner], 2 * geometry.extent, dynamic[owner])
+    length_scale, cell_size = _scales(worlds, world_of[owner][solid], 2 * geometry.extent[solid], dynamic[owner][solid])
 
     cos, sin = np.cos(bodies[:, ANGLE]), np.sin(bodies[:, ANGLE])
     arm = np.stack((cos * com[:, 0] - sin * com[:, 1], sin * com[:, 0] + cos * com[:, 1]), axis=1)
@@ -148,10 +157,13 @@ class Geometry:
 
 
 def _masses(
-    bodies: np.ndarray, shapes: np.ndarray, owner: np.ndarray, shapes_of: np.ndarray, geometry: Geometry
+    bodies: np.ndarray, shapes: np.ndarray, owner: np.ndarray, weighed: np.ndarray, geometry: Geometry
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centre of mass, mass and inertia of the bodies."""
+    """Centre of mass, mass and inertia of the bodies; of a body's shapes those count that are ``weighed``, or all."""
     n = len(bodies)
+    shapes_of, counted = np.bincount(owner, minlength=n), np.bincount(owner[weighed], minlength=n)
+    weighed = weighed | (counted[owner] == 0)
+    counted = np.where(counted > 0, counted, shapes_of)
     given_mass, given_inertia = bodies[:, MASS], bodies[:, INERTIA]
     dynamic, kinematic = bodies[:, TYPE] == BodyType.DYNAMIC, bodies[:, TYPE] == BodyType.KINEMATIC
     weight = shapes[:, DENSITY] * geometry.area
@@ -162,11 +174,13 @@ def _masses(
         why = "the densities of its shapes are zero" if shapes_of[i] else "it has no shape"
         raise ValueError(f"mass of body {i} is not given and {why}; a dynamic body needs a mass > 0")
     # a body of given mass whose densities are all zero is taken as uniform; a static one has no mass to weigh by
-    weight = np.where(dynamic[owner], np.where(dense[owner] > 0, weight, geometry.area), 1.0)
+    weight = np.where(dynamic[owner], np.where(dense[owner] > 0, weight, geometry.area), 1.0) * weighed
     total = np.bincount(owner, weight, n)
     safe = np.where(total > 0, total, 1.0)
     com = np.stack([np.bincount(owner, weight * geometry.center[:, k], n) / safe for k in (0, 1)], axis=1)
-    single = shapes_of[owner] == 1  # without the rounding of a product and a division: a centred disc stays at zero
+    single = weighed & (
+        counted[owner] == 1
+    )  # without the rounding of a product and a division: a centred disc stays at zero
     com[owner[single]] = geometry.center[single]
     com[kinematic] = 0.0
     offset = geometry.center - com[owner]

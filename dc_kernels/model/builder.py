@@ -20,6 +20,7 @@ from dc_kernels.model.assemble import (
     COUNT,
     DENSITY,
     FRICTION,
+    INERTIA,
     MASK,
     RADIUS,
     RESTITUTION,
@@ -36,6 +37,7 @@ from dc_kernels.model.assemble import (
 from dc_kernels.model.checks import (
     ALL_BITS,
     BODY_TRAITS,
+    ROLES,
     SHAPE_TRAITS,
     BodyTraits,
     Material,
@@ -49,7 +51,7 @@ from dc_kernels.model.checks import (
     whole,
 )
 from dc_kernels.model.dtypes import float_dtype
-from dc_kernels.model.enums import BodyType, ShapeType
+from dc_kernels.model.enums import BodyType, ShapeRole, ShapeType
 from dc_kernels.model.joints.builder import JointBuilder
 from dc_kernels.model.joints.groups import WIDTH, Joints
 from dc_kernels.model.row_table import RowTable, Traits
@@ -79,7 +81,7 @@ class ModelBuilder(JointBuilder):
         self._shapes = RowTable(9)
         self._vertices = RowTable(2)
         self._joints = RowTable(WIDTH)
-        self._body_traits, self._shape_traits = Traits(BODY_TRAITS), Traits(SHAPE_TRAITS)
+        self._body_traits, self._shape_traits = Traits(BODY_TRAITS), Traits({**SHAPE_TRAITS, "role": 0.0})
 
     def add_world(self, gravity: Any = (0.0, -9.8), origin: Any = (0.0, 0.0), length_scale: float | None = None) -> int:
         """Begin a new world and return its index.
@@ -279,7 +281,8 @@ class ModelBuilder(JointBuilder):
             restitution: [1].
             category: 32 bits.
             mask: 32 bits.
-            **traits: the numbers of ``BodyTraits``, and ``surface_speed``, ``rolling_resistance`` of ``Material``.
+            **traits: those of ``BodyTraits``, and ``surface_speed``, ``rolling_resistance``, ``sensor`` of
+                ``Material``; each a value or (n,).
         """
         first = self._bodies.count
         self._need_world(f"body {first}")
@@ -307,6 +310,7 @@ class ModelBuilder(JointBuilder):
         fill(shapes[:, MASK], "mask", mask)
         if traits:
             columns = trait_columns("add_discs", traits, n)
+            self._lock(bodies, columns.pop("fixed_rotation", None))
             self._body_traits.add(first, columns)
             self._shape_traits.add(self._shapes.count, columns)
         self._bodies.extend(bodies)
@@ -338,6 +342,7 @@ class ModelBuilder(JointBuilder):
             raise ValueError("the builder has no world: call add_world first")
         traits = self._body_traits.collect(np.arange(self._bodies.count))
         surfaces = self._shape_traits.collect(np.argsort(self._shapes.collect()[:, BODY], kind="stable"), "shape_")
+        sensors = surfaces["shape_role"] == ShapeRole.SENSOR if surfaces else None
         with np.errstate(over="ignore", invalid="ignore"):  # values too large are found when they are assigned
             fields = assemble(
                 self._worlds,
@@ -345,6 +350,7 @@ class ModelBuilder(JointBuilder):
                 self._shapes.collect(),
                 self._vertices.collect(),
                 self._joints.collect(),
+                sensors,
             )
             fields |= traits | surfaces
             cast = {
@@ -397,12 +403,27 @@ class ModelBuilder(JointBuilder):
 
     def _material(self, where: str, given: Mapping[str, Any], count: int = 1) -> tuple[float, ...]:
         """What the keywords of the next ``count`` shapes say; those that few shapes have are kept for them."""
-        if given.keys().isdisjoint(SHAPE_TRAITS):
+        if given.keys().isdisjoint({**SHAPE_TRAITS, **ROLES}):
             return material(where, **given)
         traits = {name: np.full(count, number(name, given[name], where)) for name in SHAPE_TRAITS if name in given}
-        found = material(where, **{name: value for name, value in given.items() if name not in traits})
-        self._shape_traits.add(self._shapes.count, traits)
+        plain = {name: value for name, value in given.items() if name not in {**SHAPE_TRAITS, **ROLES}}
+        role = sum(ROLES[name] * truth(f"{name} of {where}", given[name]) for name in ROLES if name in given)
+        if role == ShapeRole.SENSOR:
+            plain.setdefault("density", 0.0)
+        found = material(where, **plain)
+        self._shape_traits.add(self._shapes.count, {**traits, "role": np.full(count, float(role))})
         return found
+
+    @staticmethod
+    def _lock(bodies: np.ndarray, fixed: np.ndarray | None) -> None:
+        """Let nothing turn some of the bodies, rows of the table."""
+        if fixed is None:
+            return
+        wrong = fixed & (bodies[:, SPIN] != 0)
+        if wrong.any():
+            i = int(wrong.argmax())
+            raise ValueError(f"angular_velocity[{i}] is {bodies[i, SPIN]:g}; a body of fixed_rotation has one of 0")
+        bodies[fixed, INERTIA] = 0.0
 
     def _traits(self, where: str, spin: float, inertia: Any, fixed_rotation: Any = False, **given: Any) -> bool:
         """Keep what few bodies have for the next one; whether nothing turns it."""

@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypedDict
 
 import numpy as np
 
-from dc_kernels.model.enums import BodyType
+from dc_kernels.model.enums import BodyType, ShapeRole
 from dc_kernels.model.settings import Limits, WrongType, checker, number_limits, numeric, shown
 from dc_kernels.model.shapes import LARGEST
 
@@ -73,18 +73,21 @@ whole = checker(int)
 class Material(TypedDict, total=False):
     """Keywords that every shape takes."""
 
-    density: float  # [kg/m^2] >= 0, default 1; 0 for what should not weigh; without effect on segments
+    density: float  # [kg/m^2] >= 0, default 1, 0 of a sensor; 0 for what should not weigh; not of segments
     friction: float  # Coulomb coefficient [1] >= 0, default 0.5
     restitution: float  # [1], in [0, 1], default 0
     category: int  # 32 bits of what the shape is, default 1
     mask: int  # 32 bits of what it collides with, default all
     surface_speed: float  # [m/s], of the surface, clockwise: the top of a belt moves to the right, default 0
     rolling_resistance: float  # [1] >= 0: the most torque over normal force and radius of the round shape, default 0
+    sensor: bool  # whether it only detects what overlaps it (``Simulation.overlaps``), default False
 
 
 BODY_TRAITS = {"linear_damping": 0.0, "angular_damping": 0.0, "gravity_scale": 1.0}
 SHAPE_TRAITS = {"surface_speed": 0.0, "rolling_resistance": 0.0}
 """What few bodies, and few shapes, have, by name, with the number of the others."""
+ROLES = {"sensor": ShapeRole.SENSOR}
+"""Keywords that give a shape another role than that of a solid one."""
 
 
 class BodyTraits(TypedDict, total=False):
@@ -177,10 +180,31 @@ def trait_columns(call: str, traits: Mapping[str, Any], count: int) -> dict[str,
     """
     found: dict[str, np.ndarray] = {}
     for name, values in traits.items():
-        if name not in {**BODY_TRAITS, **SHAPE_TRAITS}:
+        if name in ROLES:
+            found["role"] = np.where(truths(name, values, count), float(ROLES[name]), 0.0)
+        elif name == "fixed_rotation":
+            found[name] = truths(name, values, count)
+        elif name in {**BODY_TRAITS, **SHAPE_TRAITS}:
+            fill(found.setdefault(name, np.empty(count)), name, values)
+        else:
             raise TypeError(f"{call}() has no argument {name!r}")
-        fill(found.setdefault(name, np.empty(count)), name, values)
     return found
+
+
+def truths(name: str, values: Any, count: int) -> np.ndarray:
+    """Return truth values, (count,), given as such or as one of all.
+
+    Raises:
+        TypeError, ValueError: naming field, index and limit.
+    """
+    if not isinstance(values, np.ndarray | list | tuple):
+        return np.full(count, truth(name, values))
+    array = np.asarray(values)
+    if array.dtype != np.bool_:
+        raise WrongType(f"{name} is of dtype {array.dtype}; it must be True, False, or bools of shape ({count},)")
+    if array.shape != (count,):
+        raise ValueError(f"{name} has shape {array.shape}; it must be a bool or ({count},)")
+    return array
 
 
 def pair(name: str, value: Any, where: str) -> tuple[float, float]:

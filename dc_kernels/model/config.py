@@ -164,6 +164,11 @@ class SolverConfig(Settings):
     sleep_time: Positive = 1.6
     """An island all of whose bodies have been so slow for this long falls asleep: 0.5 s for 1 m on Earth; never where
     there is no gravity [sqrt(length_scale / gravity)]."""
+    contact_events: bool = False
+    """Whether each step lists the pairs of shapes that touch, and what has begun, ended and hit
+    (``Simulation.touches``)."""
+    hit_speed: NotNegative = 1.0
+    """With contact_events a pair has hit that approached faster than this [m/s]."""
     history: bool = False
     """Whether to keep the largest impulse change of every sweep (``SolveStats.history``)."""
 
@@ -215,6 +220,11 @@ class SolverConfig(Settings):
         return self.method == "tgs_soft"
 
     @property
+    def choosing(self) -> tuple[bool, bool, bool]:
+        """What the kernels of a simulation depend on."""
+        return self.sleep, self.soft, self.contact_events
+
+    @property
     def whole_substeps(self) -> int:
         """Whole steps that ``Simulation.step`` is made of."""
         return 1 if self.soft else self.substeps
@@ -243,7 +253,7 @@ class SolverConfig(Settings):
         known = {"stop": stop, "tolerance": tolerance, "relative_tolerance": min(relative, 1e30)}
         values = {name: getattr(self, name) for name in CONFIG if hasattr(self, name)} | known
         values.update({name: codes[values[name]] for name, codes in CHOICES.items()})
-        values |= {"history": int(self.history), "sleep": int(self.sleep)}
+        values |= {name: int(getattr(self, name)) for name in ("history", "sleep", "contact_events")}
         values["slack"] = SLACK * self.slop
         return values
 

@@ -22,6 +22,13 @@ class ShapeType(IntEnum):
     SEGMENT = 2  # vertices v1, v2 and the chain's neighbours: one before v1, one after v2 (v1, v2 again if none)
 
 
+class ShapeRole(IntEnum):
+    """What a shape does to those that it meets."""
+
+    SOLID = 0  # its contacts carry impulses
+    SENSOR = 1  # it detects what overlaps it, and carries no impulse
+
+
 class JointKind(IntEnum):
     """What a joint keeps, and what its numbers mean (docs/joints.md)."""
 

@@ -16,7 +16,7 @@ import functools
 from dataclasses import dataclass, replace
 from typing import Any
 
-from dc_kernels.model.enums import BodyType, Flag, JointKind, JointPart, Rest, ShapeType
+from dc_kernels.model.enums import BodyType, Flag, JointKind, JointPart, Rest, ShapeRole, ShapeType
 from dc_kernels.model.rules import (
     COUNT,
     FINITE,
@@ -134,6 +134,7 @@ MODEL = field_table(
         "most torque over normal force and radius; a pair has the larger",
         NOT_NEGATIVE,
     ),
+    ("shape_role", "shape trait", "int32", "1", "ShapeRole", Code(ShapeRole)),
 )
 
 STATE = field_table(
@@ -424,17 +425,3 @@ ROW = field_table(
     ("square", "row", "real", "(N s)^2", "squared impulse that would stop the row alone; 0 where it never acts"),
     ("roll", "row", "real", "1", "share of a contact's normal impulse that bounds it, of the variant surfaces"),
 )
-
-GROUPS = {
-    "model": MODEL,
-    "state": STATE,
-    "joints": JOINTS,
-    "contacts": CONTACTS,
-    "cache": CACHE,
-    "pairs": PAIRS,
-    "rows": ROWS,
-    "motion": MOTION,
-    "stats": STATS,
-    "sleepers": SLEEPERS,
-}
-"""Tables by the name that a group of arrays has as attribute of a simulation and as argument of a kernel."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from dc_kernels.model.arrays import Model
-from dc_kernels.model.enums import BodyType, ShapeType
+from dc_kernels.model.enums import BodyType, ShapeRole, ShapeType
 from dc_kernels.model.fields import COLORS
 
 # contacts solved, nodes or neighbours weighed, side by side; 16 contacts gained under 5 % and pad small worlds far more
@@ -60,8 +60,10 @@ def read_column(columns: np.ndarray, variant: str, name: str, slot: np.ndarray) 
 
 
 def only_centred_discs(model: Model) -> bool:
-    """Whether all that moves are discs about their centre of mass."""
+    """Whether all that moves are discs about their centre of mass; sensors do not count, as none has contacts."""
     moving = (model.numpy("body_type") != BodyType.STATIC)[model.numpy("shape_body")]
+    if len(role := model.numpy("shape_role")):
+        moving &= role != ShapeRole.SENSOR
     centred_disc = (model.numpy("shape_type") == ShapeType.DISC) & ~model.numpy("shape_center").any(axis=1)
     return bool((~moving | centred_disc).all())
 

@@ -40,6 +40,8 @@ def new_values(sim, name):
             values /= 2
         case "shape_mask" | "shape_category":
             values[1:8] = 0
+        case "shape_role":
+            values[1:8] = dc.ShapeRole.SENSOR
         case "length_scale":
             values *= 20
         case "shape_radius":

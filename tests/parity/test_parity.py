@@ -17,7 +17,8 @@ import dc_kernels as dc
 from dc_kernels.model.arrays import to_numpy
 from dc_kernels.model.config import CONFIG
 from dc_kernels.model.enums import CAPACITY_FLAGS, Flag
-from dc_kernels.model.fields import GROUPS, LAUNCH, MOTION, STATE
+from dc_kernels.model.fields import LAUNCH, MOTION, STATE
+from dc_kernels.model.groups import GROUPS
 from dc_kernels.runtime.backends import argument_names, bind
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR, has_traits
 from dc_kernels.stages import SLEEP, SOFT, STEP, kernel_table

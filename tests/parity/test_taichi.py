@@ -17,7 +17,8 @@ from dc_kernels._taichi.runtime.signals import WORDS
 from dc_kernels.collide.narrowphase import FOUND
 from dc_kernels.model.config import CONFIG
 from dc_kernels.model.dtypes import aligned_zeros
-from dc_kernels.model.fields import GROUPS, LAUNCH
+from dc_kernels.model.fields import LAUNCH
+from dc_kernels.model.groups import GROUPS
 from dc_kernels.runtime.backends import argument_names, bind, has_kernels, kernel_file, make_kernels
 from dc_kernels.solve.rows import has_traits
 from dc_kernels.stages import STEP, Stage

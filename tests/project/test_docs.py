@@ -128,6 +128,12 @@ def check_stepping(scope: dict) -> None:
     assert scope["tower"].stats.numpy("sweeps").tolist() == [8]
 
 
+def check_events(scope: dict) -> None:
+    assert sorted(scope["entered"]) == [0, 1, 2] and scope["inside"].world.tolist() == [0, 1, 2]
+    hits = [speed for speeds in scope["hits"] for speed in speeds]
+    assert hits == pytest.approx(3 * [np.sqrt(2 * 9.8 * 3.75)], rel=0.02)
+
+
 def check_joints(scope: dict) -> None:
     sim, arm = scope["sim"], scope["arm"]
     assert sim.state.numpy("angle")[arm] == pytest.approx(0.5, abs=1e-3)  # the motor has turned it to its limit
@@ -140,6 +146,7 @@ def check_joints(scope: dict) -> None:
 
 
 CHECKS = {
+    "docs/events.md": check_events,
     "docs/joints.md": check_joints,
     "docs/stepping.md": check_stepping,
     "docs/sleep.md": check_sleep,
@@ -336,6 +343,7 @@ def test_the_table_of_what_sleep_adds_is_that_of_the_code():
 
 
 def test_the_table_of_what_joints_add_is_that_of_the_code():
+    assert stages.markdown(stages.EVENTS) in (ROOT / "docs" / "events.md").read_text(encoding="utf-8")
     assert stages.markdown(stages.LINKED) in (ROOT / "docs" / "joints.md").read_text(encoding="utf-8")
 
 

@@ -1,0 +1,1 @@
+"""The oracle of sensors and of contact events."""

@@ -1,0 +1,1 @@
+"""Kernels of sensors and of contact events."""
