@@ -8,8 +8,8 @@ keep every bit, so a run that goes on from a snapshot on the same device equals 
 A step that was not finished, in a world that froze or after an OverflowError, leaves its contacts in ``contacts``,
 while the next step starts from those of the last finished one. Only then the group ``cache`` holds the latter.
 Where bodies may sleep, the group ``sleepers`` says which do, and holds their contacts; where there are sensors, or
-contact events, ``overlaps`` and ``touches`` hold their lists. ``stats`` says what the last
-solve took; files without it, of earlier versions, are read as well.
+contact events, ``overlaps`` and ``touches`` hold their lists; where bodies, shapes or joints came or went, ``ids`` has
+their ids. ``stats`` says what the last solve took; files without it, of earlier versions, are read as well.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 
 import numpy as np
 
+from dc_kernels.driving.ids import IDS, KINDS, Ids, check_ids
 from dc_kernels.measure import contact_slots
 from dc_kernels.model.arrays import ArrayGroup, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig
@@ -120,6 +121,7 @@ def load(
         sleepers = _read(file, label, "sleepers", SLEEPERS, header.counting(KEPT)) if "sleepers" in file else None
         listed = {n: _read(file, label, n, GROUPS[n], header.listing(n)) for n in EVENTS if n in file}
         solved = _read(file, label, "stats", SOLVED, header) if "stats" in file else {}
+        ids = _read(file, label, "ids", IDS, header) if "ids" in file else None
     contacts = values["contacts"]
     del contacts["contact_start"]  # the simulation reserves its slots itself
     count, contact_dt = contacts.pop("contact_count"), contacts.pop("contact_dt")
@@ -156,6 +158,10 @@ def load(
             sim.restore_sleepers(sleepers)
         for group, lists in listed.items():
             sim.restore_lists(group, lists)
+        group = "ids"
+        if ids is not None:
+            check_ids(ids, model)
+            sim.given_ids = _filled(Ids(header.sizes, header.real, "cpu", "numpy"), ids)
         group = "stats"
         _show_solved(sim, solved)
     except ValueError as error:
@@ -224,6 +230,10 @@ def _write(file: Any, sim: Simulation) -> None:
             if field.per == "contact":
                 values = values[used.get(name, slots)]
             _write_field(folder, field, values)
+    if sim.given_ids is not None:
+        folder = file.create_group("ids")
+        for field in IDS.values():
+            _write_field(folder, field, sim.given_ids.numpy(field.name))
     folder = file.create_group("stats")
     solved = {**sim.stats.views(), "finished": sim.stats.numpy("iteration")["finished"]}
     for field in SOLVED.values():
@@ -282,6 +292,7 @@ class _Header:
             raise ValueError(f"{path}: an attribute is missing: {error}") from error
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: an attribute has a wrong value: {error}") from error
+        self.sizes["kind"] = len(KINDS)
         self.sizes |= {f"{name}+1": self.sizes[name] + 1 for name in ("world", "body", "shape", "joint")}
         values = {name: _plain(value) for name, value in file["config"].attrs.items()}
         try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,13 +12,35 @@ from dc_kernels.collide.contacts import StepContacts
 from dc_kernels.events.lists import EventStorage, check_lists
 from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.config import SolverConfig
-from dc_kernels.model.fields import CACHE
+from dc_kernels.model.fields import CACHE, STATS
 from dc_kernels.model.joints.groups import Joints
+from dc_kernels.model.room import move_segments
+from dc_kernels.model.rules import Index
 from dc_kernels.model.validate.arrays import Layout, check_field
 from dc_kernels.sleep.sleepers import SleepStorage, check_sleepers
 from dc_kernels.solve.integrate import Integrator, typical_weight
 from dc_kernels.solve.joints import apart, are_rods, plant, rows_of_worlds
 from dc_kernels.solve.storage import SolverStorage
+
+
+class Moves(NamedTuple):
+    """Where the elements of a simulation come to lie in arrays of other sizes."""
+
+    sizes: dict[str, int]
+    """Elements on the axes afterwards, by name."""
+    start: dict[str, np.ndarray]
+    """First element of each world afterwards, (W + 1,), by axis; of joint rows the first of each joint."""
+    places: dict[str, tuple[np.ndarray, np.ndarray]]
+    """Elements that stay, by axis: where they lie before and afterwards."""
+    fresh: np.ndarray
+    """Where joints that come lie afterwards."""
+
+    def of(self, values: np.ndarray, axis: str, fill: float) -> np.ndarray:
+        """An array with its elements where they come to lie; what is new there has ``fill``."""
+        source, target = self.places[axis]
+        found = np.full((self.sizes[axis], *values.shape[1:]), fill, values.dtype)
+        found[target] = values[source]
+        return found
 
 
 class Storage:
@@ -107,6 +129,43 @@ class Storage:
         self.integrator.adopt(groups["motion"])
         self.sleep.adopt(groups["sleepers"])
         self.events.adopt(groups["overlaps"], groups["touches"])
+
+    def take_over(self, before: Storage, moves: Moves, config: SolverConfig) -> None:
+        """Go on from what another storage of the same worlds holds, whose bodies and joints lie elsewhere.
+
+        Contacts keep their keys, as shapes keep their places within their worlds.
+        """
+        for name in ("broadphase", "narrowphase", "solver"):
+            room = getattr(self, name).room
+            room.slots = np.maximum(room.slots, getattr(before, name).room.slots)
+        self._relayout(config)
+        found, had = self.narrowphase, before.narrowphase
+        old, new = had.contacts.numpy("contact_start"), found.contacts.numpy("contact_start")
+        moved = moves.places["body"][1]
+        groups = zip([*had.groups(), *before.sleep.groups()], [*found.groups(), *self.sleep.groups()], strict=True)
+        for (source, counted), (target, _) in groups:
+            for name, field in target.table.items():
+                values = source.numpy(name)
+                if field.per == "contact":
+                    room_of = target.numpy(name).copy()
+                    if field.rule == Index("body") and len(values):
+                        values = moved[values]
+                    move_segments(values, room_of, old, new, source.numpy(counted))
+                    target.fill(name, room_of)
+                elif field.per == "world":
+                    target.fill(name, values)
+                elif field.per in moves.places:
+                    target.fill(name, moves.of(values, field.per, 0))
+        lists = (self.events.touches, before.events.touches, old, new)
+        starts = (before.broadphase.pairs.numpy("start"), self.broadphase.pairs.numpy("start"))
+        for target, source, first, start in (lists, (self.events.overlaps, before.events.overlaps, *starts)):
+            if target.sizes["world"] and source.sizes["world"]:
+                target.restore(source.packed(first, moves.places["shape"][1]), start)
+        for name in ("step_dt", "reach"):
+            self.integrator.motion.fill(name, before.integrator.motion.numpy(name))
+        for name in STATS:
+            self.solver.stats.fill(name, before.solver.stats.numpy(name))
+        self.changes = before.version + 1
 
     @property
     def version(self) -> int:

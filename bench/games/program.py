@@ -46,7 +46,7 @@ def lines_of(model: dc.Model, state: dc.State, joints: dc.Joints) -> Iterator[st
             kind = BodyType(int(m["body_type"][b]))
             pose = (*s["position"][b], s["angle"][b], *s["velocity"][b], s["angular_velocity"][b])
             yield _line("body", KINDS[kind], *pose, m["mass"][b], m["inertia"][b])
-            for shape in range(*m["body_shape_start"][b : b + 2].tolist()):
+            for shape in np.flatnonzero(m["shape_body"] == b).tolist():
                 yield _shape(m, shape)
         for joint in peer_joints(j, range(*m["joint_start"][world : world + 2].tolist()), first):
             yield _joint(joint)

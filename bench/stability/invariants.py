@@ -131,14 +131,14 @@ def closest(sim: dc.Simulation) -> dict[tuple[int, int], float]:
                     continue
                 pair = (b, a) if kind[j] == dc.BodyType.STATIC else (a, b)
                 gap = distance(hulls[a][0], hulls[b][0]) - hulls[a][1] - hulls[b][1]
-                name = _chained(pair, segment, body, model.numpy("body_shape_start"))
+                name = _chained(pair, segment, body)
                 found[name] = min(gap, found.get(name, math.inf))
     return found
 
 
-def _chained(pair: tuple[int, int], segment: Array, body: Array, first: Array) -> tuple[int, int]:
+def _chained(pair: tuple[int, int], segment: Array, body: Array) -> tuple[int, int]:
     """The pair with a chain's first segment in place of any of its segments."""
-    one, two = (int(first[body[shape]]) if segment[shape] else int(shape) for shape in pair)
+    one, two = (int((body == body[shape]).argmax()) if segment[shape] else int(shape) for shape in pair)
     return one, two
 
 
@@ -162,7 +162,7 @@ def lost_contacts(sim: dc.Simulation, bound: float) -> list[str]:
     seen: dict[tuple[int, int], float] = {}
     lack: dict[tuple[int, int], float] = {}  # by how much a gap is less than what parts its hulls
     for a, b, gap, normal in zip(*(table[field] for field in ("shape_a", "shape_b", "gap", "normal")), strict=True):
-        name = _chained((a, b), segment, body, model.numpy("body_shape_start"))
+        name = _chained((a, b), segment, body)
         seen[name] = min(gap, seen.get(name, math.inf))
         (p, p_radius), (q, q_radius) = hulls[a], hulls[b]
         lack[name] = max(parted(p, q, normal) - p_radius - q_radius - gap, lack.get(name, -math.inf))

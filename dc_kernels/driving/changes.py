@@ -61,6 +61,7 @@ def change(sim: Simulation, values: Mapping[str, Any]) -> None:
     """
     model, joints = sim.model, sim.joints
     given = {name: _given(name, array, model, joints) for name, array in values.items()}
+    _leave_empty(given, sim)
     _complete(given, model)
     _check(given, model, joints)
     users = sorted({*model.users, *joints.users}, key=id)  # others may share either
@@ -113,6 +114,17 @@ def _given(name: str, values: Any, model: Model, joints: Joints) -> np.ndarray:
     return np.array(check_values(name, array, shape, scalar))
 
 
+def _leave_empty(given: Arrays, sim: Simulation) -> None:
+    """Let empty slots of bodies and shapes be as they are, whatever was given for all."""
+    if sim.given_ids is None:
+        return
+    for name, array in given.items():
+        axis = TRAITS.get(MODEL[name].per, MODEL[name].per) if name in MODEL else ""
+        if axis in ("body", "shape"):
+            empty = sim.given_ids.numpy(f"{axis}_id") < 0
+            array[empty] = sim.model.numpy(name)[empty]
+
+
 def _beside(field: Field) -> list[str]:
     """The fields on the axis of a field."""
     return [name for name, other in MODEL.items() if other.per == field.per]
@@ -147,7 +159,7 @@ def _shaped(given: Arrays, model: Model) -> Arrays:
     start = model.numpy("vertex_start").astype(np.int64)
     count = np.diff(start)
     radius, vertices = (given.get(name, model.numpy(name)) for name in SHAPED)
-    moved = (vertices != model.numpy("vertices")).any(axis=1)
+    moved = (vertices != model.numpy("vertices")).any(axis=1)[: start[-1]]
     shape = np.repeat(np.arange(len(count)), count)
     differs = radius != model.numpy("shape_radius")
     differs[shape[moved]] = True
@@ -195,7 +207,8 @@ def _worlds_of(name: str, values: np.ndarray | None, model: Model, joints: Joint
     elif field.per == "joint row":
         start = joints.numpy("joint_row_start")[start]
     found = np.zeros(worlds, bool)
-    found[np.searchsorted(start, np.flatnonzero(other), "right") - 1] = True
+    chosen = np.flatnonzero(other)
+    found[np.searchsorted(start, chosen[chosen < start[-1]], "right") - 1] = True
     return found
 
 
@@ -220,7 +233,7 @@ def _take_up(sim: Simulation, changed: Mapping[str, np.ndarray], given: Arrays) 
     if broken.any():
         sim.pairs.fill("valid", np.where(broken, 0, to_numpy(sim.pairs.valid)))
     if uncolored.any():
-        _recolor(sim, np.flatnonzero(uncolored), np.flatnonzero(worlds(("body_type",))))
+        recolor(sim, np.flatnonzero(uncolored), np.flatnonzero(worlds(("body_type",))))
     if worlds(WEIGHED).any():
         sim.storage.integrator.weigh(sim.model)
     if "joint_impulse" in given:
@@ -229,7 +242,7 @@ def _take_up(sim: Simulation, changed: Mapping[str, np.ndarray], given: Arrays) 
     sim.adapt_to_model(stale=bool(worlds((*PAIRED, *COLORED)).any()))
 
 
-def _recolor(sim: Simulation, worlds: np.ndarray, turned: np.ndarray) -> None:
+def recolor(sim: Simulation, worlds: np.ndarray, turned: np.ndarray) -> None:
     """Let the next step colour all contacts of some worlds anew, and know them by the types that bodies have now."""
     start = sim.contacts.numpy("contact_start")
     for group, count in ((sim.contacts, "contact_count"), (sim.cache, "count")):

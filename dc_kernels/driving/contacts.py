@@ -188,6 +188,7 @@ class ContactEvents:
         self.sim = sim
         nothing = np.zeros(0, np.int64)
         self._ids, self._impulse = nothing, np.zeros(0)
+        self._start = sim.model.numpy("shape_start").copy()
         self.begun = self.ended = self.touching = self._touches(nothing, self._impulse)
         self.update()
         self.begun = self._touches(nothing, np.zeros(0))
@@ -201,6 +202,7 @@ class ContactEvents:
         sim = self.sim
         if sim.phase != "advance":
             raise ValueError("update() in the middle of a step: finish it with solve() and advance(), or take a step")
+        self._follow()
         slots, world = contact_slots(sim.contacts)
         live = sim.state.numpy("flags") == 0
         slots, world = slots[live[world]], world[live[world]]
@@ -224,6 +226,14 @@ class ContactEvents:
         order = np.argsort(ids)
         self._ids, self._impulse = ids[order], impulses[order]
         self.touching = self._touches(self._ids, self._impulse)
+
+    def _follow(self) -> None:
+        """Know shapes by the numbers that they have now, where worlds before theirs have been given more slots."""
+        start = self.sim.model.numpy("shape_start")
+        if not np.array_equal(start, self._start):
+            world = np.searchsorted(self._start, self._ids >> 32, "right") - 1
+            shift = (start - self._start)[world].astype(np.int64)
+            self._ids, self._start = self._ids + (shift << 32 | shift), start.copy()
 
     def _touches(self, pairs: np.ndarray, impulse: np.ndarray) -> Touches:
         a, b, body = pairs >> 32, pairs & (2**32 - 1), self.sim.model.numpy("shape_body")

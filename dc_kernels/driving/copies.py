@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from dc_kernels.driving.ids import Ids
 from dc_kernels.model.arrays import ArrayGroup, Model, State
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.stages import Phase
@@ -37,6 +38,8 @@ class Parts(NamedTuple):
     """Part of a step that was called last."""
     peak: np.ndarray
     """The most that a world used of each kind of room."""
+    ids: Ids | None
+    """Ids of bodies, shapes and joints, where they are not their indices."""
 
 
 def parts_of(sim: Simulation) -> Parts:
@@ -50,7 +53,16 @@ def parts_of(sim: Simulation) -> Parts:
     }
     storage = sim.storage
     return Parts(
-        sim.model, sim.state, sim.joints, storage.groups(), storage.reserved(), sim.built, options, sim.phase, sim.peak
+        sim.model,
+        sim.state,
+        sim.joints,
+        storage.groups(),
+        storage.reserved(),
+        sim.built,
+        options,
+        sim.phase,
+        sim.peak,
+        sim.given_ids,
     )
 
 

@@ -12,11 +12,11 @@ import numpy as np
 from dc_kernels import snapshot
 from dc_kernels.driving import changes
 from dc_kernels.driving.copies import Parts, from_parts, parts_of
+from dc_kernels.driving.populated import Populated
 from dc_kernels.driving.reset import Reset, check_rows, write_rows
 from dc_kernels.model.arrays import Model, State
 from dc_kernels.model.enums import Rest
 from dc_kernels.model.joints.groups import Joints
-from dc_kernels.phases import Phases
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_worlds
 from dc_kernels.runtime.threads import OneCaller, uninterrupted
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 
-class Driven(Phases):
+class Driven(Populated):
     """The part of a simulation that is copied, saved, and brought into another state."""
 
     model: Model
@@ -64,7 +64,7 @@ class Driven(Phases):
     def adopt(self, parts: Parts) -> None:
         """Consist of other parts than those that were made for it: of a simulation of the same scene and options."""
         self.storage.adopt(parts.groups, parts.slots)
-        self.built = parts.built
+        self.built, self.given_ids = parts.built, parts.ids
         self._turn.ran = parts.phase
         self._shards.peak[...] = parts.peak
         self._bind_all()

@@ -84,13 +84,40 @@ class PairLists(ArrayGroup):
                 count = LISTS[field.per.removesuffix(self.noun)]
                 move_segments(before[name], self.array(name), old, new, self.numpy(count))
 
-    def packed(self, start: np.ndarray) -> dict[str, np.ndarray]:
-        """All arrays, those of the lists packed world after world."""
+    def forget(self, gone: np.ndarray, start: np.ndarray) -> None:
+        """Take pairs out of the lists of which a shape is gone.
+
+        Args:
+            gone: which shapes are, (shapes,) bool.
+            start: first slot of each world, (W + 1,).
+        """
+        if not self.sizes["world"]:
+            return
+        for before, counted in LISTS.items():
+            if counted not in self.table:
+                continue
+            prefix, count = counted.removesuffix("count"), self.numpy(counted)
+            slots, world = used_slots(start, count), np.repeat(np.arange(len(count)), count)
+            hit = gone[self.numpy(f"{prefix}a")[slots]] | gone[self.numpy(f"{prefix}b")[slots]]
+            if not hit.any():
+                continue
+            count = count - np.bincount(world[hit], minlength=len(count))
+            for name, field in self.table.items():
+                if field.per == before + self.noun:
+                    values = self.numpy(name).copy()
+                    fill_segments(values, values[slots[~hit]], start, count)
+                    self.fill(name, values)
+            self.fill(counted, count)
+
+    def packed(self, start: np.ndarray, moved: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """All arrays, those of the lists packed world after world; ``moved``: other numbers of the shapes."""
         found = {}
         for name, field in self.table.items():
             values = self.numpy(name)
             if field.per != "world":
                 values = values[used_slots(start, self.numpy(LISTS[field.per.removesuffix(self.noun)]))]
+                if moved is not None and name.split("_")[-1] in ("a", "b"):
+                    values = moved[values].astype(values.dtype)
             found[name] = values
         return found
 

@@ -5,6 +5,7 @@ Everything is float64 here; the builder casts.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,7 @@ def assemble(
     vertices: np.ndarray,
     joints: np.ndarray,
     sensors: np.ndarray | None = None,
+    centers: Mapping[int, np.ndarray] | None = None,
 ) -> dict[str, np.ndarray]:
     """All fields of the model, state and joints that are not zero, in float64 (integers as they are).
 
@@ -50,6 +52,7 @@ def assemble(
         joints: (j, ``joints.WIDTH``), with the columns named in ``joints.COLUMNS``.
         sensors: which shapes, sorted by body, are sensors, (m,) bool: these are no measure of a world's lengths, and
             move no centre of mass unless they weigh; None: none.
+        centers: centre of mass of bodies by their index, where it is not to be that of their shapes, (2,) [m].
 
     Raises:
         ValueError: a dynamic body without mass; too many shapes in a world.
@@ -61,8 +64,7 @@ def assemble(
         shapes, owner = shapes[order], owner[order]
     body_start = np.array([w.body for w in worlds] + [len(bodies)])
     shapes_of = np.bincount(owner, minlength=len(bodies))
-    body_shape_start = _starts(shapes_of)
-    shape_start = body_shape_start[body_start]
+    shape_start = _starts(shapes_of)[body_start]
     shapes_per_world = np.diff(shape_start)
     if shapes_per_world.max() > 2**KEY_SHAPE_BITS:
         w = int(shapes_per_world.argmax())
@@ -75,6 +77,8 @@ def assemble(
     weighed = np.ones(len(shapes), bool) if sensors is None else ~sensors | (shapes[:, DENSITY] > 0)
     com, mass, inertia = _masses(bodies, shapes, owner, weighed, geometry)
     solid = slice(None) if sensors is None else ~sensors
+    for body, center in (centers or {}).items():
+        com[body] = center
     dynamic = bodies[:, TYPE] == BodyType.DYNAMIC
     length_scale, cell_size = _scales(worlds, world_of[owner][solid], 2 * geometry.extent[solid], dynamic[owner][solid])
 
@@ -98,7 +102,6 @@ def assemble(
         "inv_mass": np.divide(1.0, mass, out=np.zeros_like(mass), where=mass > 0),
         "inv_inertia": np.divide(1.0, inertia, out=np.zeros_like(inertia), where=inertia > 0),
         "center_of_mass": com,
-        "body_shape_start": body_shape_start,
         "shape_body": owner,
         "shape_type": shapes[:, SHAPE].astype(np.int32),
         "shape_radius": shapes[:, RADIUS],

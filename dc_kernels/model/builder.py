@@ -82,6 +82,7 @@ class ModelBuilder(JointBuilder):
         self._vertices = RowTable(2)
         self._joints = RowTable(WIDTH)
         self._body_traits, self._shape_traits = Traits(BODY_TRAITS), Traits({**SHAPE_TRAITS, "role": 0.0})
+        self._centers: dict[int, np.ndarray] = {}
 
     def add_world(self, gravity: Any = (0.0, -9.8), origin: Any = (0.0, 0.0), length_scale: float | None = None) -> int:
         """Begin a new world and return its index.
@@ -351,6 +352,7 @@ class ModelBuilder(JointBuilder):
                 self._vertices.collect(),
                 self._joints.collect(),
                 sensors,
+                self._centers,
             )
             fields |= traits | surfaces
             cast = {

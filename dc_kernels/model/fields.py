@@ -102,8 +102,7 @@ MODEL = field_table(
     ("inv_mass", "body", "real", "1/kg", "0 for static and kinematic bodies", INVERSE),
     ("inv_inertia", "body", "real", "1/(kg m^2)", "0 for static, kinematic and non-rotating bodies", INVERSE),
     ("center_of_mass", "body", "vec2", "m", "in the frame the shapes were given in; vertices are relative to it"),
-    ("body_shape_start", "body+1", "int32", "1", "first shape of each body; shapes are sorted by body", Start("shape")),
-    ("shape_body", "shape", "int32", "1", "body of the shape", Index("body")),
+    ("shape_body", "shape", "int32", "1", "body of the shape; a builder sorts shapes by body", Index("body")),
     ("shape_type", "shape", "int32", "1", "ShapeType", Code(ShapeType)),
     ("shape_radius", "shape", "real", "m", "radius of a disc or capsule, rounding of a polygon", NOT_NEGATIVE),
     ("shape_center", "shape", "vec2", "m", "centroid in the body's frame"),
@@ -112,7 +111,7 @@ MODEL = field_table(
     ("shape_restitution", "shape", "real", "1", "coefficient in [0, 1]; a pair has the larger", SHARE),
     ("shape_category", "shape", "uint32", "1", "bits of what the shape is"),
     ("shape_mask", "shape", "uint32", "1", "bits of what it collides with; both shapes must accept each other"),
-    ("vertex_start", "shape+1", "int32", "1", "first vertex of each shape", Start("vertex")),
+    ("vertex_start", "shape+1", "int32", "1", "first vertex of each shape", Start("vertex", spare=True)),
     ("vertices", "vertex", "vec2", "m", "in the body's frame, relative to the centre of mass"),
     ("vertex_normals", "vertex", "vec2", "1", "outward normal of the edge from this vertex to the next"),
     (

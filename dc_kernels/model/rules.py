@@ -41,6 +41,8 @@ class Start:
     """Offsets into an axis: they begin with 0, never fall, and end with the length of the axis."""
 
     axis: str
+    spare: bool = False
+    """Whether elements may lie behind the last one that belongs to somebody."""
 
 
 @dataclass(frozen=True)

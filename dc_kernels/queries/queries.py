@@ -94,20 +94,30 @@ class Queries(InPlace):
         Raises:
             ValueError, TypeError: naming the argument, the index and the limit.
         """
-        model = getattr(shapes, "model", shapes)
-        if hasattr(shapes, "state"):
+        self._sim = shapes if hasattr(shapes, "state") else None
+        if self._sim is not None:
             if position is not None or angle is not None:
                 raise ValueError("position and angle are those of the simulation; leave them out")
-            position, angle = shapes.state.position, shapes.state.angle
         elif position is None or angle is None:
             name = "position" if position is None else "angle"
             raise ValueError(f"{name} is missing; give that of the bodies, or a Simulation")
-        self.shapes = Shapes(model, backend)
+        self._given, self._position, self._angle = shapes, position, angle
+        self.shapes = Shapes(getattr(shapes, "model", shapes), backend)
         self.backend, self.dtype = self.shapes.backend, self.shapes.dtype
         kernel_file(self.backend, "queries.queries")  # says which backends have them
         self.threads = host_threads(self.backend, check_count("threads", threads))
-        self._boxes = ShapeBoxes(model, position, angle, threads=threads, backend=self.backend)
-        self._position, self._angle = position, angle
+        self._allocate()
+        self.update()
+
+    def _allocate(self) -> None:
+        """Make the tree for as many shapes as there are now."""
+        model = self._given
+        if self._sim is not None:
+            model, state = self._sim.model, self._sim.state
+            self._position, self._angle = state.position, state.angle
+            self._version = model.version
+            self.shapes = Shapes(model, self.backend)
+        self._boxes = ShapeBoxes(model, self._position, self._angle, threads=self.threads, backend=self.backend)
         arrays = self.shapes.arrays
         nodes = node_starts(np.diff(arrays["shape_start"]))
         shapes_count, bodies = len(arrays["shape_type"]), self.shapes.bodies
@@ -121,7 +131,6 @@ class Queries(InPlace):
         self._tree["node_start"][:] = nodes
         self._scratch = np.zeros(2 * shapes_count, np.int64)
         self._model = {name: arrays.get(name, np.full(shapes_count, 2**32 - 1, np.uint32)) for name in READ}
-        self.update()
 
     @property
     def lengths(self) -> Mapping[str, int]:
@@ -131,11 +140,16 @@ class Queries(InPlace):
     def update(self) -> None:
         """Take the bodies as they are now; queries ask about them until the next update."""
         refuse_recording("Queries.update", "it works on the host, too")
+        if self._sim is not None and self._sim.model.version != self._version:
+            self._allocate()
         self._tree["place"][:] = to_numpy(self._position)
         angle = to_numpy(self._angle)
         np.stack([np.cos(angle), np.sin(angle)], axis=1, out=self._tree["rotation"])
         self._boxes()
         boxes = {name: to_numpy(getattr(self._boxes, name)) for name in ("lower", "upper")}
+        if self._sim is not None and self._sim.given_ids is not None:  # empty slots are met by no query
+            empty = self._sim.given_ids.numpy("shape_id") < 0
+            boxes["lower"][empty] = self._tree["place"][self._model["shape_body"][empty]] = np.nan
         self._launch("build_tree", self.shapes.worlds, boxes=boxes, scratch=self._scratch, tree=self._tree)
 
     def cast_rays(

@@ -81,7 +81,7 @@ class _World:
 
     def _shapes(self, body: int) -> list[_Shape]:
         found = []
-        for s in range(*self.model["body_shape_start"][body : body + 2]):
+        for s in np.flatnonzero(self.model["shape_body"] == body).tolist():
             points = self.model["vertices"][slice(*self.model["vertex_start"][s : s + 2])].astype(np.float64)
             kind = int(self.model["shape_type"][s])
             if kind == ShapeType.SEGMENT:

@@ -58,8 +58,8 @@ def test_views_stay_those_of_the_arrays_that_there_are():
 
 def test_what_has_no_worlds_says_so():
     sim = simulation()
-    with pytest.raises(ValueError, match=r"model\.body_shape_start is not divided among worlds"):
-        sim.model.worlds("body_shape_start")
+    with pytest.raises(ValueError, match=r"model\.vertex_start is not divided among worlds"):
+        sim.model.worlds("vertex_start")
     with pytest.raises(ValueError, match=r"rows\.column is not divided among worlds"):
         sim.rows.worlds("column")
     with pytest.raises(KeyError):

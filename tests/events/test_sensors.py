@@ -288,7 +288,7 @@ def test_what_a_sensor_weighs():
     assert model.numpy("mass")[[body, heavy]] == pytest.approx([np.pi / 4, np.pi / 2])
     assert model.numpy("center_of_mass")[heavy] == pytest.approx([0.5, 0.0])
     role = model.numpy("shape_role")
-    assert role[chain].all() and role[model.numpy("body_shape_start")[flags]].tolist() == [1, 0, 1]
+    assert role[chain].all() and role[np.searchsorted(model.numpy("shape_body"), flags)].tolist() == [1, 0, 1]
     assert model.numpy("length_scale") == pytest.approx([1.0])  # the median of 1, 1 and 0.2: without the sensors
 
 

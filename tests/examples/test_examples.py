@@ -18,6 +18,7 @@ SHORT = {
     "optimize_torch": {"count": 8, "steps": 80},
     "dataset_reader": {"worlds": 2, "epochs": 20},
     "rl_loop": {"actions": 120},
+    "spawner": {"shots": 12},
 }
 NEEDS = {"box2d_solver": "Box2D", "pymunk_compare": "pymunk"}
 

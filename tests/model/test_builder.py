@@ -214,7 +214,6 @@ def test_shapes_are_sorted_by_body_and_stay_in_order():
     model, _, _ = finalize(builder)
     assert model.shape_body.tolist() == [0, 0, 0, 1, 1]
     assert model.shape_radius.tolist() == [2, 4, 5, 1, 3]
-    assert model.body_shape_start.tolist() == [0, 3, 5]
     assert model.vertex_start.tolist() == [0, 2, 4, 8, 10, 12]
     assert model.vertices[4:8] + model.center_of_mass[a] == pytest.approx(np.array(SQUARE))
     assert model.vertices[10:12] + model.center_of_mass[b] == pytest.approx(np.array(((1, 0), (1, 1))))

@@ -206,11 +206,7 @@ def one_color(groups):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (set_value("model", "shape_start", 1, 3), r"model\.shape_start\[1\] is 3; .* where its bodies' shapes begin"),
-        (
-            set_value("model", "shape_body", 4, 3),
-            r"model\.shape_body\[4\] is 3; .* the body whose shapes it stands among",
-        ),
+        (set_value("model", "shape_start", 1, 3), r"model\.shape_body\[3\] is 1; .* body of its world 1 \(bodies 6"),
         (set_value("model", "shape_body", 4, 7), r"shape_body\[4\] is 7; .* body of its world 0 \(bodies 0 \.\. 5\)"),
         (
             set_value("model", "shape_type", 6, 0),
@@ -347,7 +343,7 @@ def test_parts_meet(count, backend):
         wrong["key"][i] = key[i - 1]
         with pytest.raises(BrokenRule, match=rf"key\[{i}\] is {key[i - 1]}; .* larger than the one before"):
             check_contacts(wrong, model, backend=backend)
-        for name, value in (("inv_mass", 7.0), ("shape_radius", -1.0), ("shape_extent", 5.0), ("shape_body", 0)):
+        for name, value in (("inv_mass", 7.0), ("shape_radius", -1.0), ("shape_extent", 5.0), ("shape_body", count + 1)):
             kept = model[name][i].copy()
             model[name][i] = value
             with pytest.raises(BrokenRule, match=rf"model\.{name}\[{i}\] is"):

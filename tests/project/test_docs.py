@@ -134,6 +134,13 @@ def check_events(scope: dict) -> None:
     assert hits == pytest.approx(3 * [np.sqrt(2 * 9.8 * 3.75)], rel=0.02)
 
 
+def check_population(scope: dict) -> None:
+    sim, left = scope["sim"], scope["tower"][[0, 2, 3]]
+    assert scope["height"] == pytest.approx(0.5, abs=0.02)
+    assert sim.joints.sizes["joint"] == 0 and (sim.ids.numpy("body_id") >= 0).sum() == 4
+    assert sim.state.numpy("position")[sim.index(bodies=left), 1] == pytest.approx([0.5, 1.5, 2.5], abs=0.05)
+
+
 def check_joints(scope: dict) -> None:
     sim, arm = scope["sim"], scope["arm"]
     assert sim.state.numpy("angle")[arm] == pytest.approx(0.5, abs=1e-3)  # the motor has turned it to its limit
@@ -148,6 +155,7 @@ def check_joints(scope: dict) -> None:
 CHECKS = {
     "docs/events.md": check_events,
     "docs/joints.md": check_joints,
+    "docs/population.md": check_population,
     "docs/stepping.md": check_stepping,
     "docs/sleep.md": check_sleep,
     "docs/driving.md": check_driving,

@@ -121,6 +121,8 @@ def _shapes(q: int, model: Any, tree: Any, query: Any) -> Iterator[tuple[int, Ar
             continue
         if len(query.skip) and model.shape_body[s] == query.skip[q]:
             continue
+        if np.isnan(tree.place[model.shape_body[s]]).any():  # of an empty slot
+            continue
         yield s, _placed(s, model, tree), float(model.shape_radius[s])
 
 

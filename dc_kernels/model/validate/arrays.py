@@ -139,8 +139,8 @@ def _within(values: np.ndarray, rule: Number) -> bool:
         return bool(np.isfinite(np.dot(flat, flat)))  # a finite sum has finite terms
 
 
-def check_start(label: str, values: np.ndarray, length: int) -> None:
-    """Hold offsets to an axis of some length.
+def check_start(label: str, values: np.ndarray, length: int, spare: bool = False) -> None:
+    """Hold offsets to an axis of some length; ``spare``: elements may lie behind the last one that they lead to.
 
     Raises:
         BrokenRule: naming label, index, value and limit.
@@ -148,7 +148,11 @@ def check_start(label: str, values: np.ndarray, length: int) -> None:
     refuse(label, values, np.array(values[:1] != 0), "0")
     refuse(label, values[1:], values[1:] < values[:-1], "ascending, at least the one before it", 1)
     last = len(values) - 1
-    refuse(label, values[last:], np.array(values[last:] != length), f"{length}, the length of its axis", last)
+    end = values[last:]
+    if spare:
+        refuse(label, end, np.array(end > length), f"at most {length}, the length of its axis", last)
+    else:
+        refuse(label, end, np.array(end != length), f"{length}, the length of its axis", last)
 
 
 def parts_of(length: int) -> Iterator[slice]:

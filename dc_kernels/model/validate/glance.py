@@ -20,7 +20,10 @@ from dc_kernels.runtime.backends import make_kernels, on_numpy
 Arrays = Mapping[str, np.ndarray]
 LEAST = 2**13
 """Numbers from which on an array is looked at; fewer take NumPy about a millisecond."""
-_BODIES = ("body_type", "mass", "inertia", "inv_mass", "inv_inertia", "body_shape_start", "shape_body", "shape_type")
+_BODIES = (
+    *("body_type", "mass", "inertia", "inv_mass", "inv_inertia"),
+    *("body_start", "shape_start", "shape_body", "shape_type"),
+)
 _SHAPES = (
     *("shape_type", "shape_radius", "shape_center", "shape_extent"),
     *("vertex_start", "vertices", "vertex_normals"),
@@ -68,7 +71,7 @@ class Glance:
         return {name for name, bad in zip(names, wrong) if not bad}
 
     def bodies(self, model: Arrays) -> bool:
-        """Whether masses fit types and inverses, and shapes their bodies; offsets and types must be right."""
+        """Whether masses fit types and inverses, and shapes bodies of their world; offsets and types must be right."""
         if not self._looks(len(model["body_type"])):
             return False
         return not self._launch("bodies", **{name: model[name] for name in _BODIES})[0]

@@ -78,7 +78,7 @@ def check_model(model: Arrays, label: str = "model.", backend: str = "numpy") ->
     lengths["joint"] = int(model["joint_start"][-1])  # check_joints holds the joints to it
     for name, field in MODEL.items():
         if isinstance(field.rule, Start):
-            check_start(f"{label}{name}", model[name], lengths[field.rule.axis])
+            check_start(f"{label}{name}", model[name], lengths[field.rule.axis], field.rule.spare)
     layout = Layout(model, backend=backend)
     kept = layout.glance.keeping({name: values for name, values in model.items() if name not in CORNERS}, MODEL)
     for name, field in MODEL.items():
@@ -89,9 +89,6 @@ def check_model(model: Arrays, label: str = "model.", backend: str = "numpy") ->
         for name in CORNERS:
             check_field(f"{label}{name}", MODEL[name], model[name], layout)
 
-    owned = model["body_shape_start"][model["body_start"]]
-    wrong = model["shape_start"] != owned
-    refuse(f"{label}shape_start", model["shape_start"], wrong, "where its bodies' shapes begin (body_shape_start)")
     shapes = np.diff(model["shape_start"])
     refuse(f"the number of shapes of {label}shape_start", shapes, shapes > 2**KEY_SHAPE_BITS, f"<= {2**KEY_SHAPE_BITS}")
     if not layout.glance.bodies(model):
@@ -103,12 +100,9 @@ def check_model(model: Arrays, label: str = "model.", backend: str = "numpy") ->
 
 
 def _check_owners(model: Arrays, layout: Layout, label: str) -> None:
-    """Hold bodies of shapes to the shapes of bodies, and segments to static bodies."""
-    name, body, start = f"{label}shape_body", model["shape_body"], model["body_shape_start"]
-    owner = np.repeat(np.arange(len(start) - 1, dtype=body.dtype), np.diff(start))
-    if not np.array_equal(body, owner):
-        check_field(name, MODEL["shape_body"], body, layout)
-        refuse(name, body, body != owner, "the body whose shapes it stands among (body_shape_start)")
+    """Hold bodies of shapes to their worlds, and segments to static bodies."""
+    name, body = f"{label}shape_body", model["shape_body"]
+    check_field(name, MODEL["shape_body"], body, layout)
     segment = np.flatnonzero(model["shape_type"] == ShapeType.SEGMENT)
     moving = segment[model["body_type"][body[segment]] != BodyType.STATIC]
     if len(moving):

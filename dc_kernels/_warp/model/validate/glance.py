@@ -100,7 +100,8 @@ def kernels(dtype: str) -> dict[str, Any]:
         inertia: reals,
         inv_mass: reals,
         inv_inertia: reals,
-        body_shape_start: integers,
+        body_start: integers,
+        shape_start: integers,
         shape_body: integers,
         shape_type: integers,
     ) -> wp.int32: ...
@@ -112,17 +113,18 @@ def kernels(dtype: str) -> dict[str, Any]:
         inertia: reals,
         inv_mass: reals,
         inv_inertia: reals,
-        body_shape_start: integers,
+        body_start: integers,
+        shape_start: integers,
         shape_body: integers,
         shape_type: integers,
         wrong: integers,
     ):
-        """Masses, inertias and inverses that fit types and each other; shapes of their bodies, segments of static ones.
+        """Masses, inertias and inverses that fit types and each other; shapes of their world, segments that rest.
 
         Offsets must be in range.
         """
         wrong[0] = bodies_wrong(
-            body_type, mass, inertia, inv_mass, inv_inertia, body_shape_start, shape_body, shape_type
+            body_type, mass, inertia, inv_mass, inv_inertia, body_start, shape_start, shape_body, shape_type
         )
 
     @wp.func_native(code(dtype, "shapes"))

@@ -1,5 +1,5 @@
-// Whether masses and inertias do not fit the types of bodies or their inverses, a shape is not of the body that it
-// stands among, or a segment moves. Macros: REAL, INVERSE_TOLERANCE, STATIC, DYNAMIC, SEGMENT.
+// Whether masses and inertias do not fit the types of bodies or their inverses, a shape is not of a body of its
+// world, or a segment moves. Macros: REAL, INVERSE_TOLERANCE, STATIC, DYNAMIC, SEGMENT.
 #if !defined(__CUDA_ARCH__)
 int wrong = 0;
 const int n = body_type.shape[0];
@@ -12,9 +12,13 @@ for (int b = 0; b < n; ++b) {
     const REAL one = m * per_m - (REAL)heavy, other = i * per_i - (REAL)turns;
     wrong |= (int)!(one <= off) | (int)!(one >= -off) | (int)!(other <= off) | (int)!(other >= -off);
 }
-for (int b = 0; b < n; ++b) {
-    for (int s = body_shape_start.data[b]; s < body_shape_start.data[b + 1]; ++s)
-        wrong |= (shape_body.data[s] != b) | (shape_type.data[s] == SEGMENT && body_type.data[b] != STATIC);
+for (int w = 0; w < shape_start.shape[0] - 1; ++w) {
+    const int low = body_start.data[w], high = body_start.data[w + 1];
+    for (int s = shape_start.data[w]; s < shape_start.data[w + 1]; ++s) {
+        const int b = shape_body.data[s];
+        if (b < low || b >= high) return 1;
+        wrong |= shape_type.data[s] == SEGMENT && body_type.data[b] != STATIC;
+    }
 }
 return wrong;
 #else

@@ -1,0 +1,146 @@
+"""What is to be added to the worlds of a simulation: built as a scene is, about the bodies that are there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from dc_kernels.model.arrays import Model, State
+from dc_kernels.model.assemble import World
+from dc_kernels.model.builder import ModelBuilder
+from dc_kernels.model.enums import BodyType
+from dc_kernels.model.joints.groups import Joints
+from dc_kernels.model.settings import shown
+from dc_kernels.runtime.inputs import check_whole
+
+if TYPE_CHECKING:
+    from dc_kernels.simulation import Simulation
+
+
+class Added(NamedTuple):
+    """Ids of what was added, by the indices that the calls of ``Additions`` gave."""
+
+    bodies: np.ndarray
+    """(n,) int64; bodies that were there before have the ids that they had."""
+    shapes: np.ndarray
+    """(m,) int64."""
+    joints: np.ndarray
+    """(k,) int64."""
+
+
+class Fragment(NamedTuple):
+    """Additions as arrays, in the simulation's scalar type."""
+
+    model: Model
+    state: State
+    joints: Joints
+    known: np.ndarray
+    """Indices, in the fragment, of bodies that are there already, (k,)."""
+    known_ids: np.ndarray
+    """Their ids, (k,)."""
+    world: np.ndarray
+    """World of the simulation of each of the fragment's, (n,)."""
+    order: np.ndarray
+    """Indices that the calls gave, of the shapes as they stand in the fragment, sorted by body, (m,)."""
+
+
+class Additions(ModelBuilder):
+    """Collects bodies, shapes and joints that a simulation is to have from its next step on.
+
+    All calls of a builder are there, and what they return numbers the additions alone. They go to the world that
+    ``to_world`` named last. ``existing`` makes a body of the simulation one of the additions, so that it may be given
+    shapes and be joined to others; it keeps its mass, its inertia and its centre of mass.
+    """
+
+    def __init__(self, sim: Simulation, world: int | None = None) -> None:
+        """Begin.
+
+        Args:
+            sim: that they are for.
+            world: where they go; None: to the only one, or to where ``to_world`` says.
+        """
+        super().__init__()
+        self.sim = sim
+        self._targets: list[int] = []
+        self._known: dict[int, int] = {}
+        self._indices: dict[int, int] = {}
+        if world is not None or sim.model.world_count == 1:
+            self.to_world(0 if world is None else world)
+
+    def add_world(self, *args: Any, **settings: Any) -> int:
+        """Refuse: a simulation keeps its worlds.
+
+        Raises:
+            TypeError: always.
+        """
+        raise TypeError("a simulation keeps the worlds that it was built with; to_world(index) names one of them")
+
+    def to_world(self, world: int) -> None:
+        """Let what follows go to a world of the simulation.
+
+        Raises:
+            TypeError, ValueError: for what is no index of a world.
+        """
+        model = self.sim.model
+        index = check_whole("world", world)
+        if not index < model.world_count:
+            raise ValueError(f"world is {shown(index)}; it must lie in [0, {model.world_count - 1}]")
+        if self._targets and self._targets[-1] == index:
+            return
+        settings = ((0.0, 0.0), tuple(model.numpy("origin")[index].tolist()), float(model.numpy("length_scale")[index]))
+        self._worlds.append(World(*settings, self._bodies.count, self._joints.count))  # type: ignore[arg-type]
+        self._targets.append(index)
+        self._indices = {}
+
+    def existing(self, body: int) -> int:
+        """The index, among the additions, of a body that is there already.
+
+        Args:
+            body: its id; of the world that additions go to.
+
+        Raises:
+            TypeError, ValueError: for what is no id of a body of that world.
+        """
+        sim, where = self.sim, f"body {self._bodies.count}"
+        self._need_world(where)
+        at = int(sim.index(bodies=check_whole("body", body))[0])
+        first, last = sim.model.numpy("body_start")[self._targets[-1] : self._targets[-1] + 2].tolist()
+        if not first <= at < last:
+            raise ValueError(f"body {body} is not of world {self._targets[-1]}, to which the additions go")
+        if at not in self._indices:
+            model, state = sim.model, sim.state
+            angle = float(state.numpy("angle")[at])
+            com = model.numpy("center_of_mass")[at].astype(np.float64)
+            c, s = np.cos(angle), np.sin(angle)
+            place = state.numpy("position")[at].astype(np.float64) - (c * com[0] - s * com[1], s * com[0] + c * com[1])
+            place += model.numpy("origin")[self._targets[-1]]
+            kind = int(model.numpy("body_type")[at])
+            dynamic = kind == BodyType.DYNAMIC
+            mass, inertia = (float(model.numpy(name)[at]) if dynamic else np.nan for name in ("mass", "inertia"))
+            index = self._bodies.append(*place.tolist(), angle, 0.0, 0.0, 0.0, kind, mass, inertia)
+            self._known[index] = int(sim.ids.numpy("body_id")[at])
+            self._indices[at] = index
+            self._centers[index] = com
+        return self._indices[at]
+
+    def collect(self) -> Fragment:
+        """All additions as arrays of a model, its state and joints.
+
+        Raises:
+            ValueError: see ``ModelBuilder.finalize``; no world was named.
+        """
+        self._need_world("what is added")
+        owner = self._shapes.collect()[:, 0]
+        model, state, joints = super().finalize(self.sim.dtype, backend="numpy")
+        targets = np.array(self._targets, np.int64)
+        known, ids = (np.array(list(part), np.int64) for part in (self._known, self._known.values()))
+        return Fragment(model, state, joints, known, ids, targets, np.argsort(owner, kind="stable"))
+
+    def finalize(self, *args: Any, **settings: Any) -> tuple[Model, State, Joints]:
+        """Refuse: additions are no scene.
+
+        Raises:
+            TypeError: always.
+        """
+        raise TypeError("additions are no scene of their own; sim.add(additions) adds them")

@@ -1,0 +1,194 @@
+"""The calls by which bodies, shapes and joints come and go between steps."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from dc_kernels.binding import Binding
+from dc_kernels.driving import population
+from dc_kernels.driving.additions import Added, Additions
+from dc_kernels.driving.ids import KINDS, Ids
+from dc_kernels.model.arrays import Model
+from dc_kernels.model.config import SolverConfig
+from dc_kernels.model.joints.groups import Joints
+from dc_kernels.model.worlds import Segments, segments_of_worlds
+from dc_kernels.phases import Phases
+from dc_kernels.runtime.capture import refuse_recording
+from dc_kernels.runtime.inputs import check_whole
+from dc_kernels.runtime.threads import OneCaller
+from dc_kernels.storage import Moves, Storage
+
+PAIRS, CONTACTS = 4.0, 2.5  # reserved at first for each shape and each body
+
+
+class Populated(Phases):
+    """The part of a simulation whose bodies, shapes and joints come and go (``driving/population.py``)."""
+
+    model: Model
+    joints: Joints
+    calls: OneCaller
+    variant: str
+    kernels: dict[str, Any]
+    _binding: Binding
+    _segments: dict[str, Segments]
+    given_ids: Ids | None = None
+    """Ids of what is in the slots; None: nobody asked for them yet, and all have their indices."""
+
+    def _choose_kernels(self, config: SolverConfig) -> None:
+        """Take the kernels that the model and the settings need."""
+        raise NotImplementedError
+
+    def additions(self, world: int | None = None) -> Additions:
+        """Collect bodies, shapes and joints for ``add``.
+
+        Args:
+            world: where they go; None: to the only one, or to where ``Additions.to_world`` says.
+
+        Raises:
+            TypeError, ValueError: for what is no index of a world.
+        """
+        return Additions(self, world)  # type: ignore[arg-type]
+
+    def add(self, additions: Additions) -> Added:
+        """Add bodies, shapes and joints; they take part from the next step on.
+
+        Each takes the first empty slot of its world. Where there are not enough, the worlds are given more: arrays are
+        then allocated anew, views taken before show what was, and ``layout_version`` changes, as it does with joints.
+        What is there keeps its contacts, their impulses, and its ids. The length scale of a world stays.
+
+        Args:
+            additions: from ``additions``; may be added once more.
+
+        Returns:
+            The ids of all, by the indices that the calls of ``additions`` gave.
+
+        Raises:
+            TypeError, ValueError: naming body, shape or joint and limit; in the middle of a step; where another
+                simulation shares the model or the joints. Nothing has changed then.
+            OverflowError: for more than there are slots where ``on_overflow`` is "raise".
+            RuntimeError: within ``wp.ScopedCapture``.
+
+        Examples:
+            >>> import dc_kernels as dc
+            >>> builder = dc.ModelBuilder()
+            >>> world = builder.add_world()
+            >>> ball = builder.add_discs([(0.0, 2.0)], 0.5)
+            >>> sim = dc.Simulation(*builder.finalize())
+            >>> more = sim.additions()
+            >>> crate = more.add_body((3.0, 2.0))
+            >>> corner = more.add_box(crate, 0.5, 0.5)
+            >>> added = sim.add(more)
+            >>> sim.remove(bodies=ball)
+            >>> sim.ids.numpy("body_id")[sim.index(bodies=added.bodies)].tolist()
+            [1]
+        """
+        with self._populating("add"):
+            return population.add(self, additions)  # type: ignore[arg-type]
+
+    def remove(self, *, bodies: Any = (), shapes: Any = (), joints: Any = ()) -> None:
+        """Remove bodies with their shapes and joints, shapes, and joints; what lay on them wakes.
+
+        Masses and centres of mass of bodies that lose shapes stay as they are. Slots become free for what comes.
+
+        Args:
+            bodies: ids, (n,), or one.
+            shapes: ids, (m,), or one.
+            joints: ids, (k,), or one.
+
+        Raises:
+            TypeError, ValueError, RuntimeError: see ``add``; for an id of what has been removed, or has never been.
+        """
+        with self._populating("remove"):
+            population.remove(self, bodies, shapes, joints)  # type: ignore[arg-type]
+
+    def reserve(self, *, bodies: int = 0, shapes: int = 0, vertices: int = 0) -> None:
+        """Let each world have so many empty slots at least, so that ``add`` need not allocate arrays anew.
+
+        Args:
+            bodies: slots of bodies.
+            shapes: slots of shapes.
+            vertices: of these shapes together, 1 of a disc, 2 of a capsule, 4 of a segment; None or 0: one each.
+
+        Raises:
+            TypeError, ValueError, RuntimeError: see ``add``.
+            MemoryError: for more than fits into the free memory.
+        """
+        counts = [
+            check_whole(name, value) for name, value in (("bodies", bodies), ("shapes", shapes), ("vertices", vertices))
+        ]
+        with self._populating("reserve"):
+            population.reserve(self, *counts)  # type: ignore[arg-type]
+
+    def index(self, *, bodies: Any = None, shapes: Any = None, joints: Any = None) -> np.ndarray:
+        """Where bodies, shapes or joints lie in the arrays now, (n,) int64, by their ids.
+
+        Those that a simulation was built with have the indices that the builder gave them as ids. A body or shape
+        keeps its index until arrays are allocated anew (``layout_version``); in the first world it always does.
+
+        Args:
+            bodies: ids, (n,), or one; or instead
+            shapes: of shapes; or
+            joints: of joints.
+
+        Raises:
+            TypeError, ValueError: for an id of what has been removed, or has never been; for more than one of these.
+        """
+        given = {kind: ids for kind, ids in zip(KINDS, (bodies, shapes, joints)) if ids is not None}
+        if len(given) != 1:
+            raise ValueError("index() takes the ids of bodies, of shapes, or of joints")
+        ((kind, ids),) = given.items()
+        return self.ids.find(kind, ids)
+
+    @property
+    def ids(self) -> Ids:
+        """Ids of what is in the slots of bodies and shapes, -1 or less where nothing is, and of joints."""
+        if self.given_ids is None:
+            self.given_ids = Ids.built(self.model)
+        return self.given_ids
+
+    @contextlib.contextmanager
+    def _populating(self, what: str) -> Iterator[None]:
+        """What is true while bodies, shapes or joints come or go.
+
+        Raises:
+            ValueError, RuntimeError: where they cannot.
+        """
+        refuse_recording(what, "it allocates and writes at once")
+        with self.calls:
+            if self._turn.ran != "advance":
+                raise ValueError(
+                    f"{what}() in the middle of a step: finish it with solve() and advance(), or take a step"
+                )
+            if len({*self.model.users, *self.joints.users}) > 1:
+                raise ValueError(
+                    f"{what}() of a simulation whose model or joints another one has too; make one of them of copies: "
+                    "dc.Simulation(model.copy(), state.copy(), joints.copy())"
+                )
+            yield
+
+    def take_layout(self, moves: Moves) -> None:
+        """Go on with groups that were laid out anew; other stages are made for them."""
+        self._segments = segments_of_worlds(self.model.views(), self.joints.numpy("joint_row_start"))
+        self._choose_kernels(self._config)
+        before = self.storage
+        self.storage = Storage(
+            self.model,
+            self.joints,
+            self._config,
+            variant=self.variant,
+            pairs=PAIRS,
+            contacts=CONTACTS,
+            shards=self._shards.parts,
+            at_once=before.solver.at_once,
+        )
+        self.storage.take_over(before, moves, self._config)
+        self._binding.kernels = self.kernels
+        self._bind_all()
+
+    def take_vertices(self, start: np.ndarray) -> None:
+        """Know which vertices are whose where some have moved; ``start``: first of each world, (W + 1,)."""
+        self._segments["vertex"] = Segments.of(start)
