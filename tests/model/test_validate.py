@@ -343,7 +343,12 @@ def test_parts_meet(count, backend):
         wrong["key"][i] = key[i - 1]
         with pytest.raises(BrokenRule, match=rf"key\[{i}\] is {key[i - 1]}; .* larger than the one before"):
             check_contacts(wrong, model, backend=backend)
-        for name, value in (("inv_mass", 7.0), ("shape_radius", -1.0), ("shape_extent", 5.0), ("shape_body", count + 1)):
+        for name, value in (
+            ("inv_mass", 7.0),
+            ("shape_radius", -1.0),
+            ("shape_extent", 5.0),
+            ("shape_body", count + 1),
+        ):
             kept = model[name][i].copy()
             model[name][i] = value
             with pytest.raises(BrokenRule, match=rf"model\.{name}\[{i}\] is"):
