@@ -10,12 +10,18 @@ from dc_kernels.model.arrays import Model, State
 from dc_kernels.model.assemble import World
 from dc_kernels.model.builder import ModelBuilder
 from dc_kernels.model.enums import BodyType
+from dc_kernels.model.fields import MODEL, TRAITS
 from dc_kernels.model.joints.groups import Joints
+from dc_kernels.model.rules import INVERSE
 from dc_kernels.model.settings import shown
+from dc_kernels.model.validate.geometry import check_geometry
 from dc_kernels.runtime.inputs import check_whole
 
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
+
+
+WORLDS = ("gravity", "origin", "length_scale", "cell_size")
 
 
 class Added(NamedTuple):
@@ -32,17 +38,21 @@ class Added(NamedTuple):
 class Fragment(NamedTuple):
     """Additions as arrays, in the simulation's scalar type."""
 
-    model: Model
-    state: State
-    joints: Joints
+    fields: dict[str, np.ndarray]
+    """Fields of a model, its state and joints by name, worlds one after the other; those that are zero are left out."""
     known: np.ndarray
-    """Indices, in the fragment, of bodies that are there already, (k,)."""
+    """Indices, among the bodies, of those that are there already, (k,)."""
     known_ids: np.ndarray
     """Their ids, (k,)."""
-    world: np.ndarray
-    """World of the simulation of each of the fragment's, (n,)."""
+    world: dict[str, np.ndarray]
+    """World of the simulation by axis: of each body, shape and joint, (n,)."""
     order: np.ndarray
-    """Indices that the calls gave, of the shapes as they stand in the fragment, sorted by body, (m,)."""
+    """Indices that the calls gave, of the shapes as they stand here, sorted by body, (m,)."""
+
+    @property
+    def traits(self) -> set[str]:
+        """Axes of ``model.fields.TRAITS`` of which there are fields."""
+        return {MODEL[name].per for name in self.fields if name in MODEL} & set(TRAITS)
 
 
 class Additions(ModelBuilder):
@@ -54,7 +64,7 @@ class Additions(ModelBuilder):
     """
 
     def __init__(self, sim: Simulation, world: int | None = None) -> None:
-        """Begin.
+        """Begin without any.
 
         Args:
             sim: that they are for.
@@ -125,17 +135,31 @@ class Additions(ModelBuilder):
         return self._indices[at]
 
     def collect(self) -> Fragment:
-        """All additions as arrays of a model, its state and joints.
+        """All additions as arrays.
 
         Raises:
             ValueError: see ``ModelBuilder.finalize``; no world was named.
         """
         self._need_world("what is added")
-        owner = self._shapes.collect()[:, 0]
-        model, state, joints = super().finalize(self.sim.dtype, backend="numpy")
+        exact, real = self._fields(), self.sim.dtype
+        with np.errstate(over="ignore", invalid="ignore"):
+            fields = {name: value.astype(real) if value.dtype.kind == "f" else value for name, value in exact.items()}
+        if self._is_doubtful(exact, fields):
+            super().finalize(real, backend="numpy")  # which takes longer, and says what is wrong
+        if fields["shape_type"].any():  # as the scalar some corners may be one
+            check_geometry(fields, "model.")
         targets = np.array(self._targets, np.int64)
+        world = {axis: np.repeat(targets, np.diff(fields[f"{axis}_start"])) for axis in ("body", "shape", "joint")}
         known, ids = (np.array(list(part), np.int64) for part in (self._known, self._known.values()))
-        return Fragment(model, state, joints, known, ids, targets, np.argsort(owner, kind="stable"))
+        owner = self._shapes.collect()[:, 0]
+        return Fragment(fields, known, ids, world, np.argsort(owner, kind="stable"))
+
+    def _is_doubtful(self, exact: dict[str, np.ndarray], fields: dict[str, np.ndarray]) -> bool:
+        """Whether a number is none, or too large or too small, as the simulation's scalar."""
+        names = [name for name, value in exact.items() if value.dtype.kind == "f" and name not in WORLDS]
+        one, other = (np.concatenate([arrays[name].reshape(-1) for name in names]) for arrays in (exact, fields))
+        inverses = max(fields[name].max(initial=0) for name in ("inv_mass", "inv_inertia"))
+        return bool(not np.isfinite(other).all() or ((other == 0) & (one != 0)).any() or inverses > INVERSE.high)
 
     def finalize(self, *args: Any, **settings: Any) -> tuple[Model, State, Joints]:
         """Refuse: additions are no scene.

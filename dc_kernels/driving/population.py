@@ -16,7 +16,7 @@ from dc_kernels.driving.additions import Added, Additions, Fragment
 from dc_kernels.driving.changes import recolor
 from dc_kernels.driving.ids import ATTIC, EMPTY
 from dc_kernels.driving.relayout import NEUTRAL, Layout, NewJoints, park, relayout
-from dc_kernels.model.arrays import ArrayGroup, to_numpy
+from dc_kernels.model.arrays import ArrayGroup
 from dc_kernels.model.enums import BodyType, Rest
 from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, STATE, TRAITS
 from dc_kernels.model.room import GROWTH, rows_of
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 BODY = tuple(name for name, field in MODEL.items() if TRAITS.get(field.per, field.per) == "body")
 SHAPE = tuple(name for name, field in MODEL.items() if TRAITS.get(field.per, field.per) == "shape")
 POSE = tuple(name for name, field in STATE.items() if field.per == "body")
+ENDS = ("joint_body_a", "joint_body_b")
+RESERVE = 'reserve more before, or make the simulation with on_overflow="grow"'
 SEEN = ("position", "angle", "force", "torque")
 FEW = 64  # changed shapes up to which what lies between them is moved run by run
 
@@ -44,7 +46,7 @@ class Arrays:
         """The array of a field."""
         key = (id(group), name)
         if key not in self._open:
-            self._open[key] = (group, to_numpy(group.array(name)))
+            self._open[key] = (group, group.memory(name))
         return self._open[key][1]
 
     def flush(self) -> None:
@@ -61,59 +63,54 @@ def add(sim: Simulation, additions: Additions) -> Added:
     if additions.sim is not sim:
         raise ValueError("the additions were made for another simulation")
     fragment = additions.collect()
-    given, known = fragment.model, fragment.known
-    there = sim.ids.find("body", fragment.known_ids)
-    now, then = (group.numpy("body_type")[at] for group, at in ((sim.model, there), (given, known)))
-    if (now != then).any():
-        i = int((now != then).argmax())
+    given, known, world = fragment.fields, fragment.known, fragment.world
+    now = sim.model.numpy("body_type")[sim.ids.find("body", fragment.known_ids)]
+    if (now != given["body_type"][known]).any():
+        i = int((now != given["body_type"][known]).argmax())
         raise ValueError(
             f"body {fragment.known_ids[i]} has become {BodyType(int(now[i])).name}: begin the additions anew"
         )
-    new = np.ones(given.body_count, bool)
+    new = np.ones(len(world["body"]), bool)
     new[known] = False
-    worlds = {
-        axis: np.repeat(fragment.world, np.diff(given.numpy(f"{axis}_start"))) for axis in ("body", "shape", "joint")
-    }
     with uninterrupted():
-        _make_room(sim, fragment, worlds["body"][new], worlds["shape"])
-        bodies = np.empty(given.body_count, np.int64)
+        _make_room(sim, fragment, world["body"][new])
+        bodies = np.empty(len(new), np.int64)
         bodies[known] = sim.ids.find("body", fragment.known_ids)
-        bodies[new] = _free_slots(sim, "body", worlds["body"][new])
-        shapes = _free_slots(sim, "shape", worlds["shape"])
+        come = bodies[new] = _free_slots(sim, "body", world["body"][new])
+        shapes = _free_slots(sim, "shape", world["shape"])
         arrays = Arrays()
         for name in BODY:
-            _write(arrays, sim.model, name, bodies[new], given.numpy(name), new)
+            _write(arrays, sim.model, name, come, given, new)
         for group in (sim.state, sim.built):
             for name in POSE:
-                arrays(group, name)[bodies[new]] = fragment.state.numpy(name)[new]
-        count = np.diff(given.numpy("vertex_start"))
-        _splice(sim, arrays, shapes, count, [given.numpy(name) for name in ("vertices", "vertex_normals")])
+                arrays(group, name)[come] = given[name][new] if name in given else 0
+        corners = [given[name] for name in ("vertices", "vertex_normals")]
+        _splice(sim, arrays, shapes, np.diff(given["vertex_start"]), corners)
         for name in SHAPE:
-            _write(arrays, sim.model, name, shapes, given.numpy(name), slice(None))
-        arrays(sim.model, "shape_body")[shapes] = bodies[given.numpy("shape_body")]
+            _write(arrays, sim.model, name, shapes, given, slice(None))
+        arrays(sim.model, "shape_body")[shapes] = bodies[given["shape_body"]]
         arrays.flush()
-        for kind, slots in (("body", bodies[new]), ("shape", shapes)):
+        for kind, slots in (("body", come), ("shape", shapes)):
             sim.ids.array(f"{kind}_id")[slots] = sim.ids.take(kind, len(slots))
-        touched = np.zeros(given.body_count, bool)
-        touched[given.numpy("shape_body")] = True
-        for name in ("joint_body_a", "joint_body_b"):
-            touched[fragment.joints.numpy(name)] = True
-        roused = sim.ids.numpy("body_id")[bodies[touched & ~new]]
-        shape_ids = np.empty(len(shapes), np.int64)
+        body_ids, shape_ids = sim.ids.numpy("body_id")[bodies], np.empty(len(shapes), np.int64)
         shape_ids[fragment.order] = sim.ids.numpy("shape_id")[shapes]
-        body_ids = sim.ids.numpy("body_id")[bodies]
-        _see(sim, bodies[new])
-        joint_ids = sim.ids.take("joint", len(worlds["joint"]))
+        joint_ids = sim.ids.take("joint", len(world["joint"]))
+        _see(sim, come)
         if len(joint_ids):
-            fields = {name: fragment.joints.numpy(name) for name, field in JOINTS.items() if field.per == "joint"}
-            fields |= {name: bodies[fields[name]] for name in ("joint_body_a", "joint_body_b")}
+            fields = {name: given[name] for name, field in JOINTS.items() if field.per == "joint" and name in given}
+            fields |= {name: bodies[fields[name]] for name in ENDS}
             layout = Layout.of(sim.model)
-            layout.joints = NewJoints(fields, worlds["joint"], joint_ids)
+            layout.joints = NewJoints(fields, world["joint"], joint_ids)
             relayout(sim, layout)
-            recolor(sim, np.unique(worlds["joint"]), np.zeros(0, np.int64))
+            recolor(sim, np.unique(world["joint"]), np.zeros(0, np.int64))
         else:
-            _take_up(sim, shapes, weigh=bool((given.numpy("body_type")[new] == BodyType.DYNAMIC).any()))
-        _rouse(sim, sim.ids.find("body", roused), np.unique(np.concatenate(list(worlds.values()))))
+            _take_up(sim, shapes, weigh=bool((given["body_type"][new] == BodyType.DYNAMIC).any()))
+        if sim.storage.sleep.allowed:
+            touched = np.zeros(len(new), bool)
+            for name in ("shape_body", *ENDS):
+                touched[given[name]] = True
+            roused = sim.ids.find("body", body_ids[touched & ~new])
+            _rouse(sim, roused, np.unique(np.concatenate(list(world.values()))))
     return Added(body_ids, shape_ids, joint_ids)
 
 
@@ -124,7 +121,7 @@ def remove(sim: Simulation, bodies: Any, shapes: Any, joints: Any) -> None:
     model, links = sim.model, sim.joints
     gone = np.zeros(model.body_count, bool)
     gone[at["body"]] = True
-    ends = [links.numpy(name) for name in ("joint_body_a", "joint_body_b")]
+    ends = [links.numpy(name) for name in ENDS]
     cut = gone[ends[0]] | gone[ends[1]]
     cut[at["joint"]] = True
     neighbors = np.zeros(model.body_count, bool)
@@ -208,48 +205,43 @@ def _free_slots(sim: Simulation, kind: str, world: np.ndarray) -> np.ndarray:
     return found
 
 
-def _make_room(sim: Simulation, fragment: Fragment, body_world: np.ndarray, shape_world: np.ndarray) -> None:
+def _make_room(sim: Simulation, fragment: Fragment, body_world: np.ndarray) -> None:
     """Give worlds the slots that they lack, and some more; worlds of as many slots as each other stay so.
 
     Raises:
         OverflowError: instead, where a simulation does not grow.
     """
-    model, given = sim.model, fragment.model
-    layout, short = Layout.of(model), {}
-    for axis, world in (("body", body_world), ("shape", shape_world)):
-        slots = np.diff(model.numpy(f"{axis}_start")).astype(np.int64)
-        needed = slots - _free(sim, axis) + np.bincount(world, minlength=model.world_count)  # type: ignore[arg-type]
-        short[axis] = needed > slots
-        if short[axis].any():
-            if sim.on_overflow == "raise":
-                w = int(short[axis].argmax())
-                raise OverflowError(
-                    f"world {w} needs {needed[w]} {axis} slots, {slots[w]} are there; reserve more before, or make the "
-                    'simulation with on_overflow="grow"'
-                )
-            wanted = np.where(short[axis], np.ceil(GROWTH * needed).astype(np.int64), slots)
-            wanted = np.full_like(slots, wanted.max()) if (slots == slots[0]).all() else wanted
-            setattr(layout, {"body": "bodies", "shape": "shapes"}[axis], wanted)
-    more = int((layout.shapes - np.diff(model.numpy("shape_start"))).sum())
-    vertices = int(model.numpy("vertex_start")[-1]) + more - given.shape_count + int(given.numpy("vertex_start")[-1])
-    few = vertices > layout.vertices - 0 and vertices > model.sizes["vertex"]
-    if few and sim.on_overflow == "raise" and not short["shape"].any():
-        raise OverflowError(
-            f"{vertices} vertices are needed, there is room for {model.sizes['vertex']}; reserve more before, or make "
-            'the simulation with on_overflow="grow"'
-        )
-    if few:
-        layout.vertices = int(np.ceil(GROWTH * vertices))
-    layout.traits = {trait for trait in TRAITS if given.sizes[trait] and not model.sizes[trait]}
-    if few or layout.traits or any(values.any() for values in short.values()):
-        layout.vertices = max(layout.vertices, int(model.numpy("vertex_start")[-1]) + more)
+    model, given = sim.model, fragment.fields
+    layout, grows = Layout.of(model), sim.on_overflow == "grow"
+    slots = {"body": layout.bodies, "shape": layout.shapes}
+    come = {"body": body_world, "shape": fragment.world["shape"]}
+    for axis, there in slots.items():
+        needed = there - _free(sim, axis) + np.bincount(come[axis], minlength=model.world_count)
+        short = needed > there
+        if short.any() and not grows:
+            w = int(short.argmax())
+            raise OverflowError(f"world {w} needs {needed[w]} {axis} slots, {there[w]} are there; {RESERVE}")
+        if short.any():
+            wanted = np.where(short, np.ceil(GROWTH * needed).astype(np.int64), there)
+            slots[axis] = np.full_like(there, wanted.max()) if (there == there[0]).all() else wanted
+    more = int((slots["shape"] - layout.shapes).sum())
+    empty = int(model.numpy("vertex_start")[-1]) + more  # with those of empty slots, one each
+    vertices = empty - len(come["shape"]) + int(given["vertex_start"][-1])
+    if vertices > layout.vertices and not grows:
+        raise OverflowError(f"{vertices} vertices are needed, there is room for {layout.vertices}; {RESERVE}")
+    changed = slots["body"] is not layout.bodies or slots["shape"] is not layout.shapes
+    layout.traits = {trait for trait in fragment.traits if not model.sizes[trait]}
+    if changed or layout.traits or vertices > layout.vertices:
+        layout.bodies, layout.shapes = slots["body"], slots["shape"]
+        if max(vertices, empty) > layout.vertices:
+            layout.vertices = max(int(np.ceil(GROWTH * vertices)), empty)
         relayout(sim, layout)
 
 
-def _write(arrays: Arrays, model: Any, name: str, slots: np.ndarray, values: np.ndarray, chosen: Any) -> None:
+def _write(arrays: Arrays, model: Any, name: str, slots: np.ndarray, given: dict[str, np.ndarray], chosen: Any) -> None:
     """Write a field of the model at some slots; where nothing was given of a trait it is neutral."""
     if model.sizes[MODEL[name].per]:
-        arrays(model, name)[slots] = values[chosen] if len(values) else NEUTRAL.get(name, 0)
+        arrays(model, name)[slots] = given[name][chosen] if name in given else NEUTRAL[name]
 
 
 def _splice(sim: Simulation, arrays: Arrays, shapes: np.ndarray, count: np.ndarray, corners: list[np.ndarray]) -> None:

@@ -19,7 +19,7 @@ from dc_kernels.storage import Moves
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
 
-NEUTRAL = {**BODY_TRAITS, **{f"shape_{name}": value for name, value in SHAPE_TRAITS.items()}}
+NEUTRAL = {**BODY_TRAITS, **{f"shape_{name}": value for name, value in SHAPE_TRAITS.items()}, "shape_role": 0}
 """What a body or shape has of the traits where none was given."""
 AWAY = 1e4  # length scales from the origin of a world to the body of its empty shapes
 ROW = 256  # empty shapes that lie in a row

@@ -191,7 +191,7 @@ class ArrayGroup:
 
     def _parts(self) -> tuple[Any, ...]:
         """What ``_filled`` makes a group of."""
-        values = {name: self._values(name) for name in self.table}
+        values = {name: self.memory(name) for name in self.table}
         return type(self), self.sizes, float_name(self.dtype), self.device, self.backend, values
 
     def _check_room(self, names: Iterable[str]) -> None:
@@ -238,7 +238,7 @@ class ArrayGroup:
         for name, field in self.table.items():
             if changed.isdisjoint(field.axes):
                 if isinstance(before[name], np.ndarray) or self.device == "cpu":
-                    self._values(name)[...] = to_numpy(before[name])
+                    self.memory(name)[...] = to_numpy(before[name])
                 else:
                     getattr(self, name).assign(before[name])
         return before
@@ -252,14 +252,14 @@ class ArrayGroup:
 
         It is read-only where its values lead kernels through memory, and where ``assign`` refuses others.
         """
-        array = self._values(name)
+        array = self.memory(name)
         if self.table[name].points or (self.fixed and not self.writable(name)):
             array = array.view()
             array.flags.writeable = False
         return array
 
-    def _values(self, name: str) -> np.ndarray:
-        """The array of a field as numpy, to be written to."""
+    def memory(self, name: str) -> np.ndarray:
+        """The array of a field as numpy, to be written to: the memory itself on a CPU, a copy from a GPU."""
         memory = self._memory.get(name)
         return to_numpy(getattr(self, name)) if memory is None else memory
 
@@ -315,7 +315,7 @@ class ArrayGroup:
     def fill(self, name: str, values: np.ndarray) -> None:
         """Copy values of a field's own shape and dtype into it, whatever they are: ``assign`` looks at them."""
         if self.device == "cpu":
-            self._values(name)[...] = values
+            self.memory(name)[...] = values
         else:
             getattr(self, name).assign(values)
 

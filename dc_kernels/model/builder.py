@@ -341,20 +341,8 @@ class ModelBuilder(JointBuilder):
         check_device(device, backend)
         if not self._worlds:
             raise ValueError("the builder has no world: call add_world first")
-        traits = self._body_traits.collect(np.arange(self._bodies.count))
-        surfaces = self._shape_traits.collect(np.argsort(self._shapes.collect()[:, BODY], kind="stable"), "shape_")
-        sensors = surfaces["shape_role"] == ShapeRole.SENSOR if surfaces else None
+        fields = self._fields()
         with np.errstate(over="ignore", invalid="ignore"):  # values too large are found when they are assigned
-            fields = assemble(
-                self._worlds,
-                self._bodies.collect(),
-                self._shapes.collect(),
-                self._vertices.collect(),
-                self._joints.collect(),
-                sensors,
-                self._centers,
-            )
-            fields |= traits | surfaces
             cast = {
                 name: value.astype(real) if value.dtype.kind == "f" and name != "origin" else value
                 for name, value in fields.items()
@@ -363,7 +351,7 @@ class ModelBuilder(JointBuilder):
         rows = int(fields["joint_row_start"][-1])
         sizes = {"world": world, "world+1": world + 1, "body": body, "body+1": body + 1}
         sizes |= {"shape": shape, "shape+1": shape + 1, "vertex": self._vertices.count}
-        sizes |= {"body trait": body * bool(traits), "shape trait": shape * bool(surfaces)}
+        sizes |= {"body trait": body * ("gravity_scale" in fields), "shape trait": shape * ("shape_role" in fields)}
         groups = (
             Model(sizes, real, device, backend),
             State(sizes, real, device, backend),
@@ -375,6 +363,23 @@ class ModelBuilder(JointBuilder):
                     group.assign(name, cast[name])
         check_scene(*groups)  # what was right in float64 may have underflowed
         return groups
+
+    def _fields(self) -> dict[str, np.ndarray]:
+        """All fields of the model, state and joints that are not zero, in float64 (integers as they are)."""
+        traits = self._body_traits.collect(np.arange(self._bodies.count))
+        surfaces = self._shape_traits.collect(np.argsort(self._shapes.collect()[:, BODY], kind="stable"), "shape_")
+        sensors = surfaces["shape_role"] == ShapeRole.SENSOR if surfaces else None
+        with np.errstate(over="ignore", invalid="ignore"):  # values too large are found when they are assigned
+            found = assemble(
+                self._worlds,
+                self._bodies.collect(),
+                self._shapes.collect(),
+                self._vertices.collect(),
+                self._joints.collect(),
+                sensors,
+                self._centers,
+            )
+        return found | traits | surfaces
 
     def _need_world(self, where: str) -> None:
         if not self._worlds:
