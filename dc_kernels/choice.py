@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from dc_kernels.collide.switches import switch_kernels
 from dc_kernels.events.lists import event_kernels
 from dc_kernels.model.arrays import Model
 from dc_kernels.model.config import SolverConfig
@@ -37,7 +38,7 @@ def choose_kernels(model: Model, joints: Joints, config: SolverConfig, specializ
     """
     rods, found = are_rods(joints), only_centred_discs(model)
     variant = variant_of(model, found and specialize, rods)
-    added = (*joint_kernels(joints, rods), *event_kernels(model, config))
+    added = (*joint_kernels(joints, rods), *event_kernels(model, config), *switch_kernels(model, config))
     table = kernel_table(
         model.backend,
         model.dtype.name,

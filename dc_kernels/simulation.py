@@ -11,6 +11,7 @@ from dc_kernels.binding import Binding
 from dc_kernels.choice import choose_kernels
 from dc_kernels.collide.broadphase import Pairs
 from dc_kernels.collide.contacts import Cache
+from dc_kernels.collide.switches import Switches
 from dc_kernels.driving.between import Stepper, check_between, run_between
 from dc_kernels.driving.driven import Driven
 from dc_kernels.events.lists import Overlaps, Touches
@@ -79,6 +80,7 @@ class Simulation(Driven):
     sleepers: Sleepers
     overlaps: Overlaps
     touches: Touches
+    switches: Switches
     calls: OneCaller
 
     def __init__(
@@ -173,7 +175,7 @@ class Simulation(Driven):
         self._choose_kernels(self._config)
         if variant != self.variant or self.storage.general == are_rods(self.joints):
             self.storage.use(self.variant, self._config)
-        stale |= self.storage.list_events(self._config)
+        stale |= self.storage.equip(self._config)
         stale |= kernels != self.kernels or self._binding.stale
         if stale:
             self._binding.kernels = self.kernels

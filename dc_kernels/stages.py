@@ -209,6 +209,19 @@ EVENTS = (
     ),
 )  # fmt: skip
 """What sensors and contact events add to the stages (see ``of_phase``)."""
+SWITCHED = (
+    Stage(
+        "collide", "screen_contacts", "collide.switches", (),
+        ("model", "state", "motion", "rows", "contacts", "switches"), ("contacts", "rows", "switches"),
+        "contacts that one-way shapes let through, out of those of the step",
+        "without one-way shapes and `contact_switches`",
+    ),
+    Stage(
+        "advance", "show_switched", "collide.switches", (), ("state", "contacts", "switches"), ("contacts", "switches"),
+        "contacts that are off among those of the step", "as `screen_contacts`",
+    ),
+)  # fmt: skip
+"""What contacts that may be off add to the stages (see ``of_phase``)."""
 SOFT = (
     Stage(
         "solve", "solve_soft", "solve.soft", ("variant",), ("model", "state", "joints", "contacts"),
@@ -221,15 +234,21 @@ SOFT = (
 BEFORE = {
     "sense_overlaps": "narrowphase",
     "separate_joined": "narrowphase",
+    "screen_contacts": "color_constraints",
     "make_joint_rows": "color_constraints",
     "break_joints": "commit",
+    "show_switched": "commit",
     "note_overlaps": "commit",
     "note_touches": "commit",
 }
-"""Kernels of ``LINKED`` and ``EVENTS``, and those of a step before which they run."""
+"""Kernels of ``LINKED``, ``EVENTS`` and ``SWITCHED``, and those of a step before which they run."""
 NOTES = ("note_overlaps", "note_touches")
 """Kernels that look at the contacts of sleepers too, so that they run once these are shown."""
-LACKING = {"events.overlaps": "sensors", "events.touches": "contact events (SolverConfig.contact_events)"}
+LACKING = {
+    "events.overlaps": "sensors",
+    "events.touches": "contact events (SolverConfig.contact_events)",
+    "collide.switches": "contacts that may be off (one-way shapes, one-sided chains, SolverConfig.contact_switches)",
+}
 """What kernels of files that a backend may lack are for."""
 
 
@@ -246,7 +265,7 @@ def of_phase(
         phase: of a step.
         position_correction: whether it has the position phase.
         sleep: whether bodies may sleep; then ``solve`` is the part between what these give for it first and last.
-        added: kernels of ``LINKED`` and ``EVENTS`` that the scene needs.
+        added: kernels of ``LINKED``, ``EVENTS`` and ``SWITCHED`` that the scene needs.
         soft: whether the method is "tgs_soft".
     """
     names = [stage.kernel for stage in STEP if stage.phase == phase]
@@ -322,7 +341,7 @@ def kernel_table(
         only_discs: whether all that moves are discs about their centre of mass.
         sleep: whether bodies may sleep.
         traits: whether bodies have damping, or a gravity of their own.
-        added: kernels of ``LINKED`` and ``EVENTS`` that the scene needs.
+        added: kernels of ``LINKED``, ``EVENTS`` and ``SWITCHED`` that the scene needs.
         soft: whether the method is "tgs_soft".
 
     Raises:
@@ -336,7 +355,7 @@ def kernel_table(
         raise ValueError(f"SolverConfig.method is 'tgs_soft', which has no rows of {WORDS[variant]}; use another one")
     table: dict[str, Any] = {}
     more = (*(SLEEP if sleep else ()), *(SOFT if soft else ()))
-    more += tuple(stage for stage in (*LINKED, *EVENTS) if stage.kernel in added)
+    more += tuple(stage for stage in (*LINKED, *EVENTS, *SWITCHED) if stage.kernel in added)
     for file, names in {stage.file: stage.options for stage in (*STEP, *more)}.items():
         if file in LACKING and not has_kernels(backend, file):
             raise ValueError(f"backend is {backend!r}, which has no {LACKING[file]}; use 'warp' or 'numpy'")

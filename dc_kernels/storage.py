@@ -9,6 +9,7 @@ import numpy as np
 
 from dc_kernels.collide.broadphase import CandidatePairs
 from dc_kernels.collide.contacts import StepContacts
+from dc_kernels.collide.switches import SwitchStorage
 from dc_kernels.events.lists import EventStorage, check_lists
 from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.config import SolverConfig
@@ -67,8 +68,8 @@ class Storage:
         self.broadphase = CandidatePairs.of_model(model, float(room["pairs"]))
         self.narrowphase = StepContacts(model, float(room["contacts"]), joints.sizes["joint row"])
         self.sleep = SleepStorage(model, self.narrowphase.contacts, config.sleep)
-        self.events = EventStorage(model)
-        self.list_events(config)
+        self.events, self.switches = EventStorage(model), SwitchStorage(model)
+        self.equip(config)
         self.integrator = Integrator(model, int(room["shards"]), config.method, typical_weight(model))
         self.general = not are_rods(joints)
         self.solver = SolverStorage(
@@ -119,6 +120,7 @@ class Storage:
             "sleepers": self.sleep.sleepers,
             "overlaps": self.events.overlaps,
             "touches": self.events.touches,
+            "switches": self.switches.switches,
         }
 
     def adopt(self, groups: Mapping[str, Any], slots: Mapping[str, np.ndarray]) -> None:
@@ -129,6 +131,7 @@ class Storage:
         self.integrator.adopt(groups["motion"])
         self.sleep.adopt(groups["sleepers"])
         self.events.adopt(groups["overlaps"], groups["touches"])
+        self.switches.adopt(groups["switches"])
 
     def take_over(self, before: Storage, moves: Moves, config: SolverConfig) -> None:
         """Go on from what another storage of the same worlds holds, whose bodies and joints lie elsewhere.
@@ -174,7 +177,7 @@ class Storage:
         found, solver = self.narrowphase, self.solver
         taken = self.changes + self.integrator.motion.version + self.broadphase.pairs.version + solver.rows.version
         taken += found.contacts.version + found.cache.version + solver.stats.version
-        return taken + self.sleep.sleepers.version + self.events.version
+        return taken + self.sleep.sleepers.version + self.events.version + self.switches.switches.version
 
     @property
     def contact_room(self) -> np.ndarray:
@@ -185,14 +188,16 @@ class Storage:
         """Allocate what a new configuration needs."""
         self.solver.keep_history(config)
         self.sleep.allow(config.sleep, self.narrowphase.contacts)
-        self.list_events(config)
+        self.equip(config)
+        self.solver.switch(config)
         self.provide(config)
 
-    def list_events(self, config: SolverConfig) -> bool:
-        """Allocate the lists of events that the model and the settings need; whether any were, or were freed."""
-        before = self.events.version
+    def equip(self, config: SolverConfig) -> bool:
+        """Allocate lists of events and contacts that are off, as model and settings need them; whether any changed."""
+        before = self.events.version + self.switches.switches.version
         self.events.allow(self.model, config, self.broadphase.room.total, self.narrowphase.room.total)
-        return self.events.version != before
+        self.switches.allow(self.model, config, self.narrowphase.contacts)
+        return self.events.version + self.switches.switches.version != before
 
     def provide(self, config: SolverConfig) -> bool:
         """Allocate what an iteration needs and has not got yet; whether there was any."""
@@ -214,7 +219,7 @@ class Storage:
     def _relayout(self, config: SolverConfig) -> None:
         contacts, pairs = self.narrowphase.contacts, self.broadphase.pairs
         before = contacts.numpy("contact_start").copy(), pairs.numpy("start").copy()
-        self.narrowphase.relayout(self.sleep.groups())
+        self.narrowphase.relayout([*self.sleep.groups(), *self.switches.groups()])
         self.broadphase.relayout()
         self.events.touches.move(before[0], contacts.numpy("contact_start"))
         self.events.overlaps.move(before[1], pairs.numpy("start"))

@@ -22,7 +22,7 @@ from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, TRAITS, Field
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.room import rows_of
-from dc_kernels.model.rules import Code, Number
+from dc_kernels.model.rules import Number
 from dc_kernels.model.settings import numeric
 from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.model.validate.scene import check_joints, check_model
@@ -34,7 +34,10 @@ if TYPE_CHECKING:
 
 Arrays = dict[str, np.ndarray]
 
-ALONE = ("gravity", "origin", "length_scale", "cell_size", "shape_friction", "shape_restitution", *Model.traits)
+ALONE = (
+    *("gravity", "origin", "length_scale", "cell_size", "shape_friction", "shape_restitution"),
+    *(name for name in Model.traits if name != "shape_role"),
+)
 """Fields that are held to a rule each, and to no other field; categories and masks are held to none."""
 PAIRED = ("length_scale", "cell_size", "body_type", "shape_category", "shape_mask", "shape_radius", "vertices")
 """Fields that candidate pairs depend on."""
@@ -181,7 +184,7 @@ def _check(given: Arrays, model: Model, joints: Joints) -> None:
     """Hold what is given to the rules, with the other fields where it is not held alone."""
     rest = set(given) - {*ALONE, "shape_category", "shape_mask"}
     for name in set(given) & set(ALONE):
-        if isinstance(rule := MODEL[name].rule, Number | Code):
+        if isinstance(rule := MODEL[name].rule, Number):
             check_rule(f"model.{name}", given[name], rule)
     if rest or not given:
         arrays = {**model.views(), **{name: array for name, array in given.items() if name in MODEL}}

@@ -205,7 +205,9 @@ class ContactEvents:
         self._follow()
         slots, world = contact_slots(sim.contacts)
         live = sim.state.numpy("flags") == 0
-        slots, world = slots[live[world]], world[live[world]]
+        off = (sim.contacts.numpy("color")[slots] < 0) & (sim.contacts.numpy("impulse")[slots, 0] == 0)
+        chosen = live[world] & ~off
+        slots, world = slots[chosen], world[chosen]
         key, first = sim.contacts.numpy("key")[slots], sim.model.numpy("shape_start")[world].astype(np.int64)
         mask = 2**KEY_SHAPE_BITS - 1
         a, b = ((key >> shift) & mask for shift in (KEY_FEATURE_BITS + KEY_SHAPE_BITS, KEY_FEATURE_BITS))

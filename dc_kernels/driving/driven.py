@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from dc_kernels import snapshot
-from dc_kernels.driving import changes
+from dc_kernels.driving import changes, switches
 from dc_kernels.driving.copies import Parts, from_parts, parts_of
 from dc_kernels.driving.populated import Populated
 from dc_kernels.driving.reset import Reset, check_rows, write_rows
@@ -155,6 +155,46 @@ class Driven(Populated):
         """
         refuse_recording("change_model", "it writes at once")
         changes.change(self, values)  # type: ignore[arg-type]
+
+    def change_contacts(self, **values: Any) -> None:
+        """Change contacts between ``collide`` and ``solve``, or in a start: their rows are made anew.
+
+        A contact that is switched off does not act in this step, and is among ``contacts`` again when it has ended,
+        with the colour -1 and no impulse. The next ``collide`` makes all of them as their shapes say.
+
+        Args:
+            **values: by name, of all contacts in the order of ``dc.contact_slots``, (n,), or one number for all:
+                ``enabled``, False switches off, with ``SolverConfig.contact_switches``; ``friction``; ``restitution``;
+                ``surface_speed`` [m/s], of the surfaces of both shapes along the tangent (n_y, -n_x), positive where
+                friction drives B that way, in a scene with surfaces that move, with ``contact_switches`` too.
+                Without any, what was written to the memory of ``switches.enabled``, ``contacts.friction``,
+                ``contacts.restitution`` or ``rows.surface_speed``, at these slots, is checked and taken up.
+
+        Raises:
+            KeyError: for another name.
+            TypeError, ValueError: naming field, index and limit; out of turn.
+            RuntimeError: within ``wp.ScopedCapture``.
+
+        Examples:
+            >>> import dc_kernels as dc
+            >>> builder = dc.ModelBuilder()
+            >>> world = builder.add_world()
+            >>> floor = builder.add_body(type=dc.BodyType.STATIC)
+            >>> shape = builder.add_box(floor, 5.0, 0.5, center=(0.0, -0.5))
+            >>> balls = builder.add_discs([(0.0, 0.5), (2.0, 0.5)], 0.5)
+            >>> sim = dc.Simulation(*builder.finalize(), config=dc.SolverConfig(contact_switches=True))
+            >>> sim.run(50, 0.01, lambda sim: sim.change_contacts(enabled=[True, False]))
+            >>> sim.state.numpy("position")[1:, 1].round(1).tolist()
+            [0.5, -0.7]
+        """
+        refuse_recording("change_contacts", "it writes at once")
+        with self.calls:
+            switches.change(self, values)  # type: ignore[arg-type]
+
+    @property
+    def ranges(self) -> list[tuple[int, int]]:
+        """First world and number of worlds of each shard."""
+        return self._shards.ranges
 
     @property
     def asleep(self) -> np.ndarray:

@@ -28,6 +28,7 @@ EMPTIED = {
     "state": ("flags",),
     "sleepers": ("asleep", "rest_time", "sleeping", "dormant", "waited", "count"),
     "overlaps": ("count", "before_count", "begun_count", "ended_count", "part"),
+    "switches": ("count",),
     "touches": ("count", "before_count", "begun_count", "ended_count", "hit_count", "part"),
 }
 """Fields that are zero before the first step, by group."""

@@ -37,6 +37,7 @@ from dc_kernels.model.assemble import (
 from dc_kernels.model.checks import (
     ALL_BITS,
     BODY_TRAITS,
+    ROLE_TRAITS,
     ROLES,
     SHAPE_TRAITS,
     BodyTraits,
@@ -46,6 +47,7 @@ from dc_kernels.model.checks import (
     material,
     number,
     pair,
+    role_of,
     trait_columns,
     truth,
     whole,
@@ -81,7 +83,7 @@ class ModelBuilder(JointBuilder):
         self._shapes = RowTable(9)
         self._vertices = RowTable(2)
         self._joints = RowTable(WIDTH)
-        self._body_traits, self._shape_traits = Traits(BODY_TRAITS), Traits({**SHAPE_TRAITS, "role": 0.0})
+        self._body_traits, self._shape_traits = Traits(BODY_TRAITS), Traits({**SHAPE_TRAITS, **ROLE_TRAITS})
         self._centers: dict[int, np.ndarray] = {}
 
     def add_world(self, gravity: Any = (0.0, -9.8), origin: Any = (0.0, 0.0), length_scale: float | None = None) -> int:
@@ -216,7 +218,9 @@ class ModelBuilder(JointBuilder):
             raise ValueError(f"p1 and p2 of {where} are {length:g} m apart; it must exceed {TOLERANCE:g} of the radius")
         return self._add(body, ShapeType.POLYGON, ends, radius, self._material(where, material))
 
-    def add_chain(self, body: int, vertices: Any, closed: bool = False, **material: Unpack[Material]) -> np.ndarray:
+    def add_chain(
+        self, body: int, vertices: Any, closed: bool = False, one_sided: bool = False, **material: Unpack[Material]
+    ) -> np.ndarray:
         """Add a chain of segments to a static body and return their shape indices.
 
         Each segment knows its neighbours in the chain, so that nothing catches on the joints.
@@ -226,10 +230,11 @@ class ModelBuilder(JointBuilder):
             vertices: (n, 2) [m], n >= 2, or n >= 3 if closed, in the body's frame. Successive ones must be further
                 apart than 1e-6 of the chain's size.
             closed: add the segment from the last vertex to the first.
+            one_sided: let contacts hold only what is to the right of the way from vertex to vertex.
             **material: see ``Material``.
         """
         where = self._shape_of(body)
-        closed = truth(f"closed of {where}", closed)
+        closed, one_sided = truth(f"closed of {where}", closed), truth(f"one_sided of {where}", one_sided)
         kind = BodyType(int(self._bodies.row(body)[TYPE]))
         if kind != BodyType.STATIC:
             raise ValueError(f"body of {where} is {body}, of type {kind.name}; chains need a STATIC body")
@@ -249,7 +254,7 @@ class ModelBuilder(JointBuilder):
         if not closed:
             before[0], after[-1] = start[0], end[-1]
         first, n = self._shapes.count, len(start)
-        row = np.array((body, ShapeType.SEGMENT, 4, 0.0, *self._material(where, material, n)))
+        row = np.array((body, ShapeType.SEGMENT, 4, 0.0, *self._material(where, material, n, one_sided)))
         self._shapes.extend(np.tile(row, (n, 1)))
         self._vertices.extend(np.stack((start, end, before, after), axis=1).reshape(-1, 2))
         return np.arange(first, first + n)
@@ -408,17 +413,20 @@ class ModelBuilder(JointBuilder):
         self._vertices.extend(vertices)
         return self._shapes.append(int(body), kind, len(vertices), radius, *material)
 
-    def _material(self, where: str, given: Mapping[str, Any], count: int = 1) -> tuple[float, ...]:
+    def _material(
+        self, where: str, given: Mapping[str, Any], count: int = 1, one_sided: bool = False
+    ) -> tuple[float, ...]:
         """What the keywords of the next ``count`` shapes say; those that few shapes have are kept for them."""
-        if given.keys().isdisjoint({**SHAPE_TRAITS, **ROLES}):
+        if given.keys().isdisjoint((*SHAPE_TRAITS, *ROLES)) and not one_sided:
             return material(where, **given)
         traits = {name: np.full(count, number(name, given[name], where)) for name in SHAPE_TRAITS if name in given}
-        plain = {name: value for name, value in given.items() if name not in {**SHAPE_TRAITS, **ROLES}}
-        role = sum(ROLES[name] * truth(f"{name} of {where}", given[name]) for name in ROLES if name in given)
-        if role == ShapeRole.SENSOR:
+        plain = {name: value for name, value in given.items() if name not in (*SHAPE_TRAITS, *ROLES)}
+        role = role_of(where, one_sided, **{name: given[name] for name in ROLES if name in given})
+        if role["role"] == ShapeRole.SENSOR:
             plain.setdefault("density", 0.0)
         found = material(where, **plain)
-        self._shape_traits.add(self._shapes.count, {**traits, "role": np.full(count, float(role))})
+        traits |= {name: np.full(count, value) for name, value in role.items()}
+        self._shape_traits.add(self._shapes.count, traits)
         return found
 
     @staticmethod

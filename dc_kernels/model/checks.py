@@ -80,14 +80,17 @@ class Material(TypedDict, total=False):
     mask: int  # 32 bits of what it collides with, default all
     surface_speed: float  # [m/s], of the surface, clockwise: the top of a belt moves to the right, default 0
     rolling_resistance: float  # [1] >= 0: the most torque over normal force and radius of the round shape, default 0
+    one_way: Any  # (2,), direction in the body's frame: contacts hold what came from that side alone; default none
     sensor: bool  # whether it only detects what overlaps it (``Simulation.overlaps``), default False
 
 
 BODY_TRAITS = {"linear_damping": 0.0, "angular_damping": 0.0, "gravity_scale": 1.0}
 SHAPE_TRAITS = {"surface_speed": 0.0, "rolling_resistance": 0.0}
 """What few bodies, and few shapes, have, by name, with the number of the others."""
-ROLES = {"sensor": ShapeRole.SENSOR}
+ROLES = ("sensor", "one_way")
 """Keywords that give a shape another role than that of a solid one."""
+ROLE_TRAITS = {"role": 0.0, "one_way": 0.0}
+"""What is kept of them: a ``ShapeRole``, and the angle of a direction."""
 
 
 class BodyTraits(TypedDict, total=False):
@@ -180,8 +183,8 @@ def trait_columns(call: str, traits: Mapping[str, Any], count: int) -> dict[str,
     """
     found: dict[str, np.ndarray] = {}
     for name, values in traits.items():
-        if name in ROLES:
-            found["role"] = np.where(truths(name, values, count), float(ROLES[name]), 0.0)
+        if name == "sensor":
+            found["role"] = np.where(truths(name, values, count), float(ShapeRole.SENSOR), 0.0)
         elif name == "fixed_rotation":
             found[name] = truths(name, values, count)
         elif name in {**BODY_TRAITS, **SHAPE_TRAITS}:
@@ -189,6 +192,24 @@ def trait_columns(call: str, traits: Mapping[str, Any], count: int) -> dict[str,
         else:
             raise TypeError(f"{call}() has no argument {name!r}")
     return found
+
+
+def role_of(where: str, one_sided: bool, sensor: Any = False, one_way: Any = None) -> dict[str, float]:
+    """Return what the keywords of ``ROLES`` say of a shape, and of a one-sided chain, as ``ROLE_TRAITS``.
+
+    Raises:
+        TypeError, ValueError: naming field and ``where``; for more than one of them.
+    """
+    given = {
+        ShapeRole.SENSOR: truth(f"sensor of {where}", sensor),
+        ShapeRole.ONE_WAY: one_way is not None,
+        ShapeRole.ONE_SIDED: one_sided,
+    }
+    roles = [role for role, wanted in given.items() if wanted]
+    if len(roles) > 1:
+        raise ValueError(f"{where} is to be {' and '.join(role.name for role in roles)}; it has one role")
+    x, y = (1.0, 0.0) if one_way is None else unit("one_way", one_way, where)
+    return {"role": float(roles[0] if roles else ShapeRole.SOLID), "one_way": math.atan2(y, x)}
 
 
 def truths(name: str, values: Any, count: int) -> np.ndarray:

@@ -169,6 +169,8 @@ class SolverConfig(Settings):
     (``Simulation.touches``)."""
     hit_speed: NotNegative = 1.0
     """With contact_events a pair has hit that approached faster than this [m/s]."""
+    contact_switches: bool = False
+    """Whether contacts may be switched off between ``collide`` and ``solve`` (``Simulation.change_contacts``)."""
     history: bool = False
     """Whether to keep the largest impulse change of every sweep (``SolveStats.history``)."""
 
@@ -220,9 +222,9 @@ class SolverConfig(Settings):
         return self.method == "tgs_soft"
 
     @property
-    def choosing(self) -> tuple[bool, bool, bool]:
+    def choosing(self) -> tuple[bool, ...]:
         """What the kernels of a simulation depend on."""
-        return self.sleep, self.soft, self.contact_events
+        return self.sleep, self.soft, self.contact_events, self.contact_switches
 
     @property
     def whole_substeps(self) -> int:
@@ -253,7 +255,9 @@ class SolverConfig(Settings):
         known = {"stop": stop, "tolerance": tolerance, "relative_tolerance": min(relative, 1e30)}
         values = {name: getattr(self, name) for name in CONFIG if hasattr(self, name)} | known
         values.update({name: codes[values[name]] for name, codes in CHOICES.items()})
-        values |= {name: int(getattr(self, name)) for name in ("history", "sleep", "contact_events")}
+        values |= {
+            name: int(getattr(self, name)) for name in ("history", "sleep", "contact_events", "contact_switches")
+        }
         values["slack"] = SLACK * self.slop
         return values
 

@@ -27,6 +27,8 @@ class ShapeRole(IntEnum):
 
     SOLID = 0  # its contacts carry impulses
     SENSOR = 1  # it detects what overlaps it, and carries no impulse
+    ONE_WAY = 2  # its contacts hold what came to it from the side of its direction, and nothing else
+    ONE_SIDED = 3  # a segment of a chain whose contacts hold what is on the side of its normal
 
 
 class JointKind(IntEnum):

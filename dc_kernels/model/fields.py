@@ -134,6 +134,7 @@ MODEL = field_table(
         NOT_NEGATIVE,
     ),
     ("shape_role", "shape trait", "int32", "1", "ShapeRole", Code(ShapeRole)),
+    ("shape_one_way", "shape trait", "real", "rad", "direction to the side that a ONE_WAY shape holds, of the body's"),
 )
 
 STATE = field_table(
@@ -242,6 +243,13 @@ ROWS = field_table(
     ("contact_needed", "world", "int32", "1", "contacts found, also those without room"),
     ("slot", "contact", "int32", "1", "where the contact's normal impulse lies in rows.impulse"),
     ("square", "contact", "real", "(N s)^2", "squared impulse that would stop the contact alone; 0 if it never acts"),
+    (
+        "surface_speed",
+        "switched contact",
+        "real",
+        "m/s",
+        "of both surfaces along the contact's tangent, that of B first",
+    ),
     ("joint_slot", "joint", "int32", "1", "where the joint's impulse lies in rows.impulse"),
     ("line_start", "world+1", "int32", "1", "first of each world's distance joints that are packed as such"),
     ("row_start", "world+1", "int32", "1", "first of each world's own rows, of joints or of a contact solver's caller"),

@@ -17,7 +17,7 @@ from dc_kernels.model.fields import (
     STATS,
     field_table,
 )
-from dc_kernels.model.rules import COUNT, NOT_NEGATIVE
+from dc_kernels.model.rules import COUNT, NOT_NEGATIVE, Number
 
 
 def _list(axis: str, prefix: str, meaning: str) -> list[tuple[Any, ...]]:
@@ -65,6 +65,19 @@ TOUCHES = field_table(
     ("hit_normal", "hitting touching pair", "vec2", "1", "unit vector there, from A to B"),
 )
 
+# Contacts that do not act in the present step (collide/switches.py); all axes are empty where none can be off.
+SWITCHES = field_table(
+    (
+        "count",
+        "world",
+        "int32",
+        "1",
+        "contacts that are off, sorted by key, from contact_start of the contacts on",
+        COUNT,
+    ),
+    ("enabled", "contact", "int32", "1", "of the contacts that act: 0: change_contacts switches it off", Number(0, 1)),
+) | {field.name: field for field in CONTACTS.values() if field.per == "contact"}
+
 LISTS = {
     "": "count",
     "earlier ": "before_count",
@@ -87,5 +100,6 @@ GROUPS = {
     "sleepers": SLEEPERS,
     "overlaps": OVERLAPS,
     "touches": TOUCHES,
+    "switches": SWITCHES,
 }
 """Tables by the name that a group of arrays has as attribute of a simulation and as argument of a kernel."""

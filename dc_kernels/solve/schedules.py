@@ -85,6 +85,10 @@ def check_change(config: SolverConfig, before: SolverConfig, ran: str, schedule:
         raise ValueError(
             f"config.method is {config.method!r}, of the step in flight {before.method!r}: finish it with advance()"
         )
+    if config.contact_switches != before.contact_switches and ran != "advance":
+        raise ValueError(
+            "config.contact_switches changes in the middle of a step: finish it with solve() and advance()"
+        )
 
 
 def check_solve(

@@ -90,6 +90,7 @@ class SolverStorage:
         rods = np.diff(model.numpy("joint_start")).astype(np.int64) * lines
         own_rows = np.zeros_like(rods) if own_rows is None else own_rows
         self._joints = rods + own_rows
+        self._contacts = int(contacts.sum())
         self._most_bodies = int(np.diff(model.numpy("body_start")).max(initial=0))
         self.room = Room("blocks of rows", Flag.ROW_OVERFLOW, self._blocks_for(contacts))
         worlds = model.world_count
@@ -156,6 +157,7 @@ class SolverStorage:
             "row direction": pairs if direction else 0,
             "row past": self.at_once * self.past_width if past else 0,
             "row lane": self.room.total * LANES if self._surfaced else 0,
+            "switched contact": self._contacts if self._surfaced and config.contact_switches else 0,
         }
 
     def use(
@@ -197,6 +199,12 @@ class SolverStorage:
         if sweeps != self.stats.sizes["sweep"]:
             self.stats.reallocate(("history",), sweep=sweeps)
 
+    def switch(self, config: SolverConfig) -> None:
+        """Allocate the surface speeds of contacts that may be changed, or free them."""
+        wanted = self._row_sizes(self.rows.sizes, config)["switched contact"]
+        if wanted != self.rows.sizes["switched contact"]:
+            self.rows.reallocate(("surface_speed",), **{"switched contact": wanted})
+
     def provide(self, config: SolverConfig) -> bool:
         """Allocate what an iteration needs and has not got yet; whether there was any."""
         wanted = self._row_sizes(self.rows.sizes, config)
@@ -209,6 +217,7 @@ class SolverStorage:
     def relayout(self, contacts: np.ndarray, config: SolverConfig, sizes: Mapping[str, int] | None = None) -> None:
         """Allocate the rows anew for so many contacts of each world, and other ``sizes``; the next step makes them."""
         self.room.slots = np.maximum(self.room.slots, self._blocks_for(contacts))
-        changed = {**(sizes or {}), "contact": int(contacts.sum()), **self._row_sizes(self.rows.sizes, config)}
+        self._contacts = int(contacts.sum())
+        changed = {**(sizes or {}), "contact": self._contacts, **self._row_sizes(self.rows.sizes, config)}
         self.rows.renew(**changed)
         self.rows.assign("block_start", self.room.starts())

@@ -42,6 +42,11 @@ def new_values(sim, name):
             values[1:8] = 0
         case "shape_role":
             values[1:8] = dc.ShapeRole.SENSOR
+        case "shape_one_way":
+            values[1:8] += 1.0
+            role = np.zeros(len(values), np.int32)
+            role[1:8] = dc.ShapeRole.ONE_WAY
+            return {name: values, "shape_role": role}
         case "length_scale":
             values *= 20
         case "shape_radius":

@@ -21,7 +21,7 @@ from dc_kernels.model.fields import LAUNCH, MOTION, STATE
 from dc_kernels.model.groups import GROUPS
 from dc_kernels.runtime.backends import argument_names, bind
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR, has_traits
-from dc_kernels.stages import SLEEP, SOFT, STEP, kernel_table
+from dc_kernels.stages import EVENTS, LINKED, SLEEP, SOFT, STEP, SWITCHED, kernel_table
 from tests.parity.scenes import (
     SCRATCH,
     bounce,
@@ -43,6 +43,7 @@ DT = 0.01
 # solve counts as one, and of a run.
 KERNEL_BOUND = {"float64": 1e-10, "float32": 1e-4}
 RUN_BOUND = 1e-9
+ADDED = tuple(stage.kernel for stage in (*LINKED, *EVENTS, *SWITCHED))
 
 
 # ---------------------------------------------------------------------- tables
@@ -52,16 +53,16 @@ RUN_BOUND = 1e-9
 @pytest.mark.parametrize("variant", list(COLUMNS))
 @pytest.mark.parametrize("only_discs", [False, True])
 def test_backends_have_the_same_kernels(dtype: str, variant: str, only_discs: bool) -> None:
-    warp = kernel_table("warp", dtype, variant, only_discs, sleep=True)
-    oracle = kernel_table("numpy", dtype, variant, only_discs, sleep=True)
+    warp = kernel_table("warp", dtype, variant, only_discs, sleep=True, added=ADDED)
+    oracle = kernel_table("numpy", dtype, variant, only_discs, sleep=True, added=ADDED)
     assert list(warp) == list(oracle)
     for name in warp:
         assert argument_names(warp[name]) == argument_names(oracle[name]), name
 
 
 def test_kernels_take_what_their_stages_name() -> None:
-    table = kernel_table("numpy", "float32", "general", False, sleep=True, soft=True)
-    for stage in (*STEP, *SLEEP, *SOFT):
+    table = kernel_table("numpy", "float32", "general", False, sleep=True, soft=True, added=ADDED)
+    for stage in (*STEP, *SLEEP, *SOFT, *LINKED, *EVENTS, *SWITCHED):
         wanted = {*stage.reads, *stage.writes}
         assert set(argument_names(table[stage.kernel])) & set(GROUPS) == wanted, stage.kernel
 

@@ -132,6 +132,8 @@ def check_events(scope: dict) -> None:
     assert sorted(scope["entered"]) == [0, 1, 2] and scope["inside"].world.tolist() == [0, 1, 2]
     hits = [speed for speeds in scope["hits"] for speed in speeds]
     assert hits == pytest.approx(3 * [np.sqrt(2 * 9.8 * 3.75)], rel=0.02)
+    assert scope["crate"].state.numpy("position")[scope["box"], 1] == pytest.approx(2.2, abs=2e-3)
+    assert scope["crate"].state.numpy("velocity")[scope["slider"], 0] == pytest.approx(3.0 - 0.05 * 9.8 * 2.0, rel=1e-2)
 
 
 def check_population(scope: dict) -> None:
@@ -351,7 +353,9 @@ def test_the_table_of_what_sleep_adds_is_that_of_the_code():
 
 
 def test_the_table_of_what_joints_add_is_that_of_the_code():
-    assert stages.markdown(stages.EVENTS) in (ROOT / "docs" / "events.md").read_text(encoding="utf-8")
+    assert stages.markdown((*stages.EVENTS, *stages.SWITCHED)) in (ROOT / "docs" / "events.md").read_text(
+        encoding="utf-8"
+    )
     assert stages.markdown(stages.LINKED) in (ROOT / "docs" / "joints.md").read_text(encoding="utf-8")
 
 

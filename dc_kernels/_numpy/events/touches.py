@@ -40,8 +40,9 @@ def note_touches(tid: int, launch: Any, config: Any, model: Any, state: Any, con
     for pair, group in groupby(used, lambda c: int(contacts.key[c]) >> KEY_FEATURE_BITS):
         mine = list(group)
         a, b = int(shape0 + (pair >> KEY_SHAPE_BITS)), int(shape0 + (pair & (2**KEY_SHAPE_BITS - 1)))
+        mine = [c for c in mine if contacts.color[c] >= 0]  # that are not off
         presses = (contacts.impulse[mine, 0] != 0).any() or (contacts.gap[mine] < 0).any()
-        if not presses and (a, b) not in known:
+        if not mine or (not presses and (a, b) not in known):
             continue
         speed, fastest = contacts.gap.dtype.type(0), mine[0]
         for c in mine:

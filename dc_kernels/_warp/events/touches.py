@@ -73,9 +73,12 @@ def kernels(dtype: str) -> dict[str, Any]:
             speed = real(0.0)
             fastest = c
             presses = bool(False)
+            lasts = bool(False)
             while c < end and contacts.key[c] >> SHIFT_B == pair:
+                acts = contacts.color[c] >= 0  # it is not off
+                lasts = lasts or acts
                 impulse += contacts.impulse[c][0]
-                presses = presses or contacts.impulse[c][0] != real(0.0) or contacts.gap[c] < real(0.0)
+                presses = presses or (acts and (contacts.impulse[c][0] != real(0.0) or contacts.gap[c] < real(0.0)))
                 if contacts.impulse[c][0] > real(0.0):
                     approach = speed_of(c, state, contacts)
                     if approach > speed:
@@ -84,7 +87,7 @@ def kernels(dtype: str) -> dict[str, Any]:
                 c += 1
             while known < last_known and is_before(touches.a[known], touches.b[known], a, b):
                 known += 1
-            touched = known < last_known and touches.a[known] == a and touches.b[known] == b
+            touched = lasts and known < last_known and touches.a[known] == a and touches.b[known] == b
             if presses or touched:
                 touches.begun_a[n] = a
                 touches.begun_b[n] = b

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup, Model, State
-from dc_kernels.model.enums import BodyType, JointKind, JointPart, ShapeType
+from dc_kernels.model.enums import BodyType, JointKind, JointPart, ShapeRole, ShapeType
 from dc_kernels.model.fields import JOINTS, KEY_SHAPE_BITS, MODEL, STATE, TRAITS
 from dc_kernels.model.joints.groups import HELD, OPTIONAL, Joints, count_rows
 from dc_kernels.model.rules import INVERSE_TOLERANCE, BrokenRule, Index, Start, refuse
@@ -89,6 +89,9 @@ def check_model(model: Arrays, label: str = "model.", backend: str = "numpy") ->
         for name in CORNERS:
             check_field(f"{label}{name}", MODEL[name], model[name], layout)
 
+    if len(role := model["shape_role"]):
+        wrong = (role == ShapeRole.ONE_SIDED) & (model["shape_type"] != ShapeType.SEGMENT)
+        refuse(f"{label}shape_role", role, wrong, "another role than ONE_SIDED, for its shape is no SEGMENT of a chain")
     shapes = np.diff(model["shape_start"])
     refuse(f"the number of shapes of {label}shape_start", shapes, shapes > 2**KEY_SHAPE_BITS, f"<= {2**KEY_SHAPE_BITS}")
     if not layout.glance.bodies(model):

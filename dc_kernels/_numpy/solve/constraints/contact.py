@@ -50,7 +50,7 @@ def make_contact_row(
             bias = max(bias, e * before)
         elif before < -threshold:
             bias = min(bias, e * before)  # Newton's impact law, of the speed before the step's forces
-    slip = slip_of(c, w, model, contacts) if variant in SURFACED else g.dtype.type(0)
+    slip = slip_of(c, w, model, contacts, rows) if variant in SURFACED else g.dtype.type(0)
     ut = ut + slip
     square = (en * (un + bias)) ** 2 + (en * ut) ** 2 if counted else 0.0
     return PackedRow(

@@ -17,8 +17,10 @@ def shapes_of(c: int, w: int, model: Any, contacts: Any) -> tuple[int, int]:
     return first + (pair >> KEY_SHAPE_BITS), first + (pair & (2**KEY_SHAPE_BITS - 1))
 
 
-def slip_of(c: int, w: int, model: Any, contacts: Any) -> Any:
+def slip_of(c: int, w: int, model: Any, contacts: Any, rows: Any) -> Any:
     """Tangential speed of the surface of B against that of A where the bodies rest [m/s]."""
+    if len(rows.surface_speed):  # which a user may have changed
+        return -rows.surface_speed[c]
     a, b = shapes_of(c, w, model, contacts)
     return -(model.shape_surface_speed[a] + model.shape_surface_speed[b])
 

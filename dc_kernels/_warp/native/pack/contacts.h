@@ -10,6 +10,9 @@ const Real* const arms_b = (const Real*)contacts.arm_b.data;
 const Real* const velocity_before = (const Real*)state.velocity.data;
 const Real* const spin_before = state.angular_velocity.data;
 const Real* const inv_inertia = model.inv_inertia.data;
+#if SURFACES
+const bool changed_speeds = rows.surface_speed.shape[0] > 0;  // by a user, contact by contact
+#endif
 #if OWN
 const Real* const stiff_inertia = rows.stiff_inertia.data;
 #endif
@@ -111,7 +114,7 @@ auto fill = [&](const int* c, Real* to, int* between) {
 #if SURFACES
     const int order[] = {0, 1, 2, 3, 4, 5, 6, 7};
     Real slips[SIDE];
-    for (int i = 0; i < SIDE; ++i) slips[i] = slip_of(c[i]);
+    for (int i = 0; i < SIDE; ++i) slips[i] = changed_speeds ? -rows.surface_speed.data[c[i]] : slip_of(c[i]);
     const Number slip = values_at(slips, order), along = ut + slip;
     store(to + AT_slip, slip);
     store(to + AT_roll, zero);
