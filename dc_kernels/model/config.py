@@ -73,8 +73,8 @@ class SolverConfig(Settings):
     """Projected Gauss-Seidel in colour order; Jacobi with mass splitting (Tonge et al. 2012); or substeps of one sweep
     with soft contacts and one that relaxes them (Catto 2024, as in Box2D 3), which is not solved to any tolerance."""
     joint_solver: Literal["direct", "sweeps"] = "direct"
-    """How joints are solved: "direct", all whose bodies form trees at once after each sweep, exactly whatever their
-    masses; "sweeps", row by row as the contacts are. Method "jacobi" knows sweeps alone."""
+    """How joints are solved: "direct", all whose bodies form trees at once, exactly whatever their masses, where sweeps
+    leave them apart; "sweeps", row by row as the contacts are. Method "jacobi" knows sweeps alone."""
     substeps: Count = 1
     """Parts of a step. With method "tgs_soft" they share pairs, contacts and rows, whose gaps follow the bodies to
     first order; with the others ``step`` and ``run`` take as many whole steps of dt / substeps, whose narrowphase is
@@ -103,12 +103,12 @@ class SolverConfig(Settings):
     stop: Literal["change", "residual", "motion"] | None = None
     """What ends a solve: "change", the largest impulse change of a sweep, at the tolerances; "residual", the natural
     map of the contact problem relative to its size, at the tolerance; "motion", the change, or what a sweep still does
-    to the motion of the bodies (``motion_tolerance``), in worlds without joints. None: "change" where a
-    tolerance is given, else "motion"."""
+    to the motion of the bodies (``motion_tolerance``), but in worlds of rods. None: "change" where a tolerance is
+    given, else "motion"."""
     motion_tolerance: NotNegative = 0.02
     """With stop "motion" a sweep moves a contact that it changes the speed of, along the normal or the tangent, by more
     than this many slops a step, and more where ``motion_share`` says so. A solve ends when a sweep moves at most one
-    contact in ten, and none by 50 times as much [slop/step]."""
+    contact in ten, none by 50 times as much, and no row that holds a joint together [slop/step]."""
     motion_share: NotNegative = 0.05
     """A change of speed counts as none, too, up to this share of what the contacts have changed the velocity of the
     faster body by in the step, beyond 1.5 times what gravity does: impacts are solved to five per cent [1]."""

@@ -274,6 +274,13 @@ ROWS = field_table(
     ("row_slot", "own row", "int32", "1", "where the row's impulse lies in rows.impulse"),
     ("row_impulse", "own row", "real", "N s", "along the row's Jacobians"),
     ("tree_start", "world+1", "int32", "1", "first joint of each world's trees, which are solved directly"),
+    (
+        "tree_used",
+        "tree world",
+        "int32",
+        "1",
+        "1: sweeps of this step left joints apart, so trees were solved",
+    ),
     ("tree_row", "tree joint", "int32", "1", "first row of the joint, of those that the trees hold"),
     ("tree_size", "tree joint", "int32", "1", "rows of it that they hold, 3 at most"),
     ("tree_parent", "tree joint", "int32", "1", "its body that is nearer to the root of the tree"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,9 @@ STIFFNESS = 4.0
 
 SMALL_TURN = 0.2
 """Turn in a step from which rows no longer make up for what it adds, to second order, as that misleads [rad]."""
+
+LOOP_SHARE = 10
+"""Joints that a component has at least for each that closes a loop in it, for the others to be solved as a tree [1]."""
 
 LASTING = 0.99 * UNBOUNDED
 """A break force from which a joint lasts, whatever the scalar type rounds it to [N]."""
@@ -79,6 +83,7 @@ def plant(model: Model, joints: Joints) -> Forest:
     a, b = joints.numpy("joint_body_a")[held], joints.numpy("joint_body_b")[held]
     links: dict[int, list[tuple[int, int]]] = {}  # of each body: other body, -1 where it is not dynamic, and joint
     root = np.arange(model.body_count)
+    loops: list[int] = []  # a body of each joint that closes one
 
     def find(body: int) -> int:
         while root[body] != body:
@@ -89,18 +94,20 @@ def plant(model: Model, joints: Joints) -> Forest:
     for j, p, c in zip(held.tolist(), a.tolist(), b.tolist(), strict=True):
         if dynamic[p] and dynamic[c]:
             if find(p) == find(c):
+                loops.append(p)
                 continue
             root[find(c)] = find(p)
             links.setdefault(c, []).append((p, j))
         one, other = (p, c if dynamic[c] else -1) if dynamic[p] else (c, -1)
         links.setdefault(one, []).append((other, j))
+    loops_of = Counter(find(body) for body in loops)  # of each root
     order: list[tuple[int, int, int]] = []  # joint, parent, child, from the roots on
     seen: set[int] = set()
     for first in sorted(links):
         if first in seen:
             continue
         seen.add(first)
-        queue = [first]
+        queue, found_here = [first], len(order)
         for body in queue:
             order += [(j, body, -1) for other, j in reversed(links[body]) if other < 0]
             for other, j in links[body]:
@@ -108,6 +115,8 @@ def plant(model: Model, joints: Joints) -> Forest:
                     seen.add(other)
                     queue.append(other)
                     order.append((j, body, other))
+        if LOOP_SHARE * loops_of[find(first)] > len(order) - found_here:
+            del order[found_here:]
     found = np.array(order[::-1], np.int64).reshape(-1, 3)
     world = np.searchsorted(model.numpy("joint_start"), found[:, 0], "right") - 1
     found, world = found[np.argsort(world, kind="stable")], np.sort(world)

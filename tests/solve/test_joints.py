@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import dc_kernels as dc
+from bench.peers.gauge import Gauge
+from pipeline import scenes
 
 G = 9.8
 DT = 1 / 60
@@ -387,3 +389,46 @@ def test_wrong_arguments_are_named(call, message):
     builder.add_body(mass=1.0)
     with pytest.raises(ValueError, match=message):
         call(builder)
+
+
+def test_trees_are_solved_where_sweeps_leave_joints_apart():
+    """A chain that carries a load needs them, a doll that floats does not, a net has none."""
+    found = {}
+    for name, scene in (
+        ("chain", scenes.BallAndChain(bodies=10)),
+        ("doll", scenes.Ragdolls(bodies=11, gravity=0.0)),
+        ("net", scenes.JointGrid(bodies=100)),
+    ):
+        sim = dc.Simulation(*scene.build().finalize("float64"))
+        sim.run(20, 0.01)
+        found[name] = sim.rows.numpy("tree_used").tolist(), len(sim.rows.numpy("tree_row"))
+    assert found == {"chain": ([1], 11), "doll": ([0], 10), "net": ([], 0)}
+
+
+@pytest.mark.parametrize("loops", [1, 2])
+def test_a_ring_is_a_tree_but_for_one_joint_and_a_knot_is_none(loops):
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, 0.0))
+    places = [(math.cos(t), math.sin(t)) for t in np.linspace(0.0, 2.0 * math.pi, 12, endpoint=False)]
+    links = [builder.add_body(place) for place in places]
+    for link in links:
+        builder.add_disc(link, 0.1)
+    for i in range(12):
+        builder.add_revolute_joint(links[i], links[(i + 1) % 12])
+    for i in range(loops - 1):
+        builder.add_revolute_joint(links[i], links[i + 6])
+    sim = dc.Simulation(*builder.finalize())
+    assert len(sim.rows.numpy("tree_row")) == (11 if loops == 1 else 0)
+
+
+def test_a_net_is_held_within_few_sweeps():
+    """What a net of 400 lacks shows as stretch, which stays below 1e-4 of its mesh once it swings."""
+    scene = scenes.JointGrid(bodies=400)
+    sim = dc.Simulation(*scene.build().finalize())
+    sweeps = []
+    for _ in range(60):
+        sim.step(0.01)
+        sweeps.append(int(sim.stats.numpy("sweeps")[0]))
+    gauge = Gauge(*scene.build().finalize("float64"))
+    apart = gauge.separations(*(sim.state.numpy(name).astype(np.float64) for name in ("position", "angle")))
+    assert max(apart) < 1e-4 and max(sweeps) < 400 and np.mean(sweeps[30:]) < 15.0

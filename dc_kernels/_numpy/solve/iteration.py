@@ -43,6 +43,7 @@ def conclude_sweep(world: World, largest: Any) -> bool:
     it.sweeps += 1
     it.change = largest
     last = it.sweeps >= config.max_sweeps
+    apart = world.follow(largest)
     if it.sweeps < config.min_sweeps:
         converged = False
     elif config.stop == BY_RESIDUAL:
@@ -52,7 +53,7 @@ def conclude_sweep(world: World, largest: Any) -> bool:
         converged = largest < world.bound
         if config.stop == BY_MOTION and it.sweeps % config.residual_every == 0:
             converged = converged or world.is_still
-    it.finished = int(last or converged)
+    it.finished = int(last or (converged and not apart))
     anew = bool(it.finished) and config.acceleration == ADAPTIVE and it.stretch_method == Stretch.MOMENTUM
     if config.acceleration != PLAIN and world.pause_at == NEVER:
         anew = keep_best(world, largest, last) or anew

@@ -26,7 +26,8 @@ def position_kernels(variant: str) -> Kernels:
             return
         limit = config.max_correction * model.length_scale[w]
         world = World(w, variant, 0, config, model, motion, rows, None)
-        trees = Trees(w, variant, rows, motion.displacement, places=True) if world.direct else None
+        used = world.has_trees and rows.tree_used[w]
+        trees = Trees(w, variant, rows, motion.displacement, places=True) if used else None
         for _ in range(config.position_iterations):
             pushes = (push_row(row, motion.displacement, config.position_factor, limit) for row in world.own_rows)
             pushed = max(pushes, default=0.0)

@@ -132,7 +132,6 @@ def kernels(dtype: str, variant: str) -> Kernels:
         if state.flags[w] or stats.iteration[w].finished:
             return
         world = world_of(tid, launch, config, model, motion, rows, stats)
-        world.solve_trees()
         conclude_sweep(world, stats.change[w])
 
     def finish(tid: int, launch: Any, config: Any, model: Any, state: Any, motion: Any, rows: Any, stats: Any) -> None:

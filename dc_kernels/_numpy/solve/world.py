@@ -12,6 +12,7 @@ from dc_kernels._numpy.common import Array
 from dc_kernels._numpy.solve.row import Row, by_lane, jacobi_row, natural_map_row, read_row, sweep_row
 from dc_kernels._numpy.solve.trees import Trees
 from dc_kernels.model.config import ACCELERATIONS, JOINT_SOLVERS, METHODS, STOPS
+from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.solve.iteration import FALL, FAR, MOVING, NEVER, PAST
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, OWN
 
@@ -103,10 +104,9 @@ class World:
     def is_still(self) -> bool:
         """Whether the last sweep has moved at most one row in MOVING, and none far."""
         config, motion, model, w = self.config, self.motion, self.model, self.w
-        if any(start[w + 1] > start[w] for start in (self.rows.line_start, self.rows.row_start)):
-            return False  # what a joint lacks shows as stretch: such a world is solved to the tolerances
-        real, dt = motion.step_dt.dtype.type, motion.step_dt[w]
-        still = real(config.motion_tolerance) * real(config.slop) * model.length_scale[w] / dt
+        if self.rows.line_start[w + 1] > self.rows.line_start[w]:
+            return False  # what a rod lacks shows as stretch: such a world is solved to the tolerances
+        real, dt, still = motion.step_dt.dtype.type, motion.step_dt[w], self.still
         fall = real(FALL) * np.sqrt(np.sum(model.gravity[w] ** 2)) * dt
         given = np.abs(motion.solved[:, :2] - motion.predicted[:, :2]).max(axis=1)
         moving = movable = 0
@@ -118,7 +118,21 @@ class World:
                 return False
             moving += int(not (moved <= limit * mass).all())
             movable += int(mass[0] > 0)
-        return MOVING * moving <= movable
+        return MOVING * moving <= movable and not self.lacks
+
+    @property
+    def still(self) -> Any:
+        """Change of a row's speed in a sweep that counts as none."""
+        config, motion, real = self.config, self.motion, self.motion.step_dt.dtype.type
+        length = self.model.length_scale[self.w]
+        return real(config.motion_tolerance) * real(config.slop) * length / motion.step_dt[self.w]
+
+    @property
+    def lacks(self) -> bool:
+        """Whether a row without bounds lacked more of its speed, as the last sweep came to it, than is still."""
+        change, still = by_lane(self.rows.change), self.still
+        held = (row for row in self.own_rows if row.low < -UNBOUNDED and row.high > UNBOUNDED)
+        return any(not abs(change[row.at][0]) <= still * row.effective_mass[0] for row in held)
 
     @property
     def omega(self) -> float:
@@ -130,24 +144,34 @@ class World:
         by_lane(self.rows.change)[self.blocks] = 0.0  # of empty lanes too
         if self.config.method == JACOBI:
             return max(jacobi_row(row, self.rows, self.motion, self.omega) for row in self.own_rows)
-        most = max(sweep_row(row, self.rows, self.motion.solved, self.omega) for row in self.own_rows)
-        self.solve_trees()
-        return most
+        return max(sweep_row(row, self.rows, self.motion.solved, self.omega) for row in self.own_rows)
 
     @cached_property
     def trees(self) -> Trees:
         """The trees of its joints."""
         return Trees(self.w, self.variant, self.rows, self.motion.predicted)
 
-    @property
-    def direct(self) -> bool:
-        """Whether sweeps are followed by a direct solve of the joints' trees; Jacobi's share of masses knows none."""
-        return self.variant in OWN and self.config.joint_solver == DIRECT and self.config.method != JACOBI
+    def follow(self, change: Any) -> bool:
+        """Solve the joints' trees where the sweeps have left something apart; whether that was first found."""
+        config, rows, w = self.config, self.rows, self.w
+        sweeps, planted = self.iteration.sweeps, self.has_trees
+        if not planted or config.joint_solver != DIRECT or config.method == JACOBI:
+            return False
+        used = bool(rows.tree_used[w])
+        every = min(config.residual_every, config.max_sweeps)
+        late = sweeps >= config.min_sweeps and (used or change < self.bound)
+        if not (late or (sweeps + 1) % every == 0):
+            return False
+        if not self.lacks and (config.stop == BY_MOTION or change < self.bound):
+            return False
+        rows.tree_used[w] = 1
+        self.trees.solve(rows, self.motion.solved)
+        return not used
 
-    def solve_trees(self) -> None:
-        """Solve all trees for the velocities that a sweep has left."""
-        if self.direct:
-            self.trees.solve(self.rows, self.motion.solved)
+    @property
+    def has_trees(self) -> bool:
+        """Whether joints of it form trees."""
+        return self.variant in OWN and self.rows.tree_start[self.w + 1] > self.rows.tree_start[self.w]
 
     def apply(self, delta: Array) -> None:
         """Velocities follow a change of all impulses: V += M^-1 J^T delta (Wu 2018, equation 2.26)."""
@@ -165,6 +189,8 @@ class World:
         A row along which nothing can move has none.
         """
         rows, w = self.rows, self.w
+        if self.has_trees:
+            rows.tree_used[w] = 0
         self.impulse[:] = 0.0
         own = slice(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
         columns = COLUMNS[self.variant]

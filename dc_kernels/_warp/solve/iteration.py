@@ -12,7 +12,7 @@ from dc_kernels._warp.solve.ranges import range_functions
 from dc_kernels._warp.solve.world import world_functions
 from dc_kernels.model.config import ACCELERATIONS, METHODS, STOPS
 from dc_kernels.solve.iteration import BEST, GROWTH, NEVER, RETREAT, Stretch
-from dc_kernels.solve.rows import SURFACED
+from dc_kernels.solve.rows import OWN, SURFACED
 
 JACOBI = wp.constant(METHODS["jacobi"])
 AITKEN = wp.constant(ACCELERATIONS["aitken"])
@@ -41,6 +41,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     world = world_functions(dtype, variant)
     refresh, natural_map, is_still = world.refresh, world.natural_map, world.is_still
     bound_rolling, surfaced = world.bound_rolling, variant in SURFACED
+    follow, own = world.follow, variant in OWN
     huge = real(3e38)
 
     @wp.func(module=module)
@@ -153,7 +154,12 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         sweeps += 1
         stats.iteration[w].sweeps = sweeps
         stats.iteration[w].change = change
+        found = int(0)
+        if wp.static(own):
+            found = follow(span, change, sweeps, config, motion, rows)
         done = has_converged(span, change, sweeps, config, motion, rows)
+        if found == 1 and sweeps < config.max_sweeps:
+            done = 0
         stats.iteration[w].finished = done
         anew = done == 1 and config.acceleration == ADAPTIVE and stats.iteration[w].stretch_method == MOMENTUM
         if config.acceleration != PLAIN and span.pause_at == NO_PAUSE:

@@ -19,6 +19,7 @@ import warp as wp
 
 from dc_kernels._warp.common import scalar_types
 from dc_kernels._warp.native import SCALARS, in_parts, native_code
+from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.runtime.sequences import SEATS
 from dc_kernels.solve.iteration import ASTRAY, FAR, MOST_SUMS, MOVING, SUMMED
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SERIAL_COLOR, SURFACED
@@ -133,6 +134,11 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         fall: real,
     ) -> wp.int32: ...
 
+    @wp.func_native(code("lacking", UNBOUNDED=UNBOUNDED))
+    def lacking(
+        columns: wp.array(dtype=real), change: wp.array(dtype=real), b0: wp.int32, b1: wp.int32, still: real
+    ) -> wp.int32: ...
+
     sizes = {"LANES": LANES, "SEATS": SEATS, "SUMMED": SUMMED, "MOST_SUMS": MOST_SUMS}
     summed = native_code("runtime/team.h", "runtime/ranges.h", "runtime/sum_blocks.h", dtype=dtype, **sizes)
 
@@ -177,6 +183,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         move_on=move_on,
         natural_map=natural_map,
         moving=moving,
+        lacking=lacking,
         bound=bound,
         forget_rolling=forget_rolling,
     )

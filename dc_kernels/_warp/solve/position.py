@@ -10,7 +10,7 @@ from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.lanes import has_lanes, lane_functions
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels._warp.solve.trees import tree_functions
-from dc_kernels._warp.solve.world import DIRECT, ENDS, JACOBI, N_COLORS, N_LANES, SERIAL
+from dc_kernels._warp.solve.world import ENDS, N_COLORS, N_LANES, SERIAL
 from dc_kernels.solve.rows import JOINTED, OWN
 
 
@@ -55,7 +55,9 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
         iteration = int(0)
         pushed = real(1.0)
         if wp.static(own):
-            direct = config.joint_solver == DIRECT and config.method != JACOBI
+            direct = rows.tree_start[w + 1] > rows.tree_start[w]
+            if direct:
+                direct = rows.tree_used[w] == 1
             if direct:
                 factor_trees(w, 1, motion.displacement, rows)
         while iteration < config.position_iterations and pushed > real(0.0):

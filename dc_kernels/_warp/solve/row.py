@@ -11,6 +11,7 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.laws import linear_speed, natural_map_squared, relative_speed
+from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.solve.iteration import ASTRAY, FAR, MOVING
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SURFACED
 
@@ -40,6 +41,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
     DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
     HI, AX, AY, SOFT, HELD, SLIP, ROLL = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft", "held", "slip", "roll"))
     infinity = real(float("inf"))
+    bounded = real(UNBOUNDED)
 
     @wp.func(module=module)
     def normal_speed(column: wp.array(dtype=real), r: int, va: vec4, vb: vec4):
@@ -295,6 +297,14 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         return count
 
     @wp.func(module=module)
+    def lacking_row(block: int, lane: int, rows: t.Rows, still: real):
+        """1 where a row without bounds lacked more than a speed as the last sweep came to it."""
+        r = block * width + lane
+        if rows.column[r + LO] >= -bounded or rows.column[r + HI] <= bounded:
+            return 0
+        return wp.where(wp.abs(rows.change[block * 2 * N_LANES + lane]) <= still * rows.column[r + EN], 0, 1)
+
+    @wp.func(module=module)
     def natural_map_row(block: int, lane: int, rows: t.Rows, bodies: wp.array(dtype=vec4)):
         """Squared natural map of one row [(N s)^2]: impulse minus its projected step on the friction cone.
 
@@ -331,5 +341,6 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         apply_row=apply_row,
         push_row=push_row,
         moving_row=moving_row,
+        lacking_row=lacking_row,
         natural_map_row=natural_map_row,
     )

@@ -15,10 +15,8 @@ from dc_kernels._warp.solve.accelerate import accelerate_functions, aitken, nncg
 from dc_kernels._warp.solve.iteration import GOES_ON, PAUSES, iteration_functions
 from dc_kernels._warp.solve.position import position_kernels
 from dc_kernels._warp.solve.row import row_functions
-from dc_kernels._warp.solve.trees import tree_functions
 from dc_kernels._warp.solve.world import ENDS, JACOBI, N_LANES, NO_PAUSE, SERIAL, world_functions
 from dc_kernels.model.config import ACCELERATIONS
-from dc_kernels.solve.rows import OWN
 
 NNCG = wp.constant(ACCELERATIONS["nncg"])
 
@@ -34,9 +32,6 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     start, prepare_sweep, conclude_sweep, report = vars(iteration).values()
     world = world_functions(dtype, variant)
     span_of, sweep, load_impulses = world.span_of, world.sweep, world.load_impulses
-    solves_trees, own, one = world.solves_trees, variant in OWN, real(1.0)
-    if own:
-        solve_trees = tree_functions(dtype, variant).solve
     end_period = aitken.functions(dtype, variant).end_period
     reset_nncg = nncg.functions(dtype, variant).reset
     relaxation = accelerate_functions(dtype, variant).relaxation
@@ -199,9 +194,6 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if state.flags[w] != 0 or stats.iteration[w].finished != 0:
             return
         span = span_of(w, launch.past_offset + tid * launch.past_step, config, model, motion, rows)
-        if wp.static(own):
-            if solves_trees(config) == 1:
-                solve_trees(w, 0, one, one, motion.solved, rows)
         conclude_sweep(span, stats.change[w], config, motion, rows, stats)
 
     @wp.kernel(module=colors, enable_backward=False)

@@ -23,6 +23,7 @@ ROLLING = wp.constant(ROLLING_COLOR)
 JACOBI = wp.constant(METHODS["jacobi"])
 DIRECT = wp.constant(JOINT_SOLVERS["direct"])
 BY_RESIDUAL = wp.constant(STOPS["residual"])
+BY_MOTION = wp.constant(STOPS["motion"])
 NO_PAUSE = wp.constant(NEVER)
 LED_ASTRAY = wp.constant(ASTRAY)
 
@@ -40,6 +41,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     lanes = lane_functions(dtype, variant)
     sweep_lanes, apply_lanes, natural_map_lanes = lanes.sweep, lanes.apply, lanes.natural_map
     extrapolate_lanes, move_on, moving_lanes = lanes.extrapolate, lanes.move_on, lanes.moving
+    lacking_lanes, lacking_row = lanes.lacking, row.lacking_row
     restore = range_functions(dtype).restore
     bound_lanes, forget_rolling = lanes.bound, lanes.forget_rolling
     jointed, own, surfaced = variant in JOINTED, variant in OWN, variant in SURFACED
@@ -94,9 +96,6 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         if wp.static(jointed):  # what a joint lacks shows as stretch: such a world is solved to the tolerances
             if rows.line_start[w + 1] > rows.line_start[w]:
                 span.still = never
-        if wp.static(own):
-            if rows.row_start[w + 1] > rows.row_start[w]:
-                span.still = never
         span.fall = real(FALL) * wp.length(model.gravity[w]) * dt
         return span
 
@@ -105,11 +104,6 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         """Bounds of the rows of rolling resistance follow the normal impulses of their contacts."""
         first = rows.color_block[span.world * ENDS + ROLLING]
         bound_lanes(rows.column, rows.limit_slot, rows.impulse, first, span.last)
-
-    @wp.func(module=module)
-    def solves_trees(config: t.Config):
-        """1 where sweeps are followed by a direct solve of the joints' trees; Jacobi's share of masses knows none."""
-        return wp.where(config.joint_solver == DIRECT and config.method != JACOBI, 1, 0)
 
     @wp.func(module=module)
     def sweep(span: Span, config: t.Config, omega: real, motion: t.Motion, rows: t.Rows):
@@ -136,9 +130,6 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         # one loop over the rows: Warp would unroll one over lanes, which takes the compiler half a minute
         for k in range(first * N_LANES, span.last * N_LANES):
             change = wp.max(change, sweep_row(k / N_LANES, k % N_LANES, rows, motion.solved, omega))
-        if wp.static(own):
-            if solves_trees(config) == 1:
-                solve_trees(span.world, 0, one, one, motion.solved, rows)
         return change
 
     @wp.func(module=module)
@@ -206,8 +197,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             forget_rolling(rows.column, rows.limit_slot, rows.impulse, rolling, span.last)
         refresh(span, motion, rows)
         if wp.static(own):
-            if solves_trees(config) == 1:
-                factor_trees(w, 0, motion.predicted, rows)
+            if rows.tree_start[w + 1] > rows.tree_start[w]:
+                rows.tree_used[w] = 0
 
     @wp.func(module=module)
     def natural_map(span: Span, bodies: wp.array(dtype=vec4), rows: t.Rows):
@@ -228,6 +219,41 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         if scale > tiny:
             total = total / scale
         return total
+
+    @wp.func(module=module)
+    def lacks(span: Span, rows: t.Rows):
+        """1 where a row without bounds lacked more of its speed, as the last sweep came to it, than counts as still."""
+        count = int(0)
+        if has_lanes() == 1:
+            count = lacking_lanes(rows.column, rows.change, span.first, span.last, span.still)
+        else:
+            for k in range(span.first * N_LANES, span.last * N_LANES):
+                if count == 0:
+                    count = lacking_row(k / N_LANES, k % N_LANES, rows, span.still)
+        return count
+
+    @wp.func(module=module)
+    def follow(span: Span, change: real, sweeps: int, config: t.Config, motion: t.Motion, rows: t.Rows):
+        """Solve the joints' trees, where the sweeps by now have left something apart; 1 where that was first found.
+
+        Sweeps are looked at a sweep before the stop by motion is, and from ``min_sweeps`` on after each where they do
+        not suffice.
+        """
+        w = span.world
+        if rows.tree_start[w + 1] == rows.tree_start[w] or config.joint_solver != DIRECT or config.method == JACOBI:
+            return 0
+        used = rows.tree_used[w]
+        every = wp.min(config.residual_every, config.max_sweeps)
+        late = sweeps >= config.min_sweeps and (used == 1 or change < span.bound)
+        if not (late or (sweeps + 1) % every == 0):
+            return 0
+        if lacks(span, rows) == 0 and (config.stop == BY_MOTION or change < span.bound):
+            return 0
+        if used == 0:
+            factor_trees(w, 0, motion.predicted, rows)
+            rows.tree_used[w] = 1
+        solve_trees(w, 0, one, one, motion.solved, rows)
+        return 1 - used
 
     @wp.func(module=module)
     def is_still(span: Span, config: t.Config, motion: t.Motion, rows: t.Rows):
@@ -252,7 +278,11 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                 if count < LED_ASTRAY:
                     here = moving_row(k / N_LANES, k % N_LANES, rows, motion, span, share)
                     count = wp.where(here == LED_ASTRAY, here, count + here)
-        return wp.where(count <= 0, 1, 0)
+        done = wp.where(count <= 0, 1, 0)
+        if wp.static(own):
+            if done == 1:
+                done = 1 - lacks(span, rows)
+        return done
 
     return SimpleNamespace(
         span_of=span_of,
@@ -264,5 +294,5 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         refresh=refresh,
         load_impulses=load_impulses,
         natural_map=natural_map,
-        solves_trees=solves_trees,
+        follow=follow,
     )
