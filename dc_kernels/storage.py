@@ -71,18 +71,42 @@ class Storage:
         self.events, self.switches = EventStorage(model), SwitchStorage(model)
         self.equip(config)
         self.integrator = Integrator(model, int(room["shards"]), config.method, typical_weight(model))
-        self.general = not are_rods(joints)
+        self._make_rows(str(room["variant"]), config, int(room["at_once"]))
+
+    def _make_rows(self, variant: str, config: SolverConfig, at_once: int) -> None:
+        """Allocate rows for contacts and joints."""
+        self.general = not are_rods(self.joints)
         self.solver = SolverStorage(
-            model,
+            self.model,
             config,
-            str(room["variant"]),
+            variant,
             contacts=self.contact_room,
             bodies=self.integrator.motion.sizes["body+1"],
-            at_once=int(room["at_once"]),
+            at_once=at_once,
             own_rows=self._joint_rows()[1],
             lines=not self.general,
         )
         self.plant()
+
+    def link(self, moves: Moves, variant: str, config: SolverConfig) -> None:
+        """Hold other joints, laid out as ``moves`` says, and rows for them; bodies and contacts stay where they are."""
+        version, before = self.version, self.solver
+        cache, impulse = self.narrowphase.cache, self.narrowphase.cache.numpy("joint_impulse")
+        cache.reallocate(("joint_impulse",), **{"joint row": moves.sizes["joint row"]})
+        cache.fill("joint_impulse", moves.of(impulse, "joint row", 0))
+        self.sleep.link(moves.sizes["joint"], lambda values: moves.of(values, "joint", 0))
+        self._make_rows(variant, config, before.at_once)
+        self._keep_solver(before, config)
+        self.changes += version - self.version + 1
+
+    def _keep_solver(self, before: SolverStorage, config: SolverConfig) -> None:
+        """Let rows have the room that they had, and show what the last solve did."""
+        slots = np.maximum(self.solver.room.slots, before.room.slots)
+        if (slots != self.solver.room.slots).any():
+            self.solver.room.slots = slots
+            self.solver.relayout(self.contact_room, config)
+        for name in STATS:
+            self.solver.stats.fill(name, before.stats.numpy(name))
 
     def plant(self) -> None:
         """Find the trees of the joints, and whom they keep apart, where these are not all rods."""
@@ -138,10 +162,11 @@ class Storage:
 
         Contacts keep their keys, as shapes keep their places within their worlds.
         """
-        for name in ("broadphase", "narrowphase", "solver"):
-            room = getattr(self, name).room
-            room.slots = np.maximum(room.slots, getattr(before, name).room.slots)
-        self._relayout(config)
+        rooms = [(self.broadphase.room, before.broadphase.room), (self.narrowphase.room, before.narrowphase.room)]
+        if any((room.slots < earlier.slots).any() for room, earlier in rooms):
+            for room, earlier in rooms:
+                room.slots = np.maximum(room.slots, earlier.slots)
+            self._relayout(config)
         found, had = self.narrowphase, before.narrowphase
         old, new = had.contacts.numpy("contact_start"), found.contacts.numpy("contact_start")
         moved = moves.places["body"][1]
@@ -166,8 +191,7 @@ class Storage:
                 target.restore(source.packed(first, moves.places["shape"][1]), start)
         for name in ("step_dt", "reach"):
             self.integrator.motion.fill(name, before.integrator.motion.numpy(name))
-        for name in STATS:
-            self.solver.stats.fill(name, before.solver.stats.numpy(name))
+        self._keep_solver(before.solver, config)
         self.changes = before.version + 1
 
     @property

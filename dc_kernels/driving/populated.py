@@ -189,6 +189,14 @@ class Populated(Phases):
         self._binding.kernels = self.kernels
         self._bind_all()
 
+    def take_joints(self, moves: Moves) -> None:
+        """Go on with joints that were laid out anew, and solver rows for them."""
+        self._segments = segments_of_worlds(self.model.views(), self.joints.numpy("joint_row_start"))
+        self._choose_kernels(self._config)
+        self.storage.link(moves, self.variant, self._config)
+        self._binding.kernels = self.kernels
+        self._bind_all()
+
     def take_vertices(self, start: np.ndarray) -> None:
         """Know which vertices are whose where some have moved; ``start``: first of each world, (W + 1,)."""
         self._segments["vertex"] = Segments.of(start)

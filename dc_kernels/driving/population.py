@@ -15,7 +15,7 @@ import numpy as np
 from dc_kernels.driving.additions import Added, Additions, Fragment
 from dc_kernels.driving.changes import recolor
 from dc_kernels.driving.ids import ATTIC, EMPTY
-from dc_kernels.driving.relayout import NEUTRAL, Layout, NewJoints, park, relayout
+from dc_kernels.driving.relayout import NEUTRAL, Layout, NewJoints, park, relayout, relink
 from dc_kernels.model.arrays import ArrayGroup
 from dc_kernels.model.enums import BodyType, Rest
 from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, STATE, TRAITS
@@ -99,11 +99,9 @@ def add(sim: Simulation, additions: Additions) -> Added:
         if len(joint_ids):
             fields = {name: given[name] for name, field in JOINTS.items() if field.per == "joint" and name in given}
             fields |= {name: bodies[fields[name]] for name in ENDS}
-            layout = Layout.of(sim.model)
-            layout.joints = NewJoints(fields, world["joint"], joint_ids)
-            relayout(sim, layout)
+            relink(sim, None, NewJoints(fields, world["joint"], joint_ids))
             recolor(sim, np.unique(world["joint"]), np.zeros(0, np.int64))
-        else:
+        if len(come) or len(shapes):
             _take_up(sim, shapes, weigh=bool((given["body_type"][new] == BodyType.DYNAMIC).any()))
         if sim.storage.sleep.allowed:
             touched = np.zeros(len(new), bool)
@@ -139,11 +137,11 @@ def remove(sim: Simulation, bodies: Any, shapes: Any, joints: Any) -> None:
         for axis, which in (("body", gone), ("shape", lost), ("joint", cut))
     ]
     with uninterrupted():
-        if cut.any() or not (named == ATTIC).any():
-            layout = Layout.of(model)
-            layout.gone = np.flatnonzero(cut)
-            relayout(sim, layout)
+        if cut.any():
+            relink(sim, np.flatnonzero(cut), None)
             recolor(sim, np.unique(worlds[2]), np.zeros(0, np.int64))
+        if lost.any() and not (named == ATTIC).any():
+            relayout(sim, Layout.of(model))
         slots, bodies = (sim.ids.find(kind, ids[kind]) for kind in ("shape", "body"))
         roused = np.concatenate([sim.ids.find("body", ids["roused"]), _forget_contacts(sim, slots)])
         weigh = bool((sim.model.numpy("body_type")[bodies] == BodyType.DYNAMIC).any())

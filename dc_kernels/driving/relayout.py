@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 NEUTRAL = {**BODY_TRAITS, **{f"shape_{name}": value for name, value in SHAPE_TRAITS.items()}, "shape_role": 0}
 """What a body or shape has of the traits where none was given."""
 AWAY = 1e4  # length scales from the origin of a world to the body of its empty shapes
+LARGE = 10**6  # bodies and shapes together that are looked for memory for before anything is allocated
 ROW = 256  # empty shapes that lie in a row
 
 Arrays = dict[str, np.ndarray]
@@ -79,8 +80,9 @@ def relayout(sim: Simulation, layout: Layout) -> None:
         w = int(layout.shapes.argmax())
         raise OverflowError(f"world {w} needs {layout.shapes[w]} shapes; at most {2**KEY_SHAPE_BITS} fit the keys")
     start = {"body": starts(layout.bodies), "shape": starts(layout.shapes)}
-    grown = max(start[axis][-1] / max(model.sizes[axis], 1) for axis in ("body", "shape"))
-    check_memory(f"room for {start['body'][-1]} bodies", grown * sum(sim.memory().values()))
+    if sum(int(first[-1]) for first in start.values()) > LARGE:
+        grown = max(start[axis][-1] / max(model.sizes[axis], 1) for axis in ("body", "shape"))
+        check_memory(f"room for {start['body'][-1]} bodies", grown * sum(sim.memory().values()))
     moves = _moves(sim, layout, start)
     named = {"next_id": ids.numpy("next_id").copy()}
     for kind in KINDS:
@@ -103,6 +105,28 @@ def relayout(sim: Simulation, layout: Layout) -> None:
     for group, values in ((model, fields), (joints, linked), (ids, named), *zip((state, sim.built), states)):
         _refill(group, values, sizes)
     sim.take_layout(moves)
+
+
+def relink(sim: Simulation, gone: np.ndarray | None, joints: NewJoints | None) -> None:
+    """Let joints go and come; arrays of joints and of solver rows are allocated anew, and launches are bound anew.
+
+    Args:
+        sim: whose they are.
+        gone: joints that go, as they are numbered now.
+        joints: that come.
+    """
+    layout = Layout.of(sim.model)
+    layout.gone, layout.joints = gone, joints
+    moves = _moves(sim, layout, {axis: sim.model.numpy(f"{axis}_start") for axis in ("body", "shape")})
+    named = moves.of(sim.ids.numpy("joint_id"), "joint", EMPTY)
+    if joints is not None:
+        named[moves.fresh] = joints.ids
+    linked = _joint_fields(sim, moves, layout)
+    sim.model.fill("joint_start", moves.start["joint"])
+    _refill(sim.joints, linked, moves.sizes)
+    sim.ids.reallocate(("joint_id",), joint=len(named))
+    sim.ids.fill("joint_id", named)
+    sim.take_joints(moves)
 
 
 def _moves(sim: Simulation, layout: Layout, start: Arrays) -> Moves:

@@ -28,7 +28,7 @@ and age of the step in which they fell asleep.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -75,6 +75,15 @@ class SleepStorage:
         if allowed != self.allowed:
             sizes = {**self._sizes, "contact": contacts.sizes["contact"]} if allowed else {}
             self.sleepers.reallocate(SLEEPERS, **{**dict.fromkeys(self.sleepers.sizes, 0), **sizes})
+
+    def link(self, joints: int, moved: Callable[[np.ndarray], np.ndarray]) -> None:
+        """Know so many joints; ``moved``: what the arrays of those that there were become."""
+        self._sizes["joint"] = joints
+        if self.allowed:
+            kept = {name: moved(self.sleepers.numpy(name)) for name, field in SLEEPERS.items() if field.per == "joint"}
+            self.sleepers.reallocate(kept, joint=joints)
+            for name, values in kept.items():
+                self.sleepers.fill(name, values)
 
     def adopt(self, sleepers: Sleepers) -> None:
         """Take over the sleepers of the same bodies."""
