@@ -170,7 +170,11 @@ class Storage:
         found, had = self.narrowphase, before.narrowphase
         old, new = had.contacts.numpy("contact_start"), found.contacts.numpy("contact_start")
         moved = moves.places["body"][1]
-        groups = zip([*had.groups(), *before.sleep.groups()], [*found.groups(), *self.sleep.groups()], strict=True)
+        groups = zip(
+            [*had.groups(), *before.sleep.groups(), *before.switches.groups()],
+            [*found.groups(), *self.sleep.groups(), *self.switches.groups()],
+            strict=True,
+        )
         for (source, counted), (target, _) in groups:
             for name, field in target.table.items():
                 values = source.numpy(name)

@@ -283,7 +283,7 @@ def _forget_contacts(sim: Simulation, shapes: np.ndarray) -> np.ndarray:
     mask = 2**KEY_SHAPE_BITS - 1
     bodies = [np.zeros(0, np.int64)]
     arrays = Arrays()
-    for group, counted in [*found.groups(), *storage.sleep.groups()]:
+    for group, counted in [*found.groups(), *storage.sleep.groups(), *storage.switches.groups()]:
         count = arrays(group, counted)
         slots, world = rows_of(start, worlds, count), np.repeat(worlds, count[worlds])
         key = group.numpy("key")[slots]

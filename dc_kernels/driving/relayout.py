@@ -9,7 +9,7 @@ import numpy as np
 
 from dc_kernels.driving.ids import ATTIC, EMPTY, KINDS
 from dc_kernels.model.arrays import ArrayGroup, Model
-from dc_kernels.model.checks import BODY_TRAITS, SHAPE_TRAITS
+from dc_kernels.model.checks import BODY_TRAITS, ROLE_TRAITS, SHAPE_TRAITS
 from dc_kernels.model.fields import JOINTS, KEY_SHAPE_BITS, MODEL, STATE, TRAITS
 from dc_kernels.model.joints.groups import count_rows
 from dc_kernels.model.room import rows_of, starts
@@ -19,10 +19,11 @@ from dc_kernels.storage import Moves
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
 
-NEUTRAL = {**BODY_TRAITS, **{f"shape_{name}": value for name, value in SHAPE_TRAITS.items()}, "shape_role": 0}
+NEUTRAL = BODY_TRAITS | {f"shape_{name}": value for name, value in (SHAPE_TRAITS | ROLE_TRAITS).items()}
 """What a body or shape has of the traits where none was given."""
 AWAY = 1e4  # length scales from the origin of a world to the body of its empty shapes
 LARGE = 10**6  # bodies and shapes together that are looked for memory for before anything is allocated
+TRAITED = tuple(name for name in NEUTRAL if MODEL[name].per == "shape trait")
 ROW = 256  # empty shapes that lie in a row
 
 Arrays = dict[str, np.ndarray]
@@ -216,6 +217,9 @@ def park(fields: Arrays, shapes: np.ndarray, places: np.ndarray, attic: int, sca
     fields["vertex_normals"][fields["vertex_start"][:-1][shapes]] = 0
     for name in ("shape_category", "shape_mask"):
         fields[name][shapes] = 0
+    for name in TRAITED:
+        if len(fields.get(name, ())):
+            fields[name][shapes] = NEUTRAL[name]
     like = np.flatnonzero(fields["shape_category"])
     for name in ("shape_friction", "shape_restitution"):  # what all have in common is looked up once
         fields[name][shapes] = fields[name][like[0]] if len(like) else 0

@@ -9,6 +9,7 @@ import pytest
 import dc_kernels as dc
 from dc_kernels.model.validate.scene import check_joints, check_model, check_state
 from tests.backends import NEEDS_TAICHI
+from tests.driving.scenes import simulation
 
 DT = 0.01
 CONFIG = dc.SolverConfig(tolerance=1e-6, max_sweeps=80)
@@ -323,6 +324,37 @@ def test_a_simulation_that_does_not_grow_says_what_is_missing_and_stays_as_it_wa
     assert bits(sim, slice(None)) == before
     add(sim, lambda b: b.add_discs([(0.0, 2.0), (1.0, 2.0)], 0.2))
     sim.run(5, DT)
+
+
+def test_more_slots_change_no_bit():
+    """With sleepers, events and joints, in worlds of several sizes, in mid-run."""
+    sim = simulation(traits=True, config=dc.SolverConfig(sleep=True, sleep_time=0.05, contact_events=True))
+    sim.run(60, DT)
+    other = sim.clone()
+    other.reserve(bodies=7, shapes=30)
+    for one in (sim, other):
+        one.run(20, DT)
+    bodies = np.arange(sim.model.body_count)
+    assert bits(other, other.index(bodies=bodies)) == bits(sim, bodies)
+    assert other.joints.numpy("joint_impulse").tobytes() == sim.joints.numpy("joint_impulse").tobytes()
+    assert other.asleep[other.index(bodies=bodies)].tolist() == sim.asleep.tolist()
+    for which in ("all", "begun", "ended"):
+        one, two = (dc.contact_events(s, which) for s in (sim, other))
+        assert other.index(shapes=one.shape_a).tolist() == two.shape_a.tolist()
+        assert other.index(shapes=one.shape_b).tolist() == two.shape_b.tolist()
+
+
+def test_sensors_come_and_go():
+    sim = build(first)
+    gate = add(sim, lambda b: b.add_box(b.add_body((0.5, 0.3), type=dc.BodyType.STATIC), 0.5, 0.5, sensor=True))
+    sim.run(2, DT)
+    assert dc.sensor_events(sim).shape_b.tolist() == [7]  # the box
+    sim.remove(bodies=5)
+    assert dc.sensor_events(sim).shape_b.tolist() == []
+    sim.run(1, DT)
+    sim.remove(bodies=gate.bodies)
+    assert "sense_overlaps" not in sim.kernels
+    sim.run(2, DT)
 
 
 def test_damping_and_surfaces_come_with_the_first_that_has_them():
