@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dc_kernels.model.arrays import Model, State
-from dc_kernels.model.assemble import World
+from dc_kernels.model.assemble import World, as_scalar
 from dc_kernels.model.builder import ModelBuilder
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import MODEL, TRAITS
@@ -142,8 +142,7 @@ class Additions(ModelBuilder):
         """
         self._need_world("what is added")
         exact, real = self._fields(), self.sim.dtype
-        with np.errstate(over="ignore", invalid="ignore"):
-            fields = {name: value.astype(real) if value.dtype.kind == "f" else value for name, value in exact.items()}
+        fields = as_scalar(exact, real)
         if self._is_doubtful(exact, fields):
             super().finalize(real, backend="numpy")  # which takes longer, and says what is wrong
         if fields["shape_type"].any():  # as the scalar some corners may be one

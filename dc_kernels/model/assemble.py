@@ -125,6 +125,15 @@ def assemble(
     }
 
 
+def as_scalar(fields: dict[str, np.ndarray], real: np.dtype) -> dict[str, np.ndarray]:
+    """Fields in a model's scalar type, but for integers and origins; what is too large becomes infinite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return {
+            name: value.astype(real) if value.dtype.kind == "f" and name != "origin" else value
+            for name, value in fields.items()
+        }
+
+
 class Geometry:
     """Of each shape, in the frame it was given in; worked out for all shapes of a kind at once."""
 

@@ -32,6 +32,7 @@ from dc_kernels.model.assemble import (
     World,
     X,
     Y,
+    as_scalar,
     assemble,
 )
 from dc_kernels.model.checks import (
@@ -347,11 +348,7 @@ class ModelBuilder(JointBuilder):
         if not self._worlds:
             raise ValueError("the builder has no world: call add_world first")
         fields = self._fields()
-        with np.errstate(over="ignore", invalid="ignore"):  # values too large are found when they are assigned
-            cast = {
-                name: value.astype(real) if value.dtype.kind == "f" and name != "origin" else value
-                for name, value in fields.items()
-            }
+        cast = as_scalar(fields, real)
         world, body, shape = len(self._worlds), self._bodies.count, self._shapes.count
         rows = int(fields["joint_row_start"][-1])
         sizes = {"world": world, "world+1": world + 1, "body": body, "body+1": body + 1}
@@ -374,17 +371,9 @@ class ModelBuilder(JointBuilder):
         traits = self._body_traits.collect(np.arange(self._bodies.count))
         surfaces = self._shape_traits.collect(np.argsort(self._shapes.collect()[:, BODY], kind="stable"), "shape_")
         sensors = surfaces["shape_role"] == ShapeRole.SENSOR if surfaces else None
+        tables = (table.collect() for table in (self._bodies, self._shapes, self._vertices, self._joints))
         with np.errstate(over="ignore", invalid="ignore"):  # values too large are found when they are assigned
-            found = assemble(
-                self._worlds,
-                self._bodies.collect(),
-                self._shapes.collect(),
-                self._vertices.collect(),
-                self._joints.collect(),
-                sensors,
-                self._centers,
-            )
-        return found | traits | surfaces
+            return assemble(self._worlds, *tables, sensors, self._centers) | traits | surfaces
 
     def _need_world(self, where: str) -> None:
         if not self._worlds:
