@@ -371,9 +371,10 @@ class ModelBuilder(JointBuilder):
         traits = self._body_traits.collect(np.arange(self._bodies.count))
         surfaces = self._shape_traits.collect(np.argsort(self._shapes.collect()[:, BODY], kind="stable"), "shape_")
         sensors = surfaces["shape_role"] == ShapeRole.SENSOR if surfaces else None
-        tables = (table.collect() for table in (self._bodies, self._shapes, self._vertices, self._joints))
+        bodies, shapes = self._bodies.collect(), self._shapes.collect()
+        vertices, joints = self._vertices.collect(), self._joints.collect()
         with np.errstate(over="ignore", invalid="ignore"):  # values too large are found when they are assigned
-            return assemble(self._worlds, *tables, sensors, self._centers) | traits | surfaces
+            return assemble(self._worlds, bodies, shapes, vertices, joints, sensors, self._centers) | traits | surfaces
 
     def _need_world(self, where: str) -> None:
         if not self._worlds:
