@@ -150,6 +150,7 @@ class Geometry:
         self.normals = np.zeros_like(vertices)
         self.center = np.zeros((len(shapes), 2))
         self.area = np.zeros(len(shapes))
+        self.length = np.zeros(len(shapes))  # of a segment
         self.inertia = np.zeros(len(shapes))  # about the centroid, of unit density
         self.extent = np.zeros(len(shapes))
         code = shapes[:, SHAPE].astype(np.int64) * 16 + self.count
@@ -162,6 +163,7 @@ class Geometry:
             self.normals[index] = edge_normals(corners)
             if kind // 16 == ShapeType.SEGMENT:
                 self.center[chosen] = corners.mean(axis=1)
+                self.length[chosen] = np.hypot(*(corners[:, 1] - corners[:, 0]).T)
             else:
                 self.area[chosen], self.center[chosen], self.inertia[chosen] = mass_properties(corners, radius)
             reach = corners - self.center[chosen, None]
@@ -185,18 +187,21 @@ def _masses(
         i = int(lacking.argmax())
         why = "the densities of its shapes are zero" if shapes_of[i] else "it has no shape"
         raise ValueError(f"mass of body {i} is not given and {why}; a dynamic body needs a mass > 0")
-    # a body of given mass whose densities are all zero is taken as uniform; a static one has no mass to weigh by
-    weight = np.where(dynamic[owner], np.where(dense[owner] > 0, weight, geometry.area), 1.0) * weighed
+    # a body of given mass whose densities are all zero is taken as uniform, over its areas, or along its chains if it
+    # has none; a static one has no mass to weigh by
+    chained = np.bincount(owner, geometry.area * weighed, n)[owner] == 0
+    measure = np.where(chained, geometry.length, geometry.area)
+    weight = np.where(dynamic[owner], np.where(dense[owner] > 0, weight, measure), 1.0) * weighed
     total = np.bincount(owner, weight, n)
     safe = np.where(total > 0, total, 1.0)
     com = np.stack([np.bincount(owner, weight * geometry.center[:, k], n) / safe for k in (0, 1)], axis=1)
-    single = weighed & (
-        counted[owner] == 1
-    )  # without the rounding of a product and a division: a centred disc stays at zero
+    # without the rounding of a product and a division: a centred disc stays at zero
+    single = weighed & (counted[owner] == 1)
     com[owner[single]] = geometry.center[single]
     com[kinematic] = 0.0
     offset = geometry.center - com[owner]
-    gyration = np.divide(geometry.inertia, geometry.area, out=np.zeros_like(weight), where=geometry.area > 0)
+    along = geometry.length * geometry.length / 12.0
+    gyration = np.divide(geometry.inertia, geometry.area, out=along, where=geometry.area > 0)
     spread = np.bincount(owner, weight * (gyration + (offset * offset).sum(axis=1)), n)
     mass = np.where(dynamic, np.where(np.isnan(given_mass), total, given_mass), 0.0)
     inertia = np.where(dynamic, np.where(np.isnan(given_inertia), spread * (mass / safe), given_inertia), 0.0)

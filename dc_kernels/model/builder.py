@@ -222,12 +222,13 @@ class ModelBuilder(JointBuilder):
     def add_chain(
         self, body: int, vertices: Any, closed: bool = False, one_sided: bool = False, **material: Unpack[Material]
     ) -> np.ndarray:
-        """Add a chain of segments to a static body and return their shape indices.
+        """Add a chain of segments and return their shape indices.
 
-        Each segment knows its neighbours in the chain, so that nothing catches on the joints.
+        Each segment knows its neighbours in the chain, so that nothing catches on the joints. Segments do not meet
+        segments. They weigh nothing; the ``mass`` of a dynamic body of chains alone is spread along them.
 
         Args:
-            body: index of a static body.
+            body: index.
             vertices: (n, 2) [m], n >= 2, or n >= 3 if closed, in the body's frame. Successive ones must be further
                 apart than 1e-6 of the chain's size.
             closed: add the segment from the last vertex to the first.
@@ -236,9 +237,6 @@ class ModelBuilder(JointBuilder):
         """
         where = self._shape_of(body)
         closed, one_sided = truth(f"closed of {where}", closed), truth(f"one_sided of {where}", one_sided)
-        kind = BodyType(int(self._bodies.row(body)[TYPE]))
-        if kind != BodyType.STATIC:
-            raise ValueError(f"body of {where} is {body}, of type {kind.name}; chains need a STATIC body")
         corners = points(vertices, f"vertices of {where}", 3 if closed else 2)
         start = corners if closed else corners[:-1]
         end = np.concatenate((corners[1:], corners[:1]))[: len(start)]

@@ -75,6 +75,9 @@ class _World:
                 "the scene has damping, gravity scales, or surfaces that move or resist rolling: theirs differ"
             )
 
+        if model.numpy("shape_role").any():
+            raise ValueError("the scene has sensors, or shapes that hold from one side: theirs differ")
+
     @property
     def bodies(self) -> range:
         return range(self.first, self.last)

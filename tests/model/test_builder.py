@@ -400,8 +400,6 @@ def builder_with_bodies():
         ("add_capsule", (1, (0, 0), (1, 0), 0), {}, "radius of shape 1 is 0.0"),
         ("add_capsule", (1, (0, 0), (0, 0), 1), {}, "p1 and p2 of shape 1 are 0 m apart"),
         ("add_capsule", (1, (0, 0), (0, math.inf), 1), {}, "p2\\[1\\] of shape 1 .* finite"),
-        ("add_chain", (1, SQUARE), {}, "body of shape 1 is 1, of type DYNAMIC; chains need a STATIC body"),
-        ("add_chain", (3, SQUARE), {}, "of type KINEMATIC"),
         ("add_chain", (2, SQUARE[:1]), {}, "vertices of shape 1: 1 points; there must be at least 2"),
         ("add_chain", (2, SQUARE[:2]), {"closed": True}, "2 points; there must be at least 3"),
         ("add_chain", (2, ((0, 0), (1, 0), (1, 0))), {}, "vertices of shape 1: 1 and 2 are 0 m apart"),

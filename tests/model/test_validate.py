@@ -213,8 +213,6 @@ def one_color(groups):
             r"model\.vertex_start\[7\] is \d+; it must be 1 above .* shape 6 is a DISC",
         ),
         (set_value("model", "shape_type", 4, 1), r"vertex_start\[5\] is \d+; it must be 2 to 8 above .* is a POLYGON"),
-        (set_value("model", "shape_type", 3, 2), r"shape_body\[3\] is 1; it must be a STATIC body, .* is a SEGMENT"),
-        (set_value("model", "body_type", 0, 1), r"shape_body\[0\] is 0; it must be a STATIC body, .* is a SEGMENT"),
         (set_value("model", "shape_radius", 4, 0), r"shape_radius\[4\] is 0\.0; it must be > 0"),
         (set_value("model", "shape_radius", 7, 0), r"shape_radius\[7\] is 0\.0; it must be > 0"),
         (set_value("model", "mass", 2, 0), r"model\.mass\[2\] is 0\.0; it must be > 0 if its body is DYNAMIC"),

@@ -26,14 +26,18 @@ class Hull:
     radius: Any
     before: Array | None = None  # of a chain's segment: the neighbouring vertices, where there are any
     beyond: Array | None = None
+    segment: bool = False  # of a chain
 
     def placed(self, r: Array, x: Array) -> Hull:
         """The hull in another frame: turned by r, then moved by x."""
-        return Hull(rotate(r, self.vertices) + x, rotate(r, self.normals), self.radius)
+        before, beyond = (None if v is None else rotate(r, v) + x for v in (self.before, self.beyond))
+        vertices, normals = rotate(r, self.vertices) + x, rotate(r, self.normals)
+        return Hull(vertices, normals, self.radius, before, beyond, self.segment)
 
     def moved(self, x: Array) -> Hull:
         """The hull moved by x."""
-        return Hull(self.vertices + x, self.normals, self.radius)
+        before, beyond = (None if v is None else v + x for v in (self.before, self.beyond))
+        return Hull(self.vertices + x, self.normals, self.radius, before, beyond, self.segment)
 
 
 @dataclass
@@ -174,7 +178,17 @@ def clip(
 
 
 def hull_hull(a: Hull, b: Hull, reach: Any, slack: Any, overlap: Any, epsilon: float) -> Manifold:
-    """Two hulls in the frame of A, at most ``reach`` apart; normal from A to B."""
+    """Two hulls in the frame of A, at most ``reach`` apart; normal from A to B.
+
+    A segment of a chain, which knows its neighbours, is met as the first one; two segments never meet.
+    """
+    if a.segment and b.segment:
+        return Manifold(a.normals[0], [])
+    if b.segment:
+        m = hull_hull(b, a, reach, slack, overlap, epsilon)
+        m.normal = -m.normal
+        m.points = [(point, gap, (feature & 255) << 8 | feature >> 8) for point, gap, feature in m.points]
+        return m
     separation_a, edge_a, second_a = max_separation(a, b)
     separation_b, edge_b, second_b = max_separation(b, a)
     if max(separation_a, separation_b) > reach + a.radius + b.radius:

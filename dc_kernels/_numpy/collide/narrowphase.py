@@ -56,6 +56,7 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
                 model.shape_radius[shape],
                 None if (before == v1).all() else before,
                 None if (beyond == v2).all() else beyond,
+                segment=True,
             )
 
         def approach(a: int, at_a: Array, b: int, at_b: Array, velocity: Array, spin: Array) -> Array:

@@ -323,8 +323,8 @@ def manifold_functions(dtype: str) -> SimpleNamespace:
         return wanted
 
     @ti.func
-    def hull_hull(a, b, frame, reach, slack, overlap, model: t.Model):
-        """Two hulls, in the frame of A, to which ``frame`` takes that of B; normal from A to B."""
+    def meet(a, b, frame, reach, slack, overlap, model: t.Model):
+        """Two hulls, of which the first alone may be a segment, in its frame, to which ``frame`` takes the other."""
         c = frame.c
         s = frame.s
         x = frame.x
@@ -392,6 +392,31 @@ def manifold_functions(dtype: str) -> SimpleNamespace:
                 two = b
                 there = frame
             m.beside = beside or m.corner != 0
+        return m
+
+    @ti.func
+    def hull_hull(a, b, frame, reach, slack, overlap, model: t.Model):
+        """Two hulls, in the frame of A, to which ``frame`` takes that of B; normal from A to B.
+
+        A segment of a chain is met in its own frame, as it knows its neighbours; two segments never meet.
+        """
+        m = Manifold()
+        turned = b.segment != 0
+        one = a
+        two = b
+        pose = frame
+        if turned:
+            one = b
+            two = a
+            pose = inverse_of(frame)
+        if a.segment == 0 or b.segment == 0:
+            m = meet(one, two, pose, reach, slack, overlap, model)
+        if turned:
+            m.normal = rotate(frame.c, frame.s, m.normal) * -1.0
+            m.point0 = rotate(frame.c, frame.s, m.point0) + frame.x
+            m.point1 = rotate(frame.c, frame.s, m.point1) + frame.x
+            m.feature0 = ((m.feature0 & 255) << 8) | (m.feature0 >> 8)
+            m.feature1 = ((m.feature1 & 255) << 8) | (m.feature1 >> 8)
         return m
 
     return SimpleNamespace(

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from dc_kernels._warp.common import kernel_module, scalar_types
+from dc_kernels._warp.common import kernel_module, rotate, rotate_back, scalar_types
 from dc_kernels._warp.native import native_code
 from dc_kernels.model.enums import ShapeType
 from dc_kernels.model.shapes import MAX_VERTICES
@@ -17,6 +17,12 @@ from dc_kernels.model.shapes import MAX_VERTICES
 EPSILON = {"float32": 1e-9, "float64": 1e-15}  # distance over size below which there is no direction
 SEGMENT = wp.constant(int(ShapeType.SEGMENT))
 PARALLEL = -0.999  # cosine of two outward normals below which they are of one axis
+
+
+@wp.func
+def turned_feature(feature: int):
+    """A feature with the vertex of the second shape before that of the first."""
+    return ((feature & 255) << 8) | (feature >> 8)
 
 
 @cache
@@ -195,10 +201,22 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         vertices: wp.array(dtype=vec2),
         vertex_normals: wp.array(dtype=vec2),
     ):
-        """Two hulls, in the frame of A, to which ``frame`` takes that of B; normal from A to B."""
-        met = meet(a, b, frame, reach, slack, overlap, vertices, vertex_normals)
-        bits = int(met[0])
+        """Two hulls, in the frame of A, to which ``frame`` takes that of B; normal from A to B.
+
+        A segment of a chain is met in its own frame, as it knows its neighbours; two segments never meet.
+        """
         m = Manifold()
+        if a.segment and b.segment:
+            return m
+        one = a
+        two = b
+        pose = frame
+        if b.segment:
+            one = b
+            two = a
+            pose = frame_of(frame.c, -frame.s, -rotate_back(frame.c, frame.s, frame.x))
+        met = meet(one, two, pose, reach, slack, overlap, vertices, vertex_normals)
+        bits = int(met[0])
         m.count = bits & 3
         m.corner = (bits & 4) != 0
         m.beside = (bits & 8) != 0
@@ -209,6 +227,12 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         m.normal = vec2(met[5], met[6])
         m.point0 = vec2(met[7], met[8])
         m.point1 = vec2(met[9], met[10])
+        if b.segment:
+            m.normal = -rotate(frame.c, frame.s, m.normal)
+            m.point0 = rotate(frame.c, frame.s, m.point0) + frame.x
+            m.point1 = rotate(frame.c, frame.s, m.point1) + frame.x
+            m.feature0 = turned_feature(m.feature0)
+            m.feature1 = turned_feature(m.feature1)
         return m
 
     return SimpleNamespace(

@@ -22,7 +22,7 @@ LEAST = 2**13
 """Numbers from which on an array is looked at; fewer take NumPy about a millisecond."""
 _BODIES = (
     *("body_type", "mass", "inertia", "inv_mass", "inv_inertia"),
-    *("body_start", "shape_start", "shape_body", "shape_type"),
+    *("body_start", "shape_start", "shape_body"),
 )
 _SHAPES = (
     *("shape_type", "shape_radius", "shape_center", "shape_extent"),

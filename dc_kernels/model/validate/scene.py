@@ -103,14 +103,8 @@ def check_model(model: Arrays, label: str = "model.", backend: str = "numpy") ->
 
 
 def _check_owners(model: Arrays, layout: Layout, label: str) -> None:
-    """Hold bodies of shapes to their worlds, and segments to static bodies."""
-    name, body = f"{label}shape_body", model["shape_body"]
-    check_field(name, MODEL["shape_body"], body, layout)
-    segment = np.flatnonzero(model["shape_type"] == ShapeType.SEGMENT)
-    moving = segment[model["body_type"][body[segment]] != BodyType.STATIC]
-    if len(moving):
-        i = int(moving[0])
-        refuse(name, body[i : i + 1], np.array([True]), "a STATIC body, for the shape is a SEGMENT", i)
+    """Hold bodies of shapes to their worlds."""
+    check_field(f"{label}shape_body", MODEL["shape_body"], model["shape_body"], layout)
 
 
 def _check_masses(model: Arrays, part: slice, label: str) -> None:

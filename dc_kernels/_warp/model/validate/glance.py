@@ -103,7 +103,6 @@ def kernels(dtype: str) -> dict[str, Any]:
         body_start: integers,
         shape_start: integers,
         shape_body: integers,
-        shape_type: integers,
     ) -> wp.int32: ...
 
     @wp.kernel(module=module, enable_backward=False)
@@ -116,16 +115,13 @@ def kernels(dtype: str) -> dict[str, Any]:
         body_start: integers,
         shape_start: integers,
         shape_body: integers,
-        shape_type: integers,
         wrong: integers,
     ):
-        """Masses, inertias and inverses that fit types and each other; shapes of their world, segments that rest.
+        """Masses, inertias and inverses that fit types and each other; shapes of their world.
 
         Offsets must be in range.
         """
-        wrong[0] = bodies_wrong(
-            body_type, mass, inertia, inv_mass, inv_inertia, body_start, shape_start, shape_body, shape_type
-        )
+        wrong[0] = bodies_wrong(body_type, mass, inertia, inv_mass, inv_inertia, body_start, shape_start, shape_body)
 
     @wp.func_native(code(dtype, "shapes"))
     def shapes_wrong(

@@ -1,5 +1,5 @@
-// Whether masses and inertias do not fit the types of bodies or their inverses, a shape is not of a body of its
-// world, or a segment moves. Macros: REAL, INVERSE_TOLERANCE, STATIC, DYNAMIC, SEGMENT.
+// Whether masses and inertias do not fit the types of bodies or their inverses, or a shape is not of a body of its
+// world. Macros: REAL, INVERSE_TOLERANCE, DYNAMIC.
 #if !defined(__CUDA_ARCH__)
 int wrong = 0;
 const int n = body_type.shape[0];
@@ -17,7 +17,6 @@ for (int w = 0; w < shape_start.shape[0] - 1; ++w) {
     for (int s = shape_start.data[w]; s < shape_start.data[w + 1]; ++s) {
         const int b = shape_body.data[s];
         if (b < low || b >= high) return 1;
-        wrong |= shape_type.data[s] == SEGMENT && body_type.data[b] != STATIC;
     }
 }
 return wrong;
