@@ -17,6 +17,7 @@ GROWTH = 100.0
 # FALL: what gravity gives a body in a step, times this, is no impact. ASTRAY stands for more rows than there are
 MOVING = 10
 FAR = 50.0
+APART = 5.0  # times as much a sweep may move a row that holds a joint together: a tenth of the slop a step
 FALL = 1.5
 ASTRAY = 2**30
 

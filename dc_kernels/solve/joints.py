@@ -21,6 +21,9 @@ SMALL_TURN = 0.2
 LOOP_SHARE = 10
 """Joints that a component has at least for each that closes a loop in it, for the others to be solved as a tree [1]."""
 
+TREE_JOINT, TREE_MOVES = 44, 12
+"""Numbers that a direct solve of trees keeps of each joint, and of each body (``_warp/native/solve/tree.h``)."""
+
 LASTING = 0.99 * UNBOUNDED
 """A break force from which a joint lasts, whatever the scalar type rounds it to [N]."""
 

@@ -12,7 +12,7 @@ from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import ROWS, STATS
 from dc_kernels.model.room import Room
 from dc_kernels.solve.iteration import PAST
-from dc_kernels.solve.joints import Apart, Forest
+from dc_kernels.solve.joints import TREE_JOINT, TREE_MOVES, Apart, Forest
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, OWN, SURFACED
 
 MOST_HISTORY = 10**8  # numbers of all worlds: each solve clears what it leaves over, and an interrupt must not wait
@@ -123,7 +123,8 @@ class SolverStorage:
             bodies: of all worlds, 0 where there are no trees.
         """
         count = len(forest.row)
-        sizes = {"tree joint": count, "tree factor": 18 * count, "tree wanted": 3 * count, "tree move": 12 * bodies}
+        sizes = {"tree joint": count, "tree factor": TREE_JOINT * count, "tree wanted": 3 * count}
+        sizes["tree move"] = TREE_MOVES * bodies
         sizes["tree world"] = self.rows.sizes["world"] if count else 0
         self.rows.reallocate([name for name in ROWS if name.startswith("tree_")], **sizes)
         for name, values in forest._asdict().items():

@@ -400,7 +400,7 @@ def test_trees_are_solved_where_sweeps_leave_joints_apart():
         ("net", scenes.JointGrid(bodies=100)),
     ):
         sim = dc.Simulation(*scene.build().finalize("float64"))
-        sim.run(20, 0.01)
+        sim.run(80, 0.01)
         found[name] = sim.rows.numpy("tree_used").tolist(), len(sim.rows.numpy("tree_row"))
     assert found == {"chain": ([1], 11), "doll": ([0], 10), "net": ([], 0)}
 

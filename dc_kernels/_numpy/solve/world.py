@@ -13,7 +13,7 @@ from dc_kernels._numpy.solve.row import Row, by_lane, jacobi_row, natural_map_ro
 from dc_kernels._numpy.solve.trees import Trees
 from dc_kernels.model.config import ACCELERATIONS, JOINT_SOLVERS, METHODS, STOPS
 from dc_kernels.model.fields import UNBOUNDED
-from dc_kernels.solve.iteration import FALL, FAR, MOVING, NEVER, PAST
+from dc_kernels.solve.iteration import APART, FALL, FAR, MOVING, NEVER, PAST
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, OWN
 
 JACOBI = METHODS["jacobi"]
@@ -118,7 +118,7 @@ class World:
                 return False
             moving += int(not (moved <= limit * mass).all())
             movable += int(mass[0] > 0)
-        return MOVING * moving <= movable and not self.lacks
+        return MOVING * moving <= movable and not self.lacks(APART)
 
     @property
     def still(self) -> Any:
@@ -127,10 +127,9 @@ class World:
         length = self.model.length_scale[self.w]
         return real(config.motion_tolerance) * real(config.slop) * length / motion.step_dt[self.w]
 
-    @property
-    def lacks(self) -> bool:
-        """Whether a row without bounds lacked more of its speed, as the last sweep came to it, than is still."""
-        change, still = by_lane(self.rows.change), self.still
+    def lacks(self, times: float) -> bool:
+        """Whether a row without bounds lacked more of its speed, as the last sweep came to it, than ``times`` still."""
+        change, still = by_lane(self.rows.change), self.motion.step_dt.dtype.type(times) * self.still
         held = (row for row in self.own_rows if row.low < -UNBOUNDED and row.high > UNBOUNDED)
         return any(not abs(change[row.at][0]) <= still * row.effective_mass[0] for row in held)
 
@@ -162,7 +161,8 @@ class World:
         late = sweeps >= config.min_sweeps and (used or change < self.bound)
         if not (late or (sweeps + 1) % every == 0):
             return False
-        if not self.lacks and (config.stop == BY_MOTION or change < self.bound):
+        times = FAR if sweeps + 1 < config.min_sweeps else APART
+        if not self.lacks(times) and (config.stop == BY_MOTION or change < self.bound):
             return False
         rows.tree_used[w] = 1
         self.trees.solve(rows, self.motion.solved)

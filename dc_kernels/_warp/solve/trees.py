@@ -13,6 +13,7 @@ import warp as wp
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.native import native_code
 from dc_kernels._warp.solve.lanes import row_macros
+from dc_kernels.solve.joints import TREE_JOINT, TREE_MOVES
 
 
 @cache
@@ -23,7 +24,7 @@ def tree_functions(dtype: str, variant: str) -> SimpleNamespace:
     is removed.
     """
     t = group_types(dtype)
-    macros = row_macros(variant)
+    macros = {**row_macros(variant), "JOINT": TREE_JOINT, "MOVES": TREE_MOVES}
 
     @wp.func_native(native_code("solve/tree.h", "solve/tree_factor.h", dtype=dtype, **macros))
     def factor(w: wp.int32, places: wp.int32, bodies: wp.array(dtype=t.vec4), rows: t.Rows): ...

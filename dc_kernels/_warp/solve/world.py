@@ -12,7 +12,7 @@ from dc_kernels._warp.solve.ranges import range_functions, ranges_code
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels._warp.solve.trees import tree_functions
 from dc_kernels.model.config import JOINT_SOLVERS, METHODS, STOPS
-from dc_kernels.solve.iteration import ASTRAY, FALL, NEVER
+from dc_kernels.solve.iteration import APART, ASTRAY, FALL, FAR, NEVER
 from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, OWN, ROLLING_COLOR, SERIAL_COLOR, SURFACED
 
 ENDS = wp.constant(COLORS + 1)
@@ -45,7 +45,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     restore = range_functions(dtype).restore
     bound_lanes, forget_rolling = lanes.bound, lanes.forget_rolling
     jointed, own, surfaced = variant in JOINTED, variant in OWN, variant in SURFACED
-    one = real(1.0)
+    one, TOO_FAR, TOO_MUCH = real(1.0), real(FAR), real(APART)
     if own:
         trees = tree_functions(dtype, variant)
         factor_trees, solve_trees = trees.factor, trees.solve
@@ -221,23 +221,24 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         return total
 
     @wp.func(module=module)
-    def lacks(span: Span, rows: t.Rows):
-        """1 where a row without bounds lacked more of its speed, as the last sweep came to it, than counts as still."""
+    def lacks(span: Span, times: real, rows: t.Rows):
+        """1 where a row without bounds lacked more of its speed, as the last sweep came to it, than ``times`` still."""
         count = int(0)
+        still = times * span.still
         if has_lanes() == 1:
-            count = lacking_lanes(rows.column, rows.change, span.first, span.last, span.still)
+            count = lacking_lanes(rows.column, rows.change, span.first, span.last, still)
         else:
             for k in range(span.first * N_LANES, span.last * N_LANES):
                 if count == 0:
-                    count = lacking_row(k / N_LANES, k % N_LANES, rows, span.still)
+                    count = lacking_row(k / N_LANES, k % N_LANES, rows, still)
         return count
 
     @wp.func(module=module)
     def follow(span: Span, change: real, sweeps: int, config: t.Config, motion: t.Motion, rows: t.Rows):
         """Solve the joints' trees, where the sweeps by now have left something apart; 1 where that was first found.
 
-        Sweeps are looked at a sweep before the stop by motion is, and from ``min_sweeps`` on after each where they do
-        not suffice.
+        Sweeps are looked at a sweep before the stop by motion is, long before ``min_sweeps`` for what is far apart, and
+        from there on after each where they do not suffice.
         """
         w = span.world
         if rows.tree_start[w + 1] == rows.tree_start[w] or config.joint_solver != DIRECT or config.method == JACOBI:
@@ -247,7 +248,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         late = sweeps >= config.min_sweeps and (used == 1 or change < span.bound)
         if not (late or (sweeps + 1) % every == 0):
             return 0
-        if lacks(span, rows) == 0 and (config.stop == BY_MOTION or change < span.bound):
+        times = wp.where(sweeps + 1 < config.min_sweeps, TOO_FAR, TOO_MUCH)
+        if lacks(span, times, rows) == 0 and (config.stop == BY_MOTION or change < span.bound):
             return 0
         if used == 0:
             factor_trees(w, 0, motion.predicted, rows)
@@ -281,7 +283,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         done = wp.where(count <= 0, 1, 0)
         if wp.static(own):
             if done == 1:
-                done = 1 - lacks(span, rows)
+                done = 1 - lacks(span, TOO_MUCH, rows)
         return done
 
     return SimpleNamespace(

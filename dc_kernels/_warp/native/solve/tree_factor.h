@@ -1,83 +1,121 @@
 // Elimination of the joints, leaves first: J M^-1 J^T of a tree is factored without fill (Baraff 1996; Featherstone
 // 2008 for the mobility of a body that carries others). For each joint D^-1 and G = W J^T D^-1 are kept, where W is the
 // mobility of its parent with what was eliminated before, and D = J W J^T of both bodies plus softness.
+// For displacements (places 1) the factors of the velocities serve again where the rows are the same.
 // Parameters: w, places, bodies, rows. Stands behind tree.h.
 const double LEAST = 1e-9;  // a pivot below this share of its row's own mass is that of a row that others hold already
+const Real* const columns = rows.column.data;
+const int* const ends = rows.body.data;
+auto column_of = [&](int t, int i) {
+    const int slot = slots[rows.tree_row.data[t] + i];
+    return columns + (size_t)(slot / (2 * LANES)) * COLUMNS * LANES + slot % (2 * LANES);
+};
+// Whether a row is solved: not if nothing can move along it, nor in the position phase where that leaves it alone.
+auto counts = [&](const Real* column) { return column[AT_en] > 0 && !(places && column[AT_held] == 0); };
+// The Jacobian of a row at one of its bodies.
+auto jacobian = [&](const Real* column, bool second, double* to) {
+    if (second) {
+        to[0] = column[AT_nx];
+        to[1] = column[AT_ny];
+        to[2] = column[AT_rBn];
+        return;
+    }
+    to[0] = -(double)column[AT_ax];
+    to[1] = -(double)column[AT_ay];
+    to[2] = -(double)column[AT_rAn];
+};
+auto times = [&](const double* m, const double* v, double* to) {
+    to[0] = m[0] * v[0] + m[3] * v[1] + m[4] * v[2];
+    to[1] = m[3] * v[0] + m[1] * v[1] + m[5] * v[2];
+    to[2] = m[4] * v[0] + m[5] * v[1] + m[2] * v[2];
+};
+bool factored = places != 0;
 for (int t = t0; t < t1; ++t) {
-    const Joint j = joint_at(t);
-    for (int side = 0; side < 2; ++side) {
-        const int body = side == 0 ? j.parent : j.child;
-        if (body < 0) continue;
-        double* const m = moves_of(body);
-        const bool second = j.second[0] == (side == 0);
-        const double mass = velocity[4 * (size_t)body + 3] > 0 ? velocity[4 * (size_t)body + 3] : 0;
-        for (int i = 0; i < MOVES; ++i) m[i] = 0;
-        m[0] = m[1] = mass;
-        m[2] = j.column[0][second ? AT_iB : AT_iA];
+    const int size = rows.tree_size.data[t], parent = rows.tree_parent.data[t], child = rows.tree_child.data[t];
+    Kept& kept = *kept_of(t);
+    for (int i = 0; i < size; ++i) {
+        const Real* const column = column_of(t, i);
+        const int slot = slots[rows.tree_row.data[t] + i];
+        if (places && ((column[AT_en] > 0 && column[AT_held] == 0) || kept.soft[i] != 0)) factored = false;
+        kept.off[i] = column[places ? AT_gap : AT_bias];
+        if (child < 0) {
+            const bool second = ends[slot] == parent;
+            const Real* const v = velocity + 4 * (size_t)ends[slot + (second ? LANES : 0)];
+            double along[3];
+            jacobian(column, second, along);
+            kept.off[i] += along[0] * v[0] + along[1] * v[1] + along[2] * v[2];
+        }
     }
 }
-for (int t = t0; t < t1; ++t) {
-    const Joint j = joint_at(t);
-    double* const w_parent = moves_of(j.parent);
-    double* const factor = rows.tree_factor.data + (size_t)t * FACTORS;
-    double jp[SIZE][3], wp_[SIZE][3], d[SIZE][SIZE], own[SIZE];
-    for (int i = 0; i < SIZE; ++i)
-        for (int k = 0; k < SIZE; ++k) d[i][k] = 0;
-    for (int i = 0; i < j.size; ++i) {
-        const bool here = counts(j.column[i], places != 0);
-        jacobian(j.column[i], j.second[i], jp[i]);
-        for (int k = 0; k < 3; ++k) jp[i][k] = here ? jp[i][k] : 0;
-        times(w_parent, jp[i], wp_[i]);
-        const double mass = j.column[i][AT_en];
-        own[i] = here ? 1 / mass : 0;
-        d[i][i] = here ? softness(j.column[i]) : 0;
-    }
-    for (int i = 0; i < j.size; ++i)
-        for (int k = 0; k < j.size; ++k) d[i][k] += dot(jp[i], wp_[k]);
-    if (j.child >= 0) {
-        double jc[SIZE][3], wc[SIZE][3];
-        for (int i = 0; i < j.size; ++i) {
-            jacobian(j.column[i], !j.second[i], jc[i]);
-            for (int k = 0; k < 3; ++k) jc[i][k] = own[i] > 0 ? jc[i][k] : 0;
-            times(moves_of(j.child), jc[i], wc[i]);
+if (!factored) {
+    for (int t = t0; t < t1; ++t) {
+        Kept& kept = *kept_of(t);
+        for (int i = 0; i < 9; ++i) kept.inverse[i] = kept.gain[i] = kept.parent[i] = kept.child[i] = 0;
+        const int slot = slots[rows.tree_row.data[t]];
+        for (int side = 0; side < 2; ++side) {
+            const int body = side == 0 ? rows.tree_parent.data[t] : rows.tree_child.data[t];
+            if (body < 0) continue;
+            double* const m = moves_of(body);
+            const double mass = velocity[4 * (size_t)body + 3] > 0 ? velocity[4 * (size_t)body + 3] : 0;
+            for (int i = 0; i < MOVES; ++i) m[i] = 0;
+            m[0] = m[1] = mass;
+            m[2] = kept.inertia[side] = column_of(t, 0)[ends[slot] == body ? AT_iA : AT_iB];
         }
-        for (int i = 0; i < j.size; ++i)
-            for (int k = 0; k < j.size; ++k) d[i][k] += dot(jc[i], wc[k]);
     }
-    // the inverse by Gauss-Jordan steps; rows without a pivot of their own are left out
-    bool kept[SIZE] = {};
-    for (int p = 0; p < j.size; ++p) {
-        const double pivot = d[p][p];
-        kept[p] = pivot > LEAST * own[p] && own[p] > 0;
-        if (!kept[p]) continue;
-        for (int i = 0; i < j.size; ++i)
-            for (int k = 0; k < j.size; ++k)
-                if (i != p && k != p) d[i][k] -= d[i][p] * d[p][k] / pivot;
-        for (int i = 0; i < j.size; ++i)
-            if (i != p) {
-                d[i][p] /= pivot;
-                d[p][i] /= pivot;
+    for (int t = t0; t < t1; ++t) {
+        const int size = rows.tree_size.data[t], parent = rows.tree_parent.data[t], child = rows.tree_child.data[t];
+        double* const w_parent = moves_of(parent);
+        Kept& kept = *kept_of(t);
+        double wp_[SIZE][3] = {}, wc[SIZE][3] = {}, d[SIZE][SIZE] = {}, own[SIZE] = {};
+        for (int i = 0; i < size; ++i) {
+            const Real* const column = column_of(t, i);
+            const bool second = ends[slots[rows.tree_row.data[t] + i]] != parent;
+            kept.soft[i] = 0;
+            if (!counts(column)) continue;
+            jacobian(column, second, kept.parent + 3 * i);
+            times(w_parent, kept.parent + 3 * i, wp_[i]);
+            if (child >= 0) {
+                jacobian(column, !second, kept.child + 3 * i);
+                times(moves_of(child), kept.child + 3 * i, wc[i]);
             }
-        d[p][p] = -1 / pivot;
-    }
-    double* const inverse = factor;  // 9 numbers; then G, 9 numbers: three of each row
-    double* const gain = factor + 9;
-    for (int i = 0; i < SIZE; ++i)
-        for (int k = 0; k < SIZE; ++k) inverse[3 * i + k] = kept[i] && kept[k] ? -d[i][k] : 0;
-    for (int i = 0; i < SIZE; ++i)
-        for (int n = 0; n < 3; ++n) {
-            double sum = 0;
-            for (int k = 0; k < j.size; ++k) sum += wp_[k][n] * inverse[3 * k + i];
-            gain[3 * i + n] = sum;
+            own[i] = 1 / (double)column[AT_en];
+            kept.soft[i] = column[AT_soft];
+            d[i][i] = kept.soft[i];
         }
-    for (int i = 0; i < j.size; ++i) {
-        const double* const g = gain + 3 * i;
-        const double* const v = wp_[i];
-        w_parent[0] -= g[0] * v[0];
-        w_parent[1] -= g[1] * v[1];
-        w_parent[2] -= g[2] * v[2];
-        w_parent[3] -= (g[0] * v[1] + g[1] * v[0]) / 2;
-        w_parent[4] -= (g[0] * v[2] + g[2] * v[0]) / 2;
-        w_parent[5] -= (g[1] * v[2] + g[2] * v[1]) / 2;
+        for (int i = 0; i < size; ++i)
+            for (int k = 0; k < size; ++k) {
+                d[i][k] += dot(kept.parent + 3 * i, wp_[k]);
+                d[i][k] += dot(kept.child + 3 * i, wc[k]);
+            }
+        // the inverse by Gauss-Jordan steps; rows without a pivot of their own are left out
+        bool solved[SIZE] = {};
+        for (int p = 0; p < size; ++p) {
+            const double pivot = d[p][p];
+            solved[p] = pivot > LEAST * own[p] && own[p] > 0;
+            if (!solved[p]) continue;
+            for (int i = 0; i < size; ++i)
+                for (int k = 0; k < size; ++k)
+                    if (i != p && k != p) d[i][k] -= d[i][p] * d[p][k] / pivot;
+            for (int i = 0; i < size; ++i)
+                if (i != p) {
+                    d[i][p] /= pivot;
+                    d[p][i] /= pivot;
+                }
+            d[p][p] = -1 / pivot;
+        }
+        for (int i = 0; i < size; ++i)
+            for (int k = 0; k < size; ++k) kept.inverse[3 * i + k] = solved[i] && solved[k] ? -d[i][k] : 0;
+        for (int i = 0; i < size; ++i) {
+            double* const g = kept.gain + 3 * i;
+            const double* const v = wp_[i];
+            for (int n = 0; n < 3; ++n)
+                for (int k = 0; k < size; ++k) g[n] += wp_[k][n] * kept.inverse[3 * k + i];
+            w_parent[0] -= g[0] * v[0];
+            w_parent[1] -= g[1] * v[1];
+            w_parent[2] -= g[2] * v[2];
+            w_parent[3] -= (g[0] * v[1] + g[1] * v[0]) / 2;
+            w_parent[4] -= (g[0] * v[2] + g[2] * v[0]) / 2;
+            w_parent[5] -= (g[1] * v[2] + g[2] * v[1]) / 2;
+        }
     }
 }
