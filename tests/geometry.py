@@ -91,10 +91,9 @@ def separation(p, q):
     """Largest over the edge normals of both polygons of the distance along it; negative where they overlap."""
     best = -math.inf
     for one, other in ((p, q), (q, p)):
-        for i in range(len(one)):
-            edge = one[(i + 1) % len(one)] - one[i]
-            normal = np.array((edge[1], -edge[0])) / math.hypot(*edge)
-            best = max(best, float(((other - one[i]) @ normal).min()))
+        edge = np.roll(one, -1, axis=0) - one
+        normal = np.stack((edge[:, 1], -edge[:, 0]), axis=1) / np.hypot(edge[:, 0], edge[:, 1])[:, None]
+        best = max(best, float(((other @ normal.T).min(axis=0) - (one * normal).sum(axis=1)).max()))
     return best
 
 

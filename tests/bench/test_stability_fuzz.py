@@ -32,7 +32,7 @@ PILE = stability_fuzz.World(
 )  # fmt: skip
 
 
-@settings(max_examples=60, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, suppress_health_check=list(HealthCheck))
 @given(stability_fuzz.worlds())
 def test_laws_hold_in_any_scene(world):
     assert stability_fuzz.faults(world) == []

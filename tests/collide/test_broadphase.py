@@ -43,12 +43,12 @@ def random_world(builder, rng, bodies, size, spread, speed=0.0, far=(0.0, 0.0), 
 
 
 def allowed(sim, a, b):
-    """Whether the shapes may meet at all: bodies, types, filters."""
+    """Whether shapes (n,) and (n,) may meet at all: bodies, types, filters."""
     model = sim.model
     i, j = model.numpy("shape_body")[[a, b]]
-    kinds = model.numpy("body_type")[[i, j]]
+    moves = model.numpy("body_type") == dc.BodyType.DYNAMIC
     category, mask = model.numpy("shape_category"), model.numpy("shape_mask")
-    return bool(i != j and (kinds == dc.BodyType.DYNAMIC).any() and category[a] & mask[b] and category[b] & mask[a])
+    return (i != j) & (moves[i] | moves[j]) & (category[a] & mask[b] != 0) & (category[b] & mask[a] != 0)
 
 
 def box_pairs(sim, boxes, world, grow):
@@ -57,7 +57,7 @@ def box_pairs(sim, boxes, world, grow):
     box = boxes[first:last]
     apart = np.maximum(box[:, None, :2] - box[None, :, 2:], box[None, :, :2] - box[:, None, 2:]).max(axis=2)
     close = np.argwhere(np.triu(apart <= grow, 1)) + first
-    return {(int(a), int(b)) for a, b in close if allowed(sim, a, b)}
+    return {(a, b) for a, b in close[allowed(sim, *close.T)].tolist()}
 
 
 def sets_of(rows, static):

@@ -91,9 +91,9 @@ def add_hull(builder, body, points, radius):
 
 
 def approach(p, q, target, direction, measure):
-    """How far to move q from p along a direction until ``measure`` is the target (bisection)."""
+    """How far to move q from p along a direction until ``measure`` is the target, to a micrometre (bisection)."""
     low, high = 0.0, 20.0
-    for _ in range(45):
+    for _ in range(25):
         middle = (low + high) / 2
         if measure(p, q + middle * direction) > target:
             high = middle

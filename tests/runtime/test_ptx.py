@@ -12,12 +12,12 @@ import warp as wp
 
 from dc_kernels import _warp
 from dc_kernels.runtime.backends import make_kernels
-from dc_kernels.solve.rows import COLUMNS
+from dc_kernels.solve.rows import COLUMNS, JOINTED, OWN, SURFACED
 
 ARCHITECTURE = 75  # the oldest that Warp supports here; its code for others differs in a few lines only
 OPTIONS = {
     "dtype": ("float32", "float64"),
-    "variant": tuple(COLUMNS),
+    "variant": ("discs", "joints", "surfaces"),  # in which each of the conditions on variants holds and does not
     "only_discs": (False, True),
     "traits": (False, True),
     "dim": (2, 3),
@@ -47,11 +47,14 @@ def factories():
 def variants():
     """Tests of each factory in which each value of each option occurs: in float32 all but the last, float64 with that.
 
-    Kernels differ in the scalar type by its name alone, and a variant takes up to 6 s.
+    Kernels differ in the scalar type by its name alone, and a variant takes up to 6 s. What is made for a scalar type
+    and nothing else is compiled in float32 only.
     """
     for file, name, factory in factories():
         parameters = list(inspect.signature(factory).parameters)
         values = [OPTIONS[parameter] for parameter in parameters]
+        if parameters == ["dtype"]:
+            values = [OPTIONS["dtype"][:1]]
         count = max((len(choices) for choices in values), default=1)
         for k in range(count):
             options = tuple(choices[k] if len(choices) == count else choices[k == count - 1] for choices in values)
@@ -62,6 +65,12 @@ def stores(text):
     """How often each kernel of a PTX file writes to memory that others see, by its mangled name."""
     found = re.findall(r"\.visible \.entry (\w+)_cuda_kernel_forward\((.*?\n\})", text, re.DOTALL)
     return {name: len(re.findall(r"\b(?:st\.global|st\.[ufbv]|atom|red\.)", body)) for name, body in found}
+
+
+def test_variants_meet_both_sides_of_each_condition():
+    assert set(COLUMNS) == {"discs", "general", "joints", "rows", "surfaces"}  # a new one may ask for more
+    for holds in (("discs",), JOINTED, OWN, SURFACED):
+        assert {variant in holds for variant in OPTIONS["variant"]} == {True, False}
 
 
 def test_all_files_of_kernels_are_looked_at():
