@@ -15,6 +15,7 @@ from pipeline.scenes.incline import Incline
 from pipeline.scenes.machines import BallAndChain, Bridge, Cars, Gears, JointGrid, Ragdolls
 from pipeline.scenes.mixed import Mixed
 from pipeline.scenes.structures import Arch, CardHouse, Dominoes
+from pipeline.scenes.surfaces import Conveyor, Platforms
 from pipeline.scenes.tumbler import Tumbler
 
 SCENES: dict[str, type[Scene]] = {
@@ -32,6 +33,8 @@ SCENES: dict[str, type[Scene]] = {
         CardHouse,
         Arch,
         Dominoes,
+        Conveyor,
+        Platforms,
         Bridge,
         Ragdolls,
         JointGrid,
