@@ -156,12 +156,8 @@ def remove(sim: Simulation, bodies: Any, shapes: Any, joints: Any) -> None:
         nothing = np.zeros((len(slots), 2), sim.model.dtype)
         _splice(sim, arrays, slots, np.ones(len(slots), np.int64), [nothing, nothing])
         fields = {name: arrays(sim.model, name) for name in (*SHAPE, "vertices", "vertex_normals", "vertex_start")}
-        start = sim.model.numpy("shape_start")
-        attics = np.flatnonzero(sim.ids.numpy("body_id") == ATTIC)
-        world = np.searchsorted(start, slots, "right") - 1
-        for w in np.unique(world).tolist():
-            mine = slots[world == w]
-            park(fields, mine, mine - start[w], int(attics[w]), float(sim.model.numpy("length_scale")[w]))
+        fields |= {name: sim.model.numpy(name) for name in ("shape_start", "length_scale")}
+        park(fields, slots, np.flatnonzero(sim.ids.numpy("body_id") == ATTIC))
         arrays.flush()
         sim.ids.array("body_id")[bodies] = EMPTY
         sim.ids.array("shape_id")[slots] = EMPTY
@@ -195,11 +191,12 @@ def _free(sim: Simulation, kind: str) -> np.ndarray:
 
 def _free_slots(sim: Simulation, kind: str, world: np.ndarray) -> np.ndarray:
     """The first empty slots of worlds, one for each of ``world``, (n,); those of a world ascend."""
-    ids, start = sim.ids.numpy(f"{kind}_id"), sim.model.numpy(f"{kind}_start")
+    empty = np.flatnonzero(sim.ids.numpy(f"{kind}_id") == EMPTY)
+    first = np.searchsorted(empty, sim.model.numpy(f"{kind}_start"))  # of the empty slots of each world
+    order = np.argsort(world, kind="stable")
+    asked = world[order]
     found = np.empty(len(world), np.int64)
-    for w in np.unique(world).tolist():
-        mine = world == w
-        found[mine] = start[w] + np.flatnonzero(ids[start[w] : start[w + 1]] == EMPTY)[: mine.sum()]
+    found[order] = empty[first[asked] + np.arange(len(asked)) - np.searchsorted(asked, asked)]
     return found
 
 

@@ -190,27 +190,24 @@ def _model_fields(model: Model, moves: Moves, layout: Layout, attics: np.ndarray
     found["shape_body"][target] = moves.places["body"][1][model.numpy("shape_body")]
     empty = np.ones(moves.sizes["shape"], bool)
     empty[target] = False
-    for w, attic in enumerate(attics.tolist()):
-        first, last = moves.start["shape"][w : w + 2]
-        chosen = np.arange(first, last)[empty[first:last]]
-        park(found, chosen, chosen - first, attic, float(model.numpy("length_scale")[w]))
+    park(found, np.flatnonzero(empty), attics)
     return found
 
 
-def park(fields: Arrays, shapes: np.ndarray, places: np.ndarray, attic: int, scale: float) -> None:
+def park(fields: Arrays, shapes: np.ndarray, attics: np.ndarray) -> None:
     """Make shapes of one vertex discs that collide with nothing, each somewhere else, so that no cell is crowded.
 
     Args:
         fields: of the model, to be written.
         shapes: indices.
-        places: number of each within its world.
-        attic: body that they are to belong to.
-        scale: length scale of the world.
+        attics: body of each world that they are to belong to, (W,).
     """
     if not len(shapes):
         return
-    center = -2.0 * scale * np.stack([places % ROW + 1, places // ROW + 1], axis=1)
-    fields["shape_body"][shapes] = attic
+    world = np.searchsorted(fields["shape_start"], shapes, "right") - 1
+    place, scale = shapes - fields["shape_start"][world], fields["length_scale"][world]
+    center = -2.0 * scale[:, None] * np.stack([place % ROW + 1, place // ROW + 1], axis=1)
+    fields["shape_body"][shapes] = attics[world]
     fields["shape_type"][shapes] = 0
     fields["shape_radius"][shapes] = fields["shape_extent"][shapes] = scale / 2
     fields["shape_center"][shapes] = fields["vertices"][fields["vertex_start"][:-1][shapes]] = center
