@@ -68,6 +68,8 @@ class Ids(ArrayGroup):
         if given.ndim > 1:
             raise ValueError(f"{name} has shape {given.shape}; it must be one id, or (k,)")
         wanted = given.reshape(-1).astype(np.int64)
+        if not len(wanted):
+            return wanted
         present = self.numpy(f"{kind}_id")
         if len(wanted) <= FEW:
             index = np.array([next(iter(np.flatnonzero(present == one)), 0) for one in wanted.tolist()], np.int64)

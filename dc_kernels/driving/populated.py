@@ -12,6 +12,7 @@ from dc_kernels.binding import Binding
 from dc_kernels.driving import population
 from dc_kernels.driving.additions import Added, Additions
 from dc_kernels.driving.ids import KINDS, Ids
+from dc_kernels.driving.reset import Reset
 from dc_kernels.model.arrays import Model
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.joints.groups import Joints
@@ -35,11 +36,16 @@ class Populated(Phases):
     kernels: dict[str, Any]
     _binding: Binding
     _segments: dict[str, Segments]
+    _reset: Reset | None
     given_ids: Ids | None = None
     """Ids of what is in the slots; None: nobody asked for them yet, and all have their indices."""
 
     def _choose_kernels(self, config: SolverConfig) -> None:
         """Take the kernels that the model and the settings need."""
+        raise NotImplementedError
+
+    def adapt_to_model(self, stale: bool) -> None:
+        """Take the kernels and the coefficients of a model that has changed; ``stale``: graphs are to be made anew."""
         raise NotImplementedError
 
     def additions(self, world: int | None = None) -> Additions:
@@ -196,6 +202,13 @@ class Populated(Phases):
         self.storage.link(moves, self.variant, self._config)
         self._binding.kernels = self.kernels
         self._bind_all()
+
+    def take_change(self, same: bool) -> None:
+        """Go on with other bodies and shapes in the slots; ``same``: the kernels of before do for them."""
+        self.storage.changes += 1  # which images look at
+        self._reset = None
+        if not same or self._binding.stale:
+            self.adapt_to_model(stale=False)
 
     def take_vertices(self, start: np.ndarray) -> None:
         """Know which vertices are whose where some have moved; ``start``: first of each world, (W + 1,)."""

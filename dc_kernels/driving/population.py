@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 BODY = tuple(name for name, field in MODEL.items() if TRAITS.get(field.per, field.per) == "body")
 SHAPE = tuple(name for name, field in MODEL.items() if TRAITS.get(field.per, field.per) == "shape")
 POSE = tuple(name for name, field in STATE.items() if field.per == "body")
+COMPLETE = ("warp", "numpy")
+"""Backends that have all kernels."""
 ENDS = ("joint_body_a", "joint_body_b")
 RESERVE = 'reserve more before, or make the simulation with on_overflow="grow"'
 SEEN = ("position", "angle", "force", "torque")
@@ -64,6 +66,8 @@ def add(sim: Simulation, additions: Additions) -> Added:
         raise ValueError("the additions were made for another simulation")
     fragment = additions.collect()
     given, known, world = fragment.fields, fragment.known, fragment.world
+    if sim.backend not in COMPLETE:
+        additions.check_kernels()
     now = sim.model.numpy("body_type")[sim.ids.find("body", fragment.known_ids)]
     if (now != given["body_type"][known]).any():
         i = int((now != given["body_type"][known]).argmax())
@@ -102,7 +106,7 @@ def add(sim: Simulation, additions: Additions) -> Added:
             relink(sim, None, NewJoints(fields, world["joint"], joint_ids))
             recolor(sim, np.unique(world["joint"]), np.zeros(0, np.int64))
         if len(come) or len(shapes):
-            _take_up(sim, shapes, weigh=bool((given["body_type"][new] == BodyType.DYNAMIC).any()))
+            _take_up(sim, shapes, bool((given["body_type"][new] == BodyType.DYNAMIC).any()), _are_plain(sim, shapes))
         if sim.storage.sleep.allowed:
             touched = np.zeros(len(new), bool)
             for name in ("shape_body", *ENDS):
@@ -144,7 +148,7 @@ def remove(sim: Simulation, bodies: Any, shapes: Any, joints: Any) -> None:
             relayout(sim, Layout.of(model))
         slots, bodies = (sim.ids.find(kind, ids[kind]) for kind in ("shape", "body"))
         roused = np.concatenate([sim.ids.find("body", ids["roused"]), _forget_contacts(sim, slots)])
-        weigh = bool((sim.model.numpy("body_type")[bodies] == BodyType.DYNAMIC).any())
+        weigh, plain = bool((sim.model.numpy("body_type")[bodies] == BodyType.DYNAMIC).any()), _are_plain(sim, slots)
         _leave(sim, bodies)
         arrays = Arrays()
         for name in BODY:
@@ -162,7 +166,7 @@ def remove(sim: Simulation, bodies: Any, shapes: Any, joints: Any) -> None:
         sim.ids.array("body_id")[bodies] = EMPTY
         sim.ids.array("shape_id")[slots] = EMPTY
         _see(sim, bodies)
-        _take_up(sim, slots, weigh)
+        _take_up(sim, slots, weigh, plain)
         _rouse(sim, roused, np.unique(np.concatenate(worlds)))
 
 
@@ -339,11 +343,25 @@ def _rouse(sim: Simulation, bodies: np.ndarray, worlds: np.ndarray) -> None:
         arrays.flush()
 
 
-def _take_up(sim: Simulation, shapes: np.ndarray, weigh: bool) -> None:
-    """Let the next step find the pairs of shapes anew, and take the kernels that the model now needs."""
+def _are_plain(sim: Simulation, shapes: np.ndarray) -> bool:
+    """Whether shapes are centred discs in a scene without traits, for which every simulation has kernels."""
+    model = sim.model
+    discs = not (model.numpy("shape_type")[shapes].any() or model.numpy("shape_center")[shapes].any())
+    return discs and not any(model.sizes[trait] for trait in TRAITS)
+
+
+def _take_up(sim: Simulation, shapes: np.ndarray, weigh: bool, plain: bool) -> None:
+    """Let the next step find the pairs of shapes anew, and take the kernels that the model now needs.
+
+    Args:
+        sim: whose model has changed.
+        shapes: that have come or gone.
+        weigh: whether dynamic bodies have.
+        plain: whether the kernels of before do for them.
+    """
     arrays = Arrays()
     arrays(sim.pairs, "box")[shapes] = (np.inf, np.inf, -np.inf, -np.inf)  # which every shape has left
     arrays.flush()
     if weigh:
         sim.storage.integrator.weigh(sim.model)
-    sim.adapt_to_model(stale=False)
+    sim.take_change(plain)

@@ -344,6 +344,31 @@ def test_more_slots_change_no_bit():
         assert other.index(shapes=one.shape_b).tolist() == two.shape_b.tolist()
 
 
+@NEEDS_TAICHI
+def test_what_a_backend_has_no_kernels_for_is_refused_before_anything_changes():
+    sim = build(first, backend="taichi")
+    add(sim, second)
+    version, ids = sim.layout_version, sim.ids.numpy("body_id").tolist()
+    with pytest.raises(ValueError, match="backend is 'taichi', which has no kernels of"):
+        add(sim, pendulums)
+    assert (sim.layout_version, sim.ids.numpy("body_id").tolist()) == (version, ids)
+
+
+def test_events_follow_their_shapes_where_worlds_grow():
+    sim = build(first, worlds=2)
+    sim.run(40, DT)
+    events = dc.ContactEvents(sim)
+    touching = np.stack([events.touching.shape_a, events.touching.shape_b])
+    sim.additions(0)
+    add(sim, second, world=0)
+    add(sim, lambda b: b.add_discs([(0.0, 9.0)], 0.1), world=0)
+    assert not np.array_equal(sim.index(shapes=touching[0]), touching[0])
+    events.update()
+    assert (len(events.begun.impulse), len(events.ended.impulse)) == (0, 0)
+    assert events.touching.shape_a.tolist() == sim.index(shapes=touching[0]).tolist()
+    assert events.touching.shape_b.tolist() == sim.index(shapes=touching[1]).tolist()
+
+
 def test_sensors_come_and_go():
     sim = build(first)
     gate = add(sim, lambda b: b.add_box(b.add_body((0.5, 0.3), type=dc.BodyType.STATIC), 0.5, 0.5, sensor=True))
