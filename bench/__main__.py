@@ -37,6 +37,7 @@ MODULES = {
     "faults": "faults.faults",
     "games": "games.games",
     "sleep": "speed.sleep",
+    "population": "speed.population",
     "skips": "speed.skips",
     "house": "house",
 }

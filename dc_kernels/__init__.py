@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from dc_kernels.collide.color import color
     from dc_kernels.collide.narrowphase import Narrowphase
     from dc_kernels.collide.shapes import ShapeBoxes
+    from dc_kernels.driving.additions import Additions
     from dc_kernels.driving.contacts import (
         ContactEvents,
         contact_forces,
@@ -62,6 +63,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "LANES",
+    "Additions",
     "BodyType",
     "Broadphase",
     "Closest",
@@ -127,6 +129,7 @@ _MODULES = {
     "collide.color": ("color",),
     "collide.narrowphase": ("Narrowphase",),
     "collide.shapes": ("ShapeBoxes",),
+    "driving.additions": ("Additions",),
     "driving.contacts": ("ContactEvents", "contact_forces", "joint_forces", "joint_reactions", "net_contact_forces"),
     "driving.events": ("contact_events", "sensor_events"),
     "events.lists": ("Overlaps", "PairList", "Touches"),

@@ -44,6 +44,8 @@ class Row:
     """Settings of the solver."""
     build: Callable[[dc.ModelBuilder, int, int], Any] | None = None
     """What else is added, given the builder and both witnesses."""
+    slots: bool = False
+    """There are as many empty slots as bodies."""
     box: bool = False
     """The first witness is a box, not a disc."""
     reason: str = ""
@@ -66,6 +68,7 @@ ROWS: Mapping[str, Row] = {
     "surface_speed": Row("a belt", shape={"surface_speed": 0.1}, reason=GENERAL),
     "rolling": Row("rolling resistance: a row more of a contact", shape={"rolling_resistance": 0.05}, reason=GENERAL),
     "sleep": Row("sleep allowed, nobody asleep", config={"sleep": True, "sleep_time": 1e6}),
+    "slots": Row("as many empty slots as bodies", slots=True),
     "history": Row("the change of every sweep kept", config={"history": True}),
 }
 
@@ -85,7 +88,10 @@ def simulation(row: Row, discs: int) -> dc.Simulation:
     if row.build is not None:
         row.build(builder, first, second)
     config = dataclasses.replace(dc.SolverConfig(), **row.config)
-    return dc.Simulation(*builder.finalize(), config=config)
+    sim = dc.Simulation(*builder.finalize(), config=config)
+    if row.slots:
+        sim.reserve(bodies=discs, shapes=discs)
+    return sim
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -110,7 +116,7 @@ def measure_row(row: Row, discs: int, begin: Mapping[str, np.ndarray], rounds: i
     sims = {"without": simulation(Row(""), discs), "with": simulation(row, discs)}
     for sim in sims.values():
         for name, values in begin.items():
-            sim.state.assign(name, values)
+            sim.state.numpy(name)[: len(values)] = values  # empty slots lie behind
         sim.run(STEPS, DT)
     times: dict[str, list[float]] = {name: [] for name in sims}
     for k in range(rounds):
