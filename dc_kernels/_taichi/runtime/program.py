@@ -27,10 +27,9 @@ OPTIONS = {
     "check_out_of_bound": False,
 }
 """What kernels are compiled with, whatever the program was started with."""
-OF_LARGE = {"advanced_optimization": False, "cfg_optimization": False}
-"""What large kernels are compiled with beside that: LLVM optimises as well, and these passes of Taichi's take time that
-grows with the square of a kernel's size, four fifths of a step's. A step of 64 worlds is 7 % faster with the former of
-them, but compiles for 34 s instead of 9; a splat takes three times as long without them."""
+OF_LARGE = {"opt_level": 0}
+"""What large kernels are compiled with beside that: LLVM finds common expressions as well, and Taichi's own pass for
+them takes time that grows with the square of a kernel's size, 28 of a step's 37 s. Steps are 2 % slower without it."""
 DEFAULTS = ("default_fp", "default_ip", "short_circuit_operators")
 """What else of a running program decides how a source is compiled: types of its numbers, and how "and" is."""
 PATIENCE = 10_000_000  # turns that a thread waits for the others, some 0.1 s

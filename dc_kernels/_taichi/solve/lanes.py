@@ -1,13 +1,16 @@
 """SIMD lanes: LANES rows of one colour solved side by side, as vectors of Taichi.
 
 The arithmetic is that of ``row``, operation by operation, and that of Warp's lanes. All that a block needs is loaded
-before anything is stored: where an array lies is looked up anew after each store.
+before anything is stored: where an array lies is looked up anew after each store. The compiler knows of an index after
+``MASK``, which leaves it as it is, that adding a column's number to it does not overflow: each then takes no
+instruction of its own, a tenth of a sweep's.
 """
 
 from functools import cache
 from types import SimpleNamespace
 
 from dc_kernels._taichi.groups import group_types
+from dc_kernels._taichi.lanes import MASK
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.solve.bodies import body_functions, largest, magnitude, total
 from dc_kernels.solve.iteration import ASTRAY, FAR, MOVING
@@ -55,9 +58,10 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         """
         most = vec8(0.0)
         for b in range(b0, b1):
-            k = b * width
-            ax, ay, aw, am = load_bodies(rows, 2 * b, bodies, floor)
-            bx, by, bw, bm = load_bodies(rows, 2 * b + 1, bodies, floor)
+            k = (b * width) & MASK
+            r = (2 * b) & MASK
+            ax, ay, aw, am = load_bodies(rows, r, bodies, floor)
+            bx, by, bw, bm = load_bodies(rows, r + 1, bodies, floor)
             nx = rows.column[k + NX]
             ny = rows.column[k + NY]
             rat = rows.column[k + RAT]
@@ -74,8 +78,8 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             bias = rows.column[k + BIAS]
             mu = rows.column[k + MU]
             low = least(rows, k)
-            ln0 = rows.impulse[2 * b]
-            lt0 = rows.impulse[2 * b + 1]
+            ln0 = rows.impulse[r]
+            lt0 = rows.impulse[r + 1]
             vn = nx * (bx - ax) + ny * (by - ay)
             if ti.static(own):
                 vn = (nx * bx - rows.column[k + AX] * ax) + (ny * by - rows.column[k + AY] * ay)
@@ -118,22 +122,23 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             else:
                 aw = aw - wa * (rat * dt)
                 bw = bw + wb * (rbt * dt)
-            rows.impulse[2 * b] = ln
-            rows.impulse[2 * b + 1] = lt
-            rows.change[2 * b] = dn
-            rows.change[2 * b + 1] = dt
+            rows.impulse[r] = ln
+            rows.impulse[r + 1] = lt
+            rows.change[r] = dn
+            rows.change[r + 1] = dt
             most = ti.max(most, ti.max(magnitude(dn), magnitude(dt)))
-            store_bodies(rows, 2 * b, bodies, ax, ay, aw, am, floor)
-            store_bodies(rows, 2 * b + 1, bodies, bx, by, bw, bm, floor)
+            store_bodies(rows, r, bodies, ax, ay, aw, am, floor)
+            store_bodies(rows, r + 1, bodies, bx, by, bw, bm, floor)
         return largest(most)
 
     @ti.func
     def apply(rows: t.Rows, bodies: ti.template(), anew, b0, b1, floor):
         """Velocities after impulses, V += M^-1 J^T delta: after all of them where ``anew`` is 1, else their change."""
         for b in range(b0, b1):
-            k = b * width
-            ax, ay, aw, am = load_bodies(rows, 2 * b, bodies, floor)
-            bx, by, bw, bm = load_bodies(rows, 2 * b + 1, bodies, floor)
+            k = (b * width) & MASK
+            r = (2 * b) & MASK
+            ax, ay, aw, am = load_bodies(rows, r, bodies, floor)
+            bx, by, bw, bm = load_bodies(rows, r + 1, bodies, floor)
             nx = rows.column[k + NX]
             ny = rows.column[k + NY]
             rat = rows.column[k + RAT]
@@ -145,11 +150,11 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             if ti.static(not discs):
                 ran = rows.column[k + RAN]
                 rbn = rows.column[k + RBN]
-            dn = rows.change[2 * b]
-            dt = rows.change[2 * b + 1]
+            dn = rows.change[r]
+            dt = rows.change[r + 1]
             if anew == 1:
-                dn = rows.impulse[2 * b]
-                dt = rows.impulse[2 * b + 1]
+                dn = rows.impulse[r]
+                dt = rows.impulse[r + 1]
             px = nx * dn
             py = ny * dn
             qx = ny * dt
@@ -168,17 +173,18 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             else:
                 aw = (aw - wa * (ran * dn)) - wa * (rat * dt)
                 bw = (bw + wb * (rbn * dn)) + wb * (rbt * dt)
-            store_bodies(rows, 2 * b, bodies, ax, ay, aw, am, floor)
-            store_bodies(rows, 2 * b + 1, bodies, bx, by, bw, bm, floor)
+            store_bodies(rows, r, bodies, ax, ay, aw, am, floor)
+            store_bodies(rows, r + 1, bodies, bx, by, bw, bm, floor)
 
     @ti.func
     def push(rows: t.Rows, bodies: ti.template(), b0, b1, factor, limit, floor):
         """Position correction: displacements that remove a share of what overlaps; the largest push."""
         most = vec8(0.0)
         for b in range(b0, b1):
-            k = b * width
-            ax, ay, aw, am = load_bodies(rows, 2 * b, bodies, floor)
-            bx, by, bw, bm = load_bodies(rows, 2 * b + 1, bodies, floor)
+            k = (b * width) & MASK
+            r = (2 * b) & MASK
+            ax, ay, aw, am = load_bodies(rows, r, bodies, floor)
+            bx, by, bw, bm = load_bodies(rows, r + 1, bodies, floor)
             nx = rows.column[k + NX]
             ny = rows.column[k + NY]
             vn = nx * (bx - ax) + ny * (by - ay)
@@ -206,30 +212,31 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
                 aw = aw - rows.column[k + WA] * (rows.column[k + RAN] * dn)
                 bw = bw + rows.column[k + WB] * (rows.column[k + RBN] * dn)
             most = ti.max(most, magnitude(dn))
-            store_bodies(rows, 2 * b, bodies, ax, ay, aw, am, floor)
-            store_bodies(rows, 2 * b + 1, bodies, bx, by, bw, bm, floor)
+            store_bodies(rows, r, bodies, ax, ay, aw, am, floor)
+            store_bodies(rows, r + 1, bodies, bx, by, bw, bm, floor)
         return largest(most)
 
     @ti.func
     def extrapolate(rows: t.Rows, b0, b1, alpha):
         """Impulses moved on along their change, x <- clamp(x + alpha change); change is then what they moved by."""
         for b in range(b0, b1):
-            k = b * width
+            k = (b * width) & MASK
+            r = (2 * b) & MASK
             mu = rows.column[k + MU]
             low = least(rows, k)
-            xn = rows.impulse[2 * b]
-            xt = rows.impulse[2 * b + 1]
-            dn = rows.change[2 * b]
-            dt = rows.change[2 * b + 1]
+            xn = rows.impulse[r]
+            xt = rows.impulse[r + 1]
+            dn = rows.change[r]
+            dt = rows.change[r + 1]
             yn = ti.max(xn + alpha * dn, low)
             if ti.static(own):
                 yn = ti.min(yn, rows.column[k + HI])
             limit = mu * yn
             yt = ti.min(ti.max(xt + alpha * dt, limit * -1.0), limit)
-            rows.impulse[2 * b] = yn
-            rows.impulse[2 * b + 1] = yt
-            rows.change[2 * b] = yn - xn
-            rows.change[2 * b + 1] = yt - xt
+            rows.impulse[r] = yn
+            rows.impulse[r + 1] = yt
+            rows.change[r] = yn - xn
+            rows.change[r + 1] = yt - xt
 
     @ti.func
     def moving(rows: t.Rows, motion: t.Motion, b0, b1, still, share, fall, floor):
@@ -241,11 +248,12 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         count = 0
         b = b0
         while b < b1:
-            k = b * width
-            given = ti.max(pushed(rows, 2 * b, motion, floor), pushed(rows, 2 * b + 1, motion, floor))
+            k = (b * width) & MASK
+            r = (2 * b) & MASK
+            given = ti.max(pushed(rows, r, motion, floor), pushed(rows, r + 1, motion, floor))
             limit = still + share * ti.max(given - fall, vec8(0.0))
-            dn = magnitude(rows.change[2 * b])
-            dt = magnitude(rows.change[2 * b + 1])
+            dn = magnitude(rows.change[r])
+            dt = magnitude(rows.change[r + 1])
             n = limit * rows.column[k + EN]
             tangential = limit * rows.column[k + ET]
             # NaN is moved, and far
@@ -269,15 +277,16 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         """
         squares = before
         for b in range(b0, b1):
-            k = b * width
-            ax, ay, aw, _ = load_bodies(rows, 2 * b, bodies, floor)
-            bx, by, bw, _ = load_bodies(rows, 2 * b + 1, bodies, floor)
+            k = (b * width) & MASK
+            r = (2 * b) & MASK
+            ax, ay, aw, _ = load_bodies(rows, r, bodies, floor)
+            bx, by, bw, _ = load_bodies(rows, r + 1, bodies, floor)
             nx = rows.column[k + NX]
             ny = rows.column[k + NY]
             mass = rows.column[k + EN]
             mu = rows.column[k + MU]
-            xn = rows.impulse[2 * b]
-            xt = rows.impulse[2 * b + 1]
+            xn = rows.impulse[r]
+            xt = rows.impulse[r + 1]
             un = nx * (bx - ax) + ny * (by - ay)
             if ti.static(own):
                 un = (nx * bx - rows.column[k + AX] * ax) + (ny * by - rows.column[k + AY] * ay)

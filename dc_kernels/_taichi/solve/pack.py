@@ -17,6 +17,8 @@ from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, SURFACED
 ROW_OVERFLOW = int(Flag.ROW_OVERFLOW)
 JACOBI = METHODS["jacobi"]
 INFINITY = float("inf")
+CHUNK = 256  # contacts whose places are found before the rows of any is made
+NONE = -1
 
 VARIANTS = tuple(name for name in COLUMNS if name not in SURFACED)
 """Variants of rows that there are kernels for."""
@@ -136,46 +138,56 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         contacts: t.Contacts,
         rows: t.Rows,
     ):
-        """Rows of a world's contacts, a block at a time: as soon as it is full, and what is left at the end.
+        """Rows of a world's contacts, those of the blocks that CHUNK contacts have filled, and the rest at last.
 
-        A block's contacts stand where its bodies A then do. Empty lanes of a colour's last block are zero and point at
-        the padding body.
+        A block's contacts stand where its bodies A then do, and the one that was filled before it where the last of
+        its bodies B does: so the caches hold them, without a branch that is guessed wrong once a block. Empty lanes of
+        a colour's last block are zero and point at the padding body.
         """
         start = contacts.contact_start[w]
-        count = contacts.contact_count[w]
+        end = start + contacts.contact_count[w]
         fill = w * COLORS
         ends = w * (COLORS + 1)
         floor = unknown_floor(config)
-        for i in range(count + used):
-            block = -1
-            lanes = LANES
-            if i < count:
-                color = contacts.color[start + i]
+        begin = start
+        while begin < end:
+            stop = ti.min(begin + CHUNK, end)
+            filled = NONE
+            for c in range(begin, stop):
+                color = contacts.color[c]
                 index = rows.color_fill[fill + color]
                 rows.color_fill[fill + color] = index + 1
                 at = rows.color_block[ends + color] + (index >> LANE_BITS)
                 lane = index & LAST_LANE
-                rows.slot[start + i] = 2 * at * LANES + lane
-                rows.body[2 * at][lane] = start + i
-                if lane == LAST_LANE:
-                    block = at
-            else:
-                color = i - count
-                filled = rows.color_fill[fill + color]
-                lanes = filled & LAST_LANE
-                if lanes != 0:
-                    block = rows.color_block[ends + color] + (filled >> LANE_BITS)
+                rows.slot[c] = 2 * at * LANES + lane
+                rows.body[2 * at][lane] = c
+                rows.body[2 * at + 1][lane] = filled
+                filled = ti.select(lane == LAST_LANE, at, filled)
+            if stop == end:
+                for color in range(used):
+                    index = rows.color_fill[fill + color]
+                    if (index & LAST_LANE) != 0:
+                        at = rows.color_block[ends + color] + (index >> LANE_BITS)
+                        for lane in range(index & LAST_LANE, LANES):
+                            rows.body[2 * at][lane] = rows.body[2 * at][0]
+                        rows.body[2 * at + 1][LAST_LANE] = filled
+                        filled = at
+            while filled != NONE:
+                at = filled
+                filled = rows.body[2 * at + 1][LAST_LANE]
+                make_contact_rows(w, at, floor, config, model, state, motion, contacts, rows)
+            begin = stop
+        for color in range(used):
+            index = rows.color_fill[fill + color]
+            lanes = index & LAST_LANE
+            if lanes != 0:
+                at = rows.color_block[ends + color] + (index >> LANE_BITS)
+                for k in range(at * width, (at + 1) * width):
                     for lane in range(lanes, LANES):
-                        rows.body[2 * block][lane] = rows.body[2 * block][0]
-            if block >= 0:
-                make_contact_rows(w, block, floor, config, model, state, motion, contacts, rows)
-                if lanes < LANES:
-                    for k in range(block * width, (block + 1) * width):
-                        for lane in range(lanes, LANES):
-                            rows.column[k][lane] = 0.0
-                    for lane in range(lanes, LANES):
-                        rows.body[2 * block][lane] = padding_body
-                        rows.body[2 * block + 1][lane] = padding_body
+                        rows.column[k][lane] = 0.0
+                for lane in range(lanes, LANES):
+                    rows.body[2 * at][lane] = padding_body
+                    rows.body[2 * at + 1][lane] = padding_body
 
     @kernel
     def pack_rows(
