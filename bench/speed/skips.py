@@ -53,6 +53,7 @@ class Row:
 
 
 GENERAL = "rows of discs leave out what is zero for them, so sums round otherwise"
+OWN = GENERAL + "; a solve looks at joints, too"
 ROWS: Mapping[str, Row] = {
     "polygon": Row("a box among discs: all shapes' narrowphase and rows", box=True, reason=GENERAL),
     "joint": Row(
@@ -60,6 +61,22 @@ ROWS: Mapping[str, Row] = {
         build=lambda builder, a, b: builder.add_distance_joint(a, b),
         reason=GENERAL + "; a world with joints ends by its tolerances",
     ),
+    "hinge": Row(
+        "a hinge: rows with two bounds", build=lambda builder, a, b: builder.add_revolute_joint(a, b), reason=OWN
+    ),
+    "motor": Row(
+        "a hinge with motor and limits",
+        build=lambda builder, a, b: builder.add_revolute_joint(
+            a, b, lower=-0.5, upper=0.5, motor_speed=1.0, max_motor_torque=1.0
+        ),
+        reason=OWN,
+    ),
+    "breaks": Row(
+        "a hinge that may break",
+        build=lambda builder, a, b: builder.add_revolute_joint(a, b, break_force=1e6),
+        reason=OWN,
+    ),
+    "suspension": Row("a wheel joint: a spring", build=lambda builder, a, b: builder.add_wheel_joint(a, b), reason=OWN),
     "friction": Row("a coefficient of friction of its own", shape={"friction": 0.1}),
     "restitution": Row("a restitution: biases of impacts", shape={"restitution": 0.5}),
     "damping": Row("linear and angular damping", body={"linear_damping": 0.1, "angular_damping": 0.1}),
@@ -70,6 +87,10 @@ ROWS: Mapping[str, Row] = {
     "sleep": Row("sleep allowed, nobody asleep", config={"sleep": True, "sleep_time": 1e6}),
     "slots": Row("as many empty slots as bodies", slots=True),
     "history": Row("the change of every sweep kept", config={"history": True}),
+    "substeps": Row("two whole steps for each", config={"substeps": 2}, reason="steps are half as long"),
+    "tgs_soft": Row(
+        "soft contacts: four substeps", config={"method": "tgs_soft", "substeps": 4}, reason="another method altogether"
+    ),
 }
 
 

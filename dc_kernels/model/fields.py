@@ -262,7 +262,7 @@ ROWS = field_table(
     ("row_upper", "own row", "real", "N s", "largest impulse; may be infinity"),
     ("row_softness", "own row", "real", "1/kg", "velocity that the row gives way by for each impulse", NOT_NEGATIVE),
     ("row_gap", "own row", "real", "m", "what position correction makes zero"),
-    ("row_held", "own row", "real", "1", "1: position correction moves it, 0: it does not", SHARE),
+    ("row_held", "own row", "real", "1", "1: position correction moves it, 0: it does not, -1: of a sleeper", SHARE),
     (
         "stiff_inertia",
         "stiff body",

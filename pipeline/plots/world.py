@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.model.enums import BodyType, ShapeType
+from dc_kernels.model.enums import BodyType, JointKind, ShapeType
 from dc_kernels.runtime.optional import require
 from pipeline.plots.style import EDGE, FILL, GREEN, INK
 
@@ -33,7 +33,8 @@ class WorldShapes:
     segments: tuple[np.ndarray, np.ndarray]
     """Static segments: bodies (n,) and ends (n, 2, 2) [m]."""
     joints: list[tuple[np.ndarray, np.ndarray]]
-    """The two ends of distance joints: bodies (n,) and anchors (n, 1, 2) [m]."""
+    """The two ends of the lines of joints: bodies (n,) and points (n, 1, 2) [m]. A line goes from anchor to
+    anchor; where a joint holds these together, from each to the centre of its body, if that is dynamic."""
     dynamic: np.ndarray
     """Whether each body is dynamic, bool (bodies,)."""
 
@@ -63,14 +64,26 @@ class WorldShapes:
         walls = kinds == ShapeType.SEGMENT
         ends = vertices[first[shapes[walls], None] + np.arange(2)].reshape(-1, 2, 2)
         rows = slice(*map(int, model["joint_start"][world : world + 2]))
-        joints = [
-            (
-                model[f"joint_body_{end}"][rows] - bodies.start,
-                model[f"joint_anchor_{end}"][rows, None].astype(np.float64),
-            )
-            for end in "ab"
-        ]
-        return cls(bodies, outlines, (owner[walls], ends), joints, model["body_type"][bodies] == BodyType.DYNAMIC)
+        joined = [model[f"joint_body_{end}"][rows] - bodies.start for end in "ab"]
+        anchors = [model[f"joint_anchor_{end}"][rows].astype(np.float64) for end in "ab"]
+        dynamic = model["body_type"][bodies] == BodyType.DYNAMIC
+        joints = _lines(model["joint_kind"][rows], joined, anchors, dynamic)
+        return cls(bodies, outlines, (owner[walls], ends), joints, dynamic)
+
+
+def _lines(
+    kind: np.ndarray, joined: list[np.ndarray], anchors: list[np.ndarray], dynamic: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The two ends of the lines that show joints, see ``WorldShapes.joints``."""
+    anchored = ~np.isin(kind, (JointKind.GEAR, JointKind.GENERAL))
+    apart = anchored & np.isin(kind, (JointKind.DISTANCE, JointKind.PRISMATIC, JointKind.WHEEL, JointKind.TARGET))
+    owners, points = [[body[apart]] for body in joined], [[anchor[apart]] for anchor in anchors]
+    for body, anchor in zip(joined, anchors, strict=True):
+        held = anchored & (kind != JointKind.DISTANCE) & dynamic[body]
+        for end, at in enumerate((anchor[held], np.zeros((held.sum(), 2)))):
+            owners[end].append(body[held])
+            points[end].append(at)
+    return [(np.concatenate(owners[end]), np.concatenate(points[end])[:, None]) for end in range(2)]
 
 
 def _rounded(vertices: np.ndarray, normals: np.ndarray, radius: float) -> np.ndarray:

@@ -593,3 +593,28 @@ def test_scenes_of_discs_pass_over_pairs_of_sleepers():
     assert set(left) == asleep_in(sim)
     assert state_bits(sim, left) == before
     assert contacts_of(sim, left) == kept
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_joints_of_sleepers_keep_their_impulses(backend):
+    """A chain that wakes beside a disc that never slept hangs on as if it had been awake."""
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, -9.8))
+    body = builder.add_body(type=dc.BodyType.STATIC)
+    for i in range(3):
+        link = builder.add_body((0.0, -0.5 - i))
+        builder.add_box(link, 0.1, 0.5, mask=0)
+        builder.add_revolute_joint(body, link, (0.0, -0.5 if i else 0.0), (0.0, 0.5))
+        body = link
+    builder.add_disc(builder.add_body((9.0, 0.0), velocity=(1.0, 0.0), gravity_scale=0.0), 0.5)
+    sim = dc.Simulation(*builder.finalize("float64", backend=backend), config=SLEEP_CONFIG)
+    sim.run(40, DT)
+    assert asleep_in(sim) == {1, 2, 3}
+    before = sim.joints.numpy("joint_impulse").copy()
+    weight = float(sim.model.numpy("mass")[1]) * 9.8 * DT
+    np.testing.assert_allclose(np.abs(before.reshape(3, 2)[:, 1]), weight * np.array([3.0, 2.0, 1.0]), rtol=1e-6)
+    sim.run(5, DT)
+    np.testing.assert_allclose(sim.joints.numpy("joint_impulse"), before)
+    sim.wake()
+    sim.step(DT)
+    assert asleep_in(sim) == set() and sim.stats.numpy("change")[0] < 1e-9 * weight

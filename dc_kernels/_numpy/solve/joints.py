@@ -45,9 +45,13 @@ def make_joint_rows(
     rows.stiff_inertia[bodies] = 0.0
     for j in range(model.joint_start[w], model.joint_start[w + 1]):
         ends = Ends(j, w, config, model, state, motion, joints, rows)
-        if motion.predicted[[ends.a, ends.b], 3].min() < 0 or joints.joint_broken[j]:
+        asleep = motion.predicted[[ends.a, ends.b], 3].min() < 0
+        if asleep or joints.joint_broken[j]:
             for _ in range(joints.joint_row_start[j], joints.joint_row_start[j + 1]):
-                ends.idle()
+                if joints.joint_broken[j]:
+                    ends.idle()
+                else:
+                    ends.rest()
         else:
             MAKERS[JointKind(joints.joint_kind[j])](j, joints, ends)
         own = slice(joints.joint_row_start[j], joints.joint_row_start[j + 1])

@@ -110,6 +110,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
         own = slice(rows.line_start[w], rows.line_start[w + 1])
         joints.joint_impulse[own] = rows.impulse[rows.joint_slot[own]]
         own = slice(rows.row_start[w], rows.row_start[w + 1])
-        rows.row_impulse[own] = rows.impulse[rows.row_slot[own]]
+        awake = rows.row_held[own] >= 0
+        rows.row_impulse[own] = np.where(awake, rows.impulse[rows.row_slot[own]], rows.row_impulse[own])
 
     return {"pack_rows": pack_rows, "unpack_impulses": unpack_impulses}

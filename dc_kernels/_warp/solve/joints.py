@@ -38,7 +38,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     contiguous = contiguous_groups(dtype)
     STIFF = real(STIFFNESS)
     ends = end_functions(dtype)
-    ends_of, idle = ends.ends_of, ends.idle
+    ends_of, idle, rest = ends.ends_of, ends.idle, ends.rest
     make_stretch_rows = stretch_rows(dtype)
     make_revolute_rows = revolute_rows(dtype)
     make_prismatic_rows = prismatic_rows(dtype)
@@ -94,9 +94,12 @@ def kernels(dtype: str) -> dict[str, Any]:
             kind = joints.joint_kind[j]
             asleep = wp.min(motion.predicted[a][3], motion.predicted[b][3]) < real(0.0)
             e = ends_of(j, w, config, model, state, motion, joints)
-            if asleep or joints.joint_broken[j] == BROKEN:
+            if joints.joint_broken[j] == BROKEN:
                 for k in range(joints.joint_row_start[j], joints.joint_row_start[j + 1]):
                     idle(k, e, rows)
+            elif asleep:
+                for k in range(joints.joint_row_start[j], joints.joint_row_start[j + 1]):
+                    rest(k, e, rows)
             elif kind == DISTANCE:
                 make_stretch_rows(j, e, config, model, motion, joints, rows)
             elif kind == REVOLUTE:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import dc_kernels as dc
 from pipeline.plots import style
@@ -55,6 +56,28 @@ def test_outlines_have_the_bodies_area():
         area[owner] += 0.5 * (x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1)
     np.testing.assert_allclose(area[1:], model.numpy("mass")[1:], rtol=0.02)
     assert shapes.segments[1].shape == (3, 2, 2)
+
+
+def test_joints_are_lines_between_anchors_or_from_there_to_the_centres():
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    post = builder.add_body((3.0, 0.0), type=dc.BodyType.STATIC)
+    left, right = (builder.add_body((x, 1.0), angle=np.pi / 2) for x in (0.0, 2.0))
+    for body in (left, right):
+        builder.add_disc(body, 0.5)
+    builder.add_distance_joint(left, right)
+    builder.add_revolute_joint(left, right, (0.0, -1.0))
+    builder.add_weld_joint(post, right, (0.0, 0.5))
+    builder.add_gear_joint(left, right, 1.0)
+    sim = dc.Simulation(*builder.finalize("float64"))
+    shapes = drawing.WorldShapes.of(drawing.arrays(sim), 0)
+    panel = drawing.WorldDrawing(Figure().subplots(), shapes, sim.state.numpy("position"), sim.state.numpy("angle"))
+    lines = {tuple(np.round(line, 6).ravel().tolist()) for line in panel.joints.get_segments()}
+    assert lines == {
+        (0.0, 1.0, 2.0, 1.0),  # the rod
+        (1.0, 1.0, 0.0, 1.0), (1.0, 1.0, 2.0, 1.0),  # the hinge between both
+        (3.0, 0.5, 2.0, 1.0),  # the weld to what is fixed
+    }  # fmt: skip
 
 
 def test_forces_are_impulses_over_dt():

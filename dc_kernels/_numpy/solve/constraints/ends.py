@@ -85,7 +85,7 @@ class Ends:
         upper: Any = np.inf,
         soft: Any = 0.0,
         gap: Any = 0.0,
-        held: int = 0,
+        held: float = 0,
     ) -> None:
         """The next row of the joint."""
         k, rows = self.row, self.rows
@@ -98,6 +98,10 @@ class Ends:
     def idle(self) -> None:
         """A row that does nothing."""
         self.write(Along(np.zeros(6), 0.0), 0.0)
+
+    def rest(self) -> None:
+        """A row that does nothing and keeps its impulse, of bodies that sleep."""
+        self.write(Along(np.zeros(6), 0.0), 0.0, held=-1.0)
 
     def hold(self, along: Along) -> None:
         """What must stay 0, at the end of the step; of bodies that turn far in a step, where it is now."""

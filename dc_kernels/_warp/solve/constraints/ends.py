@@ -20,7 +20,9 @@ BAUMGARTE = wp.constant(POSITION_CORRECTIONS["baumgarte"])
 
 @cache
 def end_functions(dtype: str) -> SimpleNamespace:
-    """``Ends`` and ``ends_of`` a joint; ``hold``, ``spring``, ``motor``, ``limit``, ``bounded``, ``idle`` write a row.
+    """``Ends`` and ``ends_of`` a joint.
+
+    ``hold``, ``spring``, ``motor``, ``limit``, ``bounded``, ``idle`` and ``rest`` write a row of it.
 
     ``point``, ``slide`` and ``turn`` give Jacobians as ``Along``: of B against A at the anchors along a direction of
     the world, along one of body A, and in angle.
@@ -142,6 +144,11 @@ def end_functions(dtype: str) -> SimpleNamespace:
         write(k, e, Along(), real(0.0), minus_infinity, infinity, real(0.0), real(0.0), real(0.0), rows)
 
     @wp.func(module=module)
+    def rest(k: int, e: Ends, rows: t.Rows):
+        """A row that does nothing and keeps its impulse, of bodies that sleep."""
+        write(k, e, Along(), real(0.0), minus_infinity, infinity, real(0.0), real(0.0), real(-1.0), rows)
+
+    @wp.func(module=module)
     def hold(k: int, e: Ends, along: Along, config: t.Config, rows: t.Rows):
         """What must stay 0, at the end of the step; of bodies that turn far in a step, where it is now."""
         turn = wp.max(wp.abs(e.wa), wp.abs(e.wb)) * e.dt
@@ -225,6 +232,7 @@ def end_functions(dtype: str) -> SimpleNamespace:
         slide=slide,
         turn=turn,
         idle=idle,
+        rest=rest,
         hold=hold,
         spring=spring,
         motor=motor,
