@@ -84,6 +84,16 @@ ROWS: Mapping[str, Row] = {
     "fixed_rotation": Row("a body that does not turn", body={"fixed_rotation": True}),
     "surface_speed": Row("a belt", shape={"surface_speed": 0.1}, reason=GENERAL),
     "rolling": Row("rolling resistance: a row more of a contact", shape={"rolling_resistance": 0.05}, reason=GENERAL),
+    "sensor": Row(
+        "a sensor about a body: a look at each candidate pair",
+        build=lambda builder, a, b: builder.add_disc(a, 0.7, sensor=True),
+    ),
+    "one_way": Row(
+        "a one-way shape: a look at each contact",
+        build=lambda builder, a, b: builder.add_disc(a, 0.1, density=0.0, one_way=(0.0, 1.0)),
+    ),
+    "contact_events": Row("pairs that touch, begin, end and hit, listed", config={"contact_events": True}),
+    "contact_switches": Row("contacts that may be switched off", config={"contact_switches": True}),
     "sleep": Row("sleep allowed, nobody asleep", config={"sleep": True, "sleep_time": 1e6}),
     "slots": Row("as many empty slots as bodies", slots=True),
     "history": Row("the change of every sweep kept", config={"history": True}),

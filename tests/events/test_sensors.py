@@ -150,9 +150,11 @@ def test_the_oracle_agrees_in_a_crowd():
                 for name in ("shape_a", "shape_b", "world"):
                     np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
         slots = [dc.contact_events(sim).slot for sim in sims]
+        struck = sims[0].touches.numpy("blow")[slots[0]] > 0
         for name in ("impulse", "speed", "blow", "point", "normal"):
             one, two = (sim.touches.numpy(name)[at] for sim, at in zip(sims, slots))
-            np.testing.assert_allclose(one, two, atol=1e-8)
+            chosen = struck if name in ("point", "normal") else slice(None)
+            np.testing.assert_allclose(one[chosen], two[chosen], atol=1e-8)
         np.testing.assert_allclose(*(sim.state.numpy("position") for sim in sims), atol=1e-9)
         begun += len(dc.sensor_events(sims[0], "begun").slot)
         ended += len(dc.sensor_events(sims[0], "ended").slot)

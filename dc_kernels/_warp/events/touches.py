@@ -97,13 +97,15 @@ def kernels(dtype: str) -> dict[str, Any]:
                 # a gap that closes within a step lets an impact take two: the second one is no other hit
                 if speed <= config.hit_speed or (touched and touches.speed[known] > config.hit_speed):
                     blow = real(0.0)
-                touches.hit_speed[n] = blow
-                touches.hit_normal[n] = contacts.normal[fastest]
-                touches.hit_point[n] = state.position[contacts.body_a[fastest]] + contacts.arm_a[fastest]
                 if touched and touches.part[w] > 0 and touches.blow[known] >= blow:
-                    touches.hit_speed[n] = touches.blow[known]
-                    touches.hit_normal[n] = touches.normal[known]
-                    touches.hit_point[n] = touches.point[known]
+                    blow = touches.blow[known]
+                    if blow > real(0.0):
+                        touches.hit_normal[n] = touches.normal[known]
+                        touches.hit_point[n] = touches.point[known]
+                elif blow > real(0.0):
+                    touches.hit_normal[n] = contacts.normal[fastest]
+                    touches.hit_point[n] = state.position[contacts.body_a[fastest]] + contacts.arm_a[fastest]
+                touches.hit_speed[n] = blow
                 n += 1
         now = n - start
         touches.count[w] = now
@@ -111,13 +113,14 @@ def kernels(dtype: str) -> dict[str, Any]:
         n = start
         for i in range(start, start + now):
             touches.speed[i] = touches.temp[i]
-            touches.blow[i] = touches.hit_speed[i]
-            touches.normal[i] = touches.hit_normal[i]
-            touches.point[i] = touches.hit_point[i]
-            if touches.blow[i] > real(0.0):
+            blow = touches.hit_speed[i]
+            touches.blow[i] = blow
+            if blow > real(0.0):
+                touches.normal[i] = touches.hit_normal[i]
+                touches.point[i] = touches.hit_point[i]
                 touches.hit_a[n] = touches.a[i]
                 touches.hit_b[n] = touches.b[i]
-                touches.hit_speed[n] = touches.blow[i]
+                touches.hit_speed[n] = blow
                 touches.hit_normal[n] = touches.normal[i]
                 touches.hit_point[n] = touches.point[i]
                 n += 1
