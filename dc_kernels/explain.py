@@ -113,7 +113,11 @@ def explain(sim: Simulation) -> str:
 def describe(sim: Simulation) -> str:
     """One line: what a simulation is of, and which worlds do not advance."""
     model, frozen = sim.model, _frozen(sim)
-    line = f"<Simulation of {counted(model.world_count, 'world')} and {counted(model.body_count, 'body')}"
+    there, slots = model.body_count, ""
+    if sim.given_ids is not None:
+        there = int((sim.given_ids.numpy("body_id") >= 0).sum())
+        slots = f" in {counted(model.body_count, 'slot')}" * (there < model.body_count)
+    line = f"<Simulation of {counted(model.world_count, 'world')} and {counted(there, 'body')}{slots}"
     line += f", {sim.dtype}, {sim.backend} on {sim.device}"
     if frozen:
         more = f" and {len(frozen) - SHOWN} more" * (len(frozen) > SHOWN)

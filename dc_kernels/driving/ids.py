@@ -10,8 +10,9 @@ import numpy as np
 from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.fields import field_table
-from dc_kernels.model.rules import COUNT, BrokenRule, Number, refuse
+from dc_kernels.model.rules import BrokenRule, Number, refuse
 from dc_kernels.model.settings import numeric
+from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.runtime.interop import host_view
 
 KINDS = ("body", "shape", "joint")
@@ -19,13 +20,13 @@ PLURAL: dict[str, str] = {"body": "bodies", "shape": "shapes", "joint": "joints"
 EMPTY, ATTIC = -1, -2
 """In place of an id: nothing is in the slot; its body has the shapes of all empty slots of its world."""
 FEW = 8  # ids that are looked for one by one: each takes a look at all, which to sort takes as long as some of them
-_ID = Number(ATTIC, 2**62)
+_ID, _NEXT = Number(ATTIC, 2**62), Number(0, 2**62)
 
 IDS = field_table(
     ("body_id", "body", "int64", "1", "id of the body; -1: none is there; -2: it has the shapes of empty slots", _ID),
     ("shape_id", "shape", "int64", "1", "id of the shape; -1: none is there", _ID),
     ("joint_id", "joint", "int64", "1", "id of the joint", _ID),
-    ("next_id", "kind", "int64", "1", "id of the next body, shape and joint", COUNT),
+    ("next_id", "kind", "int64", "1", "id of the next body, shape and joint", _NEXT),
 )
 
 
@@ -104,6 +105,7 @@ def check_ids(ids: Mapping[str, np.ndarray], model: Model) -> None:
     Raises:
         BrokenRule: naming array, index, value and limit.
     """
+    check_rule("next_id", ids["next_id"], _NEXT)
     for kind, following in zip(KINDS, ids["next_id"].tolist()):
         name = f"{kind}_id"
         values = ids[name]

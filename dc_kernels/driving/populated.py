@@ -117,7 +117,7 @@ class Populated(Phases):
         Args:
             bodies: slots of bodies.
             shapes: slots of shapes.
-            vertices: of these shapes together, 1 of a disc, 2 of a capsule, 4 of a segment; None or 0: one each.
+            vertices: of these shapes together, 1 of a disc, 2 of a capsule, 4 of a segment; fewer: one each.
 
         Raises:
             TypeError, ValueError, RuntimeError: see ``add``.

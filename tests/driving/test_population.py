@@ -301,6 +301,31 @@ def test_copies_and_files_keep_slots_and_ids(way):
     assert bits(sim, slice(None)) == bits(other, slice(None))
 
 
+@pytest.mark.parametrize(
+    ("name", "index", "value", "message"),
+    [
+        ("body_id", 1, 0, r"body_id\[1\] is 0; it must be there once"),
+        ("body_id", 1, 99, r"body_id\[1\] is 99; it must be in \[-2, 8\]"),
+        ("body_id", 1, -1, r"body_id\[1\] is -1; it must be >= 0, for its body is not STATIC"),
+        ("shape_id", 3, -1, r"shape_id\[3\] is -1; it must be -1 if its body has the id -2, else >= 0"),
+        ("next_id", 0, 3, r"body_id\[3\] is 3; it must be in \[-2, 2\]"),
+        ("next_id", 2, -5, r"next_id\[2\] is -5; it must be in \[0, "),
+    ],
+)
+def test_ids_that_were_tampered_with_are_refused(name, index, value, message, tmp_path):
+    h5py = pytest.importorskip("h5py")
+    sim = build(first)
+    add(sim, second)
+    sim.remove(bodies=2)
+    assert repr(sim).startswith("<Simulation of 1 world and 8 bodies in 1")
+    sim.save(tmp_path / "changed.h5")
+    dc.Simulation.load(tmp_path / "changed.h5")
+    with h5py.File(tmp_path / "changed.h5", "r+") as file:
+        file[f"ids/{name}"][index] = value
+    with pytest.raises(ValueError, match=f"dataset ids/{message}"):
+        dc.Simulation.load(tmp_path / "changed.h5")
+
+
 def test_with_room_views_and_what_was_bound_stay():
     sim = build(first)
     sim.reserve(bodies=3, shapes=4, vertices=12)
