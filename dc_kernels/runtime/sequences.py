@@ -290,11 +290,11 @@ class Teams:
 
     def __init__(self, teams: int, size: int) -> None:
         """Seat teams of so many threads each, their leaders among them."""
-        self._memory = aligned_zeros((teams, 4 + SEATS, 4 * CACHE_LINE), np.dtype(np.uint8))
+        self._memory = aligned_zeros((teams, 3 + 2 * SEATS, 4 * CACHE_LINE), np.dtype(np.uint8))
         self.addresses = [self._memory.ctypes.data + i * self._memory.strides[0] for i in range(teams)]
         give_way, sleep, nap = _system_calls()
         head = self._memory[:, 0].view(np.uint64)
-        head[:, 0], head[:, 1], head[:, 3] = give_way, sleep, _address_of_take()
+        head[:, 0], head[:, 1], head[:, 3:5] = give_way, sleep, _team_calls()
         head.view(np.uint32)[:, 4:6] = nap, min(size, SEATS)
         self._over = aligned_zeros((CACHE_LINE,), np.dtype(np.int32))
         self._rest, self._open = self._memory[:, 1].view(np.uint64)[:, 3], True
@@ -325,11 +325,11 @@ class Teams:
 
 
 @cache
-def _address_of_take() -> int:
-    """Address of the compiled function by which teams take their jobs."""
-    address = aligned_zeros((1,), np.dtype(np.uint64))
-    _bind("find_take", {"address": address}).launch_now()
-    return int(address[0])
+def _team_calls() -> tuple[int, int]:
+    """Addresses of the compiled functions by which teams take their jobs, and know whether anybody is there."""
+    address = aligned_zeros((2,), np.dtype(np.uint64))
+    _bind("find_calls", {"address": address}).launch_now()
+    return int(address[0]), int(address[1])
 
 
 @cache

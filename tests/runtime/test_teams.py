@@ -24,28 +24,36 @@ def as_many_cores_as_asked_for(monkeypatch):
     monkeypatch.setattr(threads.Trial, "took", lambda *_: None)  # helpers are always asked, whether it pays or not
 
 
-def heap(discs=1600, worlds=1, shape="disc", **options):
+def heap(discs=1600, worlds=1, shape="disc", walls_first=True, dtype="float32", **options):
     """Bodies on a lattice that touch and fall upon each other: colours of many blocks from the first step on."""
     builder = dc.ModelBuilder()
     side = int(discs**0.5)
-    for _ in range(worlds):
-        builder.add_world()
+
+    def add_walls():
         ground = builder.add_body(type=dc.BodyType.STATIC)
         builder.add_chain(ground, [(-1.0, side + 9.0), (-1.0, 0.0), (side + 1.0, 0.0), (side + 1.0, side + 9.0)])
+
+    for _ in range(worlds):
+        builder.add_world()
+        if walls_first:
+            add_walls()
         for i in range(discs):
             at = (0.5 + i % side + 0.3 * (i // side % 2), 0.5 + 0.9 * (i // side))
             if shape == "disc":
                 builder.add_disc(builder.add_body(at), 0.5)
             else:
                 builder.add_box(builder.add_body(at), 0.5, 0.45)
-    return dc.Simulation(*builder.finalize(), config=dc.SolverConfig(max_sweeps=40), **options)
+        if not walls_first:
+            add_walls()
+    return dc.Simulation(*builder.finalize(dtype=dtype), config=dc.SolverConfig(max_sweeps=40), **options)
 
 
 def ends(sim):
     """What a run has left, as bytes."""
     used = int(sim.contacts.numpy("contact_count")[0])
     groups = [sim.state.numpy(name) for name in ("position", "angle", "velocity", "angular_velocity")]
-    groups += [sim.contacts.numpy("impulse")[:used], sim.stats.numpy("sweeps"), sim.stats.numpy("residual")]
+    groups += [sim.contacts.numpy(name)[:used] for name in ("key", "normal", "arm_b", "gap", "color", "impulse")]
+    groups += [sim.rows.numpy("slot")[:used], sim.stats.numpy("sweeps"), sim.stats.numpy("residual")]
     return [np.ascontiguousarray(group).tobytes() for group in groups]
 
 
@@ -92,6 +100,26 @@ def test_bits_are_those_of_one_thread(monkeypatch, shape, acceleration):
         found.append(ends(sim))
         assert jobs_of(sim) > 0 if count > 1 else not sim._shards.helpers
     assert found[1:] == found[:1] * 2
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_contacts_and_rows_of_many_discs_are_those_of_one_thread(monkeypatch, dtype):
+    """More of them than one part has, with other shapes among the pairs or at their beginning, in room that grows."""
+    for walls_first, room in ((True, 2.5), (False, 2.5), (True, 0.7)):
+        found = []
+        for count in (1, 2, 3, 4):
+            sim = heap(2500, walls_first=walls_first, dtype=dtype, threads=count, contacts_per_body=room)
+            if count > 1:
+                met(monkeypatch, sim)
+            for _ in range(3):
+                before = jobs_of(sim) if count > 1 else 0
+                sim.collide(0.01)
+                if count > 1 and room > 1.0:
+                    assert jobs_of(sim) >= before + (2 if walls_first else 1)
+                sim.solve()
+                sim.advance()
+            found.append(ends(sim))
+        assert found[1:] == found[:1] * 3
 
 
 def test_bits_do_not_depend_on_when_a_member_comes():

@@ -49,7 +49,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     support = support_functions(dtype, only_discs)
     closes, list_static, supported = support.closes, support.list_static, support.supported
 
-    find_disc_contacts = disc_contacts(dtype)
+    find_disc_contacts, share_disc_contacts = disc_contacts(dtype)
 
     @wp.func_native(native_code("collide/store_contact.h", dtype=dtype))
     def store_contact(contacts: t.Contacts, i: wp.int32, contact: Contact): ...
@@ -117,7 +117,14 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
             pair += 1
             if wp.static(only_discs):
                 if has_lanes() == 1:
-                    ahead = find_disc_contacts(w, pair, last_pair, n, config, model, state, motion, pairs, contacts)
+                    ahead = wp.vec2i(0, 0)
+                    if launch.team == wp.uint64(0):
+                        ahead = find_disc_contacts(w, pair, last_pair, n, config, model, state, motion, pairs, contacts)
+                    else:
+                        ends = wp.vec2i(pair, last_pair)
+                        ahead = share_disc_contacts(
+                            w, ends, n, config, model, state, motion, pairs, contacts, launch.team
+                        )
                     pair = ahead[0]
                     n = ahead[1]
                     if pair == last_pair:

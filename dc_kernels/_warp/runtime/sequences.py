@@ -58,7 +58,7 @@ def _team_code(name: str) -> str:
 
 
 @wp.func_native(_team_code("address"))
-def address_of_take() -> wp.uint64: ...
+def address_of(which: wp.int32) -> wp.uint64: ...
 
 
 @wp.func_native(_team_code("serve"))
@@ -67,7 +67,7 @@ def take_part(teams: wp.array(dtype=wp.uint64), over: wp.array(dtype=wp.int32), 
 
 @cache
 def kernels() -> dict[str, Any]:
-    """``run_launches``, ``repeat_launches``, ``serve`` and ``find_take``, of one thread each."""
+    """``run_launches``, ``repeat_launches``, ``serve`` and ``find_calls``, of one thread each."""
     module = wp.get_module("dc_kernels.sequences")
     module.options.update({"enable_backward": False})
 
@@ -128,13 +128,14 @@ def kernels() -> dict[str, Any]:
         take_part(teams, over, patience)
 
     @wp.kernel(module=module, enable_backward=False)
-    def find_take(address: wp.array(dtype=wp.uint64)):
-        """The address of the function by which a team takes a job; 0 on a GPU."""
-        address[0] = address_of_take()
+    def find_calls(address: wp.array(dtype=wp.uint64)):
+        """The addresses of the functions that a team calls: to take a job, and whether anybody is there; 0 on a GPU."""
+        address[0] = address_of(0)
+        address[1] = address_of(1)
 
     return {
         "run_launches": run_launches,
         "repeat_launches": repeat_launches,
         "serve": serve,
-        "find_take": find_take,
+        "find_calls": find_calls,
     }

@@ -136,7 +136,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 rows.body_rows[b] = 0
         start = contacts.contact_start[w]
         end = start + contacts.contact_count[w]
-        scale = make_contact_rows(w, launch.padding_body, config, model, state, motion, contacts, rows)
+        scale = make_contact_rows(w, launch.padding_body, config, model, state, motion, contacts, rows, launch.team)
         if jacobi:
             count_rows(contacts, rows.body_rows, start, end)
         if wp.static(jointed):

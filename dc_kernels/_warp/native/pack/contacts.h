@@ -1,9 +1,9 @@
 // Rows of the contacts of world w, SIDE of a colour side by side; the sum of the squared impulses that would
 // stop each of them alone [(N s)^2], in the order of the contacts. Empty lanes of a colour's last block are zero and
 // point at the padding body. What a row holds is said in solve/constraints/contact.py. Parameters: config, model,
-// state, motion, contacts, rows, w, padding_body. Macros: those of solve/row.h, BAUMGARTE, OPEN, COLORS. Stands behind
-// prelude.h, predicted.h, solve/bodies.h and side.h, and surface.h where SURFACES is 1.
-auto inverse_or_zero = [&](Number x) { return pick(x > 0, (Real)1 / x, zero); };
+// state, motion, contacts, rows, w, padding_body, team. Macros: those of solve/row.h, BAUMGARTE, OPEN, COLORS. Stands
+// behind runtime/ranges.h, predicted.h, solve/bodies.h and side.h, and surface.h where SURFACES is 1.
+auto inverse_or_zero = [=](Number x) { return pick(x > 0, (Real)1 / x, zero); };
 const Real* const normals = (const Real*)contacts.normal.data;
 const Real* const arms_a = (const Real*)contacts.arm_a.data;
 const Real* const arms_b = (const Real*)contacts.arm_b.data;
@@ -30,8 +30,9 @@ const auto gravity = model.gravity.data[w];
 const Real pull = wp::sqrt(gravity[0] * gravity[0] + gravity[1] * gravity[1]);
 const Real hardly = config.restitution_threshold * wp::sqrt(pull * size);
 
-// Columns of the rows of SIDE contacts, and their bodies.
-auto fill = [&](const int* c, Real* to, int* between) {
+// Columns of the rows of SIDE contacts, and their bodies. It holds copies: what another thread is given by its address
+// would be read anew after each store.
+auto fill = [=](const int* c, Real* to, int* between) {
     int a[SIDE], b[SIDE];
     for (int i = 0; i < SIDE; ++i) {
         between[i] = a[i] = bodies_a[c[i]];
@@ -142,25 +143,77 @@ for (int c = i0; c < i1; ++c) {
 #else
 // a block's contacts stand where its bodies A then do, those of CHUNK contacts before the rows of any: while the caches
 // hold them, and without a branch that is guessed wrong once a block
-const int CHUNK = 256;
-auto fill_block = [&](int block) {
+const int CHUNK = 256, SHARED = 2048;  // contacts from which threads share them: 20 us
+auto fill_block = [=](int block) {
     int* const between = ends + (size_t)block * 2 * LANES;
     int c[LANES];
     for (int i = 0; i < LANES; ++i) c[i] = between[i];
     fill(c, columns + (size_t)block * COLUMNS * LANES, between);
 };
-int used = 0, done[COLORS] = {};
-for (int begin = i0; begin < i1; begin += CHUNK) {
-    const int end = begin + CHUNK < i1 ? begin + CHUNK : i1;
-    for (int c = begin; c < end; ++c) {
-        const int k = color[c];
-        const unsigned row = filled[k]++, at = (first[k] + row / LANES) * 2 * LANES + row % LANES;
-        slot[c] = at;
-        ends[at] = c;
-        used = k > used ? k : used;
+// Places and rows of the contacts c0 .. c1, where `next` counts the rows of each colour that have a place before them;
+// rows of blocks that are not full, and of the first `done` blocks of each colour, are left out.
+auto place_and_fill = [=](int c0, int c1, int* next, int* done) {
+    int used = 0;
+    for (int begin = c0; begin < c1; begin += CHUNK) {
+        const int end = begin + CHUNK < c1 ? begin + CHUNK : c1;
+        for (int c = begin; c < end; ++c) {
+            const int k = color[c];
+            const unsigned row = next[k]++, at = (first[k] + row / LANES) * 2 * LANES + row % LANES;
+            slot[c] = at;
+            ends[at] = c;
+            used = k > used ? k : used;
+        }
+        for (int k = 0; k <= used; ++k)
+            for (; done[k] < next[k] / LANES; ++done[k]) fill_block(first[k] + done[k]);
     }
-    for (int k = 0; k <= used; ++k)
-        for (; done[k] < filled[k] / LANES; ++done[k]) fill_block(first[k] + done[k]);
+    return used;
+};
+int used = 0;
+Team* const members = (Team*)team;
+if (i1 - i0 < SHARED || !is_helped(members)) {
+    int done[COLORS] = {};
+    used = place_and_fill(i0, i1, filled, done);
+} else {
+    // threads count the colours of their shares of the contacts first, and so know the places of their own; rows are
+    // made by who sweeps most of them, and has them in its caches then
+    const int parts = members->size;
+    int counted[SEATS][COLORS];
+    auto* const count = counted;
+    auto begin_of = [=](int p) { return i0 + (int)((long long)(i1 - i0) * p / parts); };
+    auto count_share = [=](int p) {
+        int found[COLORS] = {};
+        for (int c = begin_of(p); c < begin_of(p + 1); ++c) ++found[color[c]];
+        for (int k = 0; k < COLORS; ++k) count[p][k] = found[k];
+    };
+    auto fill_share = [=](int p) {
+        int next[COLORS] = {}, done[COLORS];  // blocks that the contacts of shares before are in
+        for (int q = 0; q < p; ++q)
+            for (int k = 0; k < COLORS; ++k) next[k] += count[q][k];
+        for (int k = 0; k < COLORS; ++k) done[k] = (next[k] + LANES - 1) / LANES;
+        place_and_fill(begin_of(p), begin_of(p + 1), next, done);
+    };
+    Phases phases;
+    phases.first[0] = 0;
+    phases.add(parts, parts, 1);
+    phases.add(2 * parts, parts, 1);
+    take_phases(members, phases, [=](int from, int to) {
+        for (int i = from; i < to; ++i) {
+            if (i < parts)
+                count_share(i);
+            else
+                fill_share(i - parts);
+        }
+        return 0.0;
+    });
+    for (int p = 0; p < parts; ++p) {
+        for (int k = 0; k < COLORS; ++k) {
+            if (count[p][k] == 0) continue;
+            const int begin = filled[k], inside = begin / LANES;
+            filled[k] += count[p][k];
+            used = k > used ? k : used;
+            if (begin % LANES > 0 && filled[k] / LANES > inside) fill_block(first[k] + inside);
+        }
+    }
 }
 const Vector order = {0, 1, 2, 3, 4, 5, 6, 7};
 for (int k = 0; k <= used; ++k) {

@@ -20,14 +20,46 @@ struct Lead {
         asm volatile("yield");
 #endif
     }
-    // Wait until a number has come up to (sign 1) or down to (-1) another: spin at first, then give way to other
-    // threads, then sleep, as one that gives way takes the core from whom it waits for if that has a lower priority. A
-    // leader who waits far longer than it worked itself, as somebody has lost the core, rests from jobs for
-    // sixteen times as long: a machine with too few cores is then no slower than for one thread by more than a tenth.
-    static void wait(Team& team, const int& number, int sign, int other, bool leads, Ticks begun) {
-        const int spins = 2000, yields = 2000;
-        const Ticks from = leads ? now() : 0;
-        for (int i = 0; sign * (__atomic_load_n(&number, __ATOMIC_ACQUIRE) - other) < 0; ++i) {
+    struct Job {
+        Phases phases;
+        double (*part)(const void*, int, int);
+        const void* given;
+        long long number;
+    };
+    // Take part p of a phase unless somebody has; whether it was taken. The parts of a phase are numbered on from
+    // those of the phases before, `number`.
+    static bool take_part(Team& team, const Job& job, int k, int p, long long number) {
+        Team::Seat& seat = team.seat[p];
+        long long latest = __atomic_load_n(&seat.claimed, __ATOMIC_RELAXED);
+        if (latest >= number ||
+            !__atomic_compare_exchange_n(&seat.claimed, &latest, number, false, __ATOMIC_ACQ_REL, __ATOMIC_RELAXED))
+            return false;
+        const int parts = job.phases.parts[k + 1] - job.phases.parts[k], first = job.phases.first[k];
+        const long long items = job.phases.first[k + 1] - first;
+        const double found =
+            job.part(job.given, first + (int)(items * p / parts), first + (int)(items * (p + 1) / parts));
+        if (seat.job != job.number) {
+            seat.job = job.number;
+            seat.largest = 0;
+        }
+        if (found > seat.largest) seat.largest = found;
+        __atomic_store_n(&seat.ended, number, __ATOMIC_RELEASE);
+        return true;
+    }
+    // Wait until part p of a phase has ended, and take it where nobody has for as long as the own parts took: spin at
+    // first, then give way to other threads, then sleep, as one that gives way takes the core from whom it waits for if
+    // that has a lower priority. A leader who waits far longer than it worked itself, as somebody has lost the core,
+    // rests from jobs for sixteen times as long: a machine with too few cores is then no slower than for one thread by
+    // more than a tenth. Whether the part was taken here.
+    static bool wait(Team& team, const Job& job, int k, int p, long long number, bool leads, Ticks begun) {
+        const int least = 50, spins = 2000, yields = 2000;
+        const Ticks from = now();
+        bool asked = false;
+        for (int i = 0; __atomic_load_n(&team.seat[p].ended, __ATOMIC_ACQUIRE) < number; ++i) {
+            if (!asked && i >= least && now() - from > from - begun) {
+                asked = true;
+                if (take_part(team, job, k, p, number)) return true;
+            }
             if (i < spins) {
                 breathe();
                 continue;
@@ -38,31 +70,28 @@ struct Lead {
                 team.sleep(team.nap);
             if (leads && now() - from > 2 * (from - begun)) team.rest_until = now() + 16 * (now() - from);
         }
+        return false;
     }
-    static bool claim(Team& team, int p, long long phase) {
-        long long* const claimed = &team.seat[p].claimed;
-        long long latest = __atomic_load_n(claimed, __ATOMIC_RELAXED);
-        return latest < phase &&
-               __atomic_compare_exchange_n(claimed, &latest, phase, false, __ATOMIC_ACQ_REL, __ATOMIC_RELAXED);
-    }
-    // Take parts of the job of the given number until all have ended. It is not read from the team: the leader may have
-    // closed it already.
-    static void work(Team& team, int me, long long job) {
-        const Phases& phases = *(const Phases*)team.phases;
-        const long long before = job * MOST_PHASES;
-        for (int k = 0; k < phases.count; ++k) {
-            const int parts = phases.parts[k + 1] - phases.parts[k], first = phases.first[k];
-            const long long items = phases.first[k + 1] - first;
-            const Ticks begun = me ? 0 : now();
-            for (int i = 0, p = me % parts; i < parts; ++i, p = p + 1 < parts ? p + 1 : 0) {
-                if (!claim(team, p, before + k)) continue;
-                const int from = first + (int)(items * p / parts), to = first + (int)(items * (p + 1) / parts);
-                const double found = team.part(team.given, from, to);
-                if (found > team.seat[p].largest) team.seat[p].largest = found;
-                __atomic_fetch_add(&team.done, 1, __ATOMIC_ACQ_REL);
-            }
-            wait(team, team.done, 1, phases.parts[k + 1], me == 0, begun);
+    // Take parts of a job until all have ended; members may leave before the last have. Of the first phase each takes
+    // what is left, of others the own part and those that it took of the phase before.
+    static void work(Team& team, const Job& job, int me) {
+        unsigned long long taken = ~0ull;
+        for (int k = 0; k < job.phases.count; ++k) {
+            const int parts = job.phases.parts[k + 1] - job.phases.parts[k];
+            const long long number = job.number * MOST_PHASES + k;
+            const unsigned long long mine = taken | (me < SEATS ? 1ull << me : 0);
+            const Ticks begun = now();
+            taken = 0;
+            for (int i = 0, p = me % parts; i < parts; ++i, p = p + 1 < parts ? p + 1 : 0)
+                if (mine >> p & 1 && take_part(team, job, k, p, number)) taken |= 1ull << p;
+            if (me && k + 1 == job.phases.count) return;
+            for (int p = 0; p < parts; ++p)
+                if (!(taken >> p & 1) && wait(team, job, k, p, number, me == 0, begun)) taken |= 1ull << p;
         }
+    }
+    // Whether the next job finds a member.
+    static bool is_there(Team* team) {
+        return __atomic_load_n(&team->members, __ATOMIC_RELAXED) && (!team->rest_until || now() > team->rest_until);
     }
     // Let all take part in a job until it is done; by oneself if nobody is there, or was missed lately, or for so few
     // items that no phase has two parts.
@@ -70,37 +99,48 @@ struct Lead {
                        const void* given) {
         Team& team = *given_team;
         const Phases& phases = *(const Phases*)given_phases;
-        const bool missed = team.rest_until && now() <= team.rest_until;
         double largest = 0;
-        if (phases.parts[phases.count] == phases.count || !__atomic_load_n(&team.members, __ATOMIC_RELAXED) || missed) {
+        if (phases.parts[phases.count] == phases.count || !is_there(&team)) {
             for (int k = 0; k < phases.count; ++k) {
                 const double found = part(given, phases.first[k], phases.first[k + 1]);
                 if (found > largest) largest = found;
             }
             return largest;
         }
-        team.phases = &phases;
+        const Job job = {phases, part, given, team.job + 1};
+        team.phases = &job.phases;
         team.part = part;
         team.given = given;
-        team.done = 0;
-        for (int p = 0; p < team.size; ++p) team.seat[p].largest = 0;
-        __atomic_store_n(&team.job, team.job + 1, __ATOMIC_RELEASE);
-        const Ticks begun = now();
-        work(team, 0, team.job);
-        __atomic_store_n(&team.job, team.job + 1, __ATOMIC_SEQ_CST);
-        wait(team, team.inside, -1, 0, true,
-             begun);  // whoever is still inside may read what lies on the leader's stack
+        __atomic_store_n(&team.job, job.number, __ATOMIC_RELEASE);
+        work(team, job, 0);
+        // members who still look at it find nothing left to take; who comes later must see that it is closed before
+        // anything of the next one is written
+        __atomic_store_n(&team.job, job.number + 1, __ATOMIC_RELEASE);
+        __atomic_thread_fence(__ATOMIC_SEQ_CST);
         for (int p = 0; p < team.size; ++p)
-            if (team.seat[p].largest > largest) largest = team.seat[p].largest;
+            if (team.seat[p].job == job.number && team.seat[p].largest > largest) largest = team.seat[p].largest;
         return largest;
     }
-    // Take part in the open job unless it is the one of the given number; the number of the latest.
+    // Take part in the open job unless it is the one of the given number; the number of the latest. What it reads lies
+    // on the leader's stack, and is only what it was where the job is open afterwards.
     static long long follow(Team& team, int me, long long known) {
         const long long open = __atomic_load_n(&team.job, __ATOMIC_ACQUIRE);
         if (!(open & 1) || open == known) return known;
-        __atomic_fetch_add(&team.inside, 1, __ATOMIC_SEQ_CST);
-        if (__atomic_load_n(&team.job, __ATOMIC_SEQ_CST) == open) work(team, me, open);
-        __atomic_fetch_sub(&team.inside, 1, __ATOMIC_RELEASE);
+        auto read = [](const int& number) { return __atomic_load_n(&number, __ATOMIC_RELAXED); };
+        const Phases& phases = *(const Phases*)__atomic_load_n(&team.phases, __ATOMIC_RELAXED);
+        Job job;
+        job.number = open;
+        job.part = __atomic_load_n(&team.part, __ATOMIC_RELAXED);
+        job.given = __atomic_load_n(&team.given, __ATOMIC_RELAXED);
+        job.phases.count = read(phases.count);
+        if (job.phases.count < 1 || job.phases.count > MOST_PHASES) return known;
+        for (int k = 0; k <= job.phases.count; ++k) {
+            job.phases.first[k] = read(phases.first[k]);
+            job.phases.parts[k] = read(phases.parts[k]);
+        }
+        __atomic_thread_fence(__ATOMIC_ACQUIRE);
+        if (__atomic_load_n(&team.job, __ATOMIC_RELAXED) != open) return known;
+        work(team, job, me);
         return open;
     }
 };

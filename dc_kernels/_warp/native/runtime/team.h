@@ -3,19 +3,22 @@
 // there claims what is left, so that a job ends whether or not any member comes.
 //
 // A job is a row of phases: no part of one begins before all parts of the one before have ended. Each takes the part of
-// its own number first, and so meets what it has in its caches. Macros: SEATS, the most that there may be of a team.
+// its own number first, and so meets what it has in its caches. What one core writes takes far longer to reach another
+// than a part may take, so nobody looks at what belongs to another part before it must: whether it has ended, and, if
+// that takes long, whether somebody has claimed it. Macros: SEATS, the most that there may be of a team.
 #if !defined(__CUDA_ARCH__)
 typedef unsigned long long Ticks;
 const int MOST_PHASES = 64;
 struct Team {
-    // of the host (runtime/teams.py), before any member comes
+    // of the host (runtime/sequences.py), before any member comes
     void (*give_way)();       // lets another thread have the core
     void (*sleep)(unsigned);  // for as long as `nap`
     unsigned nap;             // its unit is that of the system
     int size;                 // parts of a phase: as many as threads, the leader among them
-    // what take_phases calls: compiled once (lead.h), not into every kernel that shares a loop
+    // what take_phases and is_helped call: compiled once (lead.h), not into every kernel that shares a loop
     double (*take)(Team*, const void*, double (*)(const void*, int, int), const void*);
-    char apart_of_host[32];
+    bool (*is_there)(Team*);
+    char apart_of_host[24];
     // of the leader
     const void* phases;
     double (*part)(const void*, int, int);
@@ -25,14 +28,14 @@ struct Team {
     char apart_of_leader[24];
     // of all
     int members;  // that are there, beside the leader
-    int inside;   // of these, who may look at the job
-    char apart_of_members[56];
-    int done;  // parts of the job that have ended
-    char apart_of_done[60];
+    char apart_of_members[60];
     struct Seat {
         long long claimed;  // the latest phase of which somebody took the part with this number
-        double largest;     // of what these parts gave
-        char apart[48];
+        char apart[56];
+        long long ended;  // the latest phase of which that part has ended
+        long long job;    // the latest of which `largest` is told
+        double largest;   // of what these parts gave
+        char apart_of_ended[40];
     } seat[SEATS];
 };
 struct Phases {
@@ -54,4 +57,6 @@ auto take_phases = [](Team* team, const Phases& phases, auto part) -> double {
     auto call = [](const void* given, int first, int last) -> double { return (*(const Part*)given)(first, last); };
     return team->take(team, &phases, call, &part);
 };
+// Whether a job would find anybody: not where there is no team, nobody has come, or who came was missed lately.
+auto is_helped = [](Team* team) -> bool { return team && team->is_there(team); };
 #endif

@@ -27,7 +27,7 @@ auto load_from = [&](const Real* all, const int* index) {
     transpose(v.x, v.y, v.w, v.m);
     return v;
 };
-auto load_bodies = [&](const int* index) { return load_from(velocity, index); };
+auto load_bodies = [=](const int* index) { return load_from(velocity, index); };
 auto store_bodies = [&](const int* index, Bodies v) {
     transpose(v.x, v.y, v.w, v.m);
     auto pair = [&](int i, Vector both) {

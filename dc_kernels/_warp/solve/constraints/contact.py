@@ -9,9 +9,9 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.groups import group_types
-from dc_kernels._warp.native import native_code
 from dc_kernels._warp.solve.constraints.rolling import KEY_BITS
 from dc_kernels._warp.solve.lanes import row_macros
+from dc_kernels._warp.solve.ranges import ranges_code
 from dc_kernels.model.config import POSITION_CORRECTIONS
 from dc_kernels.solve.rows import COLORS, SURFACED
 
@@ -39,9 +39,9 @@ def contact_rows(dtype: str, variant: str) -> Any:
         **KEY_BITS,
     }
     surface = ["pack/surface.h"] if variant in SURFACED else []
-    headers = ("prelude.h", "predicted.h", "solve/bodies.h", "side.h", *surface, "pack/contacts.h")
+    headers = ("predicted.h", "solve/bodies.h", "side.h", *surface, "pack/contacts.h")
 
-    @wp.func_native(native_code(*headers, dtype=dtype, **macros))
+    @wp.func_native(ranges_code(dtype, *headers, **macros))
     def make_contact_rows(
         w: wp.int32,
         padding_body: wp.int32,
@@ -51,6 +51,7 @@ def contact_rows(dtype: str, variant: str) -> Any:
         motion: t.Motion,
         contacts: t.Contacts,
         rows: t.Rows,
+        team: wp.uint64,
     ) -> t.real: ...
 
     return make_contact_rows
