@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dc_kernels.events.lists import roles_of
+from dc_kernels.measure import are_off, contact_slots
 from dc_kernels.model.enums import BodyType, ShapeRole, ShapeType, flag_names
 from dc_kernels.model.settings import counted
 from dc_kernels.solve.rows import LANES, SERIAL_COLOR, has_traits
@@ -60,6 +61,10 @@ def explain(sim: Simulation) -> str:
     if sensors := int((roles_of(model) == ShapeRole.SENSOR).sum()):
         now = counted(int(sim.overlaps.numpy("count").sum()), "overlap")
         lines.append(f"sensors: {counted(sensors, 'shape')}, taken out of the candidate pairs; {now} at the last step")
+    if ways := int(np.isin(roles_of(model), (ShapeRole.ONE_WAY, ShapeRole.ONE_SIDED)).sum()):
+        slots, _ = contact_slots(sim.contacts)
+        off = counted(int(are_off(sim.contacts, slots).sum()), "contact")
+        lines.append(f"one-way: {counted(ways, 'shape')} that hold from one side; {off} off at the last step")
     if config.contact_events:
         now = counted(int(sim.touches.numpy("count").sum()), "pair")
         lines.append(f"contact events: {now} of shapes touch; those faster than {config.hit_speed:g} m/s hit")

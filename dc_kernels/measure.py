@@ -55,7 +55,7 @@ def overlap(sim: Any, recollide: float | None = None) -> Overlap:
     """How far surfaces overlap, over the contacts that press or overlap.
 
     A contact counts if its normal impulse is not zero or its gap is negative; one that only touches, or is apart
-    but presses because it closes within the step, counts as no overlap.
+    but presses because it closes within the step, counts as no overlap. One that is off does not count.
 
     Args:
         sim: the simulation.
@@ -67,6 +67,8 @@ def overlap(sim: Any, recollide: float | None = None) -> Overlap:
     if recollide is not None:
         sim.collide(check_positive("recollide", recollide))
     slots, world = contact_slots(sim.contacts)
+    acting = ~are_off(sim.contacts, slots)
+    slots, world = slots[acting], world[acting]
     gap = _float64(sim.contacts, "gap")[slots]
     counts = (gap < 0) | (sim.contacts.numpy("impulse")[slots, 0] != 0)
     depth, world = np.maximum(-gap, 0.0)[counts], world[counts]
@@ -81,6 +83,11 @@ def contact_slots(contacts: Any) -> tuple[np.ndarray, np.ndarray]:
     """The slots in use, world after world, and the world of each: two arrays (n,) of integers."""
     count = contacts.numpy("contact_count")
     return used_slots(contacts.numpy("contact_start"), count), np.repeat(np.arange(len(count)), count)
+
+
+def are_off(contacts: Any, slots: np.ndarray) -> np.ndarray:
+    """Which contacts did not act in the last step (``collide/switches.py``): they have neither colour nor impulse."""
+    return np.asarray((contacts.numpy("color")[slots] < 0) & (contacts.numpy("impulse")[slots, 0] == 0))
 
 
 def _float64(group: Any, name: str) -> np.ndarray:

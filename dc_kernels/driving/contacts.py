@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.measure import contact_slots
+from dc_kernels.measure import are_off, contact_slots
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 from dc_kernels.runtime.inputs import check_simulation
 from dc_kernels.solve.rows import read_column
@@ -205,8 +205,7 @@ class ContactEvents:
         self._follow()
         slots, world = contact_slots(sim.contacts)
         live = sim.state.numpy("flags") == 0
-        off = (sim.contacts.numpy("color")[slots] < 0) & (sim.contacts.numpy("impulse")[slots, 0] == 0)
-        chosen = live[world] & ~off
+        chosen = live[world] & ~are_off(sim.contacts, slots)
         slots, world = slots[chosen], world[chosen]
         key, first = sim.contacts.numpy("key")[slots], sim.model.numpy("shape_start")[world].astype(np.int64)
         mask = 2**KEY_SHAPE_BITS - 1

@@ -13,7 +13,7 @@ import numpy as np
 
 import dc_kernels as dc
 from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES
-from dc_kernels.solve.rows import read_column
+from dc_kernels.solve.rows import SURFACED, read_column, variant_of
 from pipeline.data.layout import LAYOUT, MOTION, STAGES, DatasetSpec, offsets
 from pipeline.data.packing import Spread, one_by_one
 from pipeline.data.recipe import Recipe
@@ -67,7 +67,7 @@ def make_shard(
         The bytes of its file.
 
     Raises:
-        ValueError: for a scene that cannot be built, or has joints.
+        ValueError: for a scene that cannot be built, or has joints or belts.
     """
     seeds = recipe.options.seeds(number)
     builder, drawn, dt = build_worlds(recipe, seeds)
@@ -123,16 +123,20 @@ def check_scene(recipe: Recipe) -> None:
     """Build the first world of a data set, without any kernel, to know what is wrong with its scene before it is made.
 
     Raises:
-        ValueError: for a scene that cannot be built, or has joints.
+        ValueError: for a scene that cannot be built, or has joints or belts.
     """
     builder, _, _ = build_worlds(recipe, recipe.options.seeds(0)[:1])
-    _refuse_joints(recipe, builder.finalize("float32", backend="numpy")[0])
+    _refuse_others(recipe, builder.finalize("float32", backend="numpy")[0])
 
 
-def _refuse_joints(recipe: Recipe, model: dc.Model) -> None:
-    """Raise ``ValueError`` for a model with joints."""
+def _refuse_others(recipe: Recipe, model: dc.Model) -> None:
+    """Raise ``ValueError`` for a model with joints, or with surfaces whose speeds the contacts of a data set lack."""
     if model.joint_count:
         raise ValueError(f"scene {recipe.scene.name} has joints, whose impulses a data set does not hold")
+    if variant_of(model, only_discs=False) in SURFACED:
+        raise ValueError(
+            f"scene {recipe.scene.name} has surfaces that move or resist rolling, of which a data set says nothing"
+        )
 
 
 class Recorder:
@@ -142,10 +146,10 @@ class Recorder:
         """Put the worlds to their start.
 
         Raises:
-            ValueError: where there are joints.
+            ValueError: where there are joints or belts.
         """
         model, state, joints = builder.finalize("float32")
-        _refuse_joints(recipe, model)
+        _refuse_others(recipe, model)
         self.sim = sim = dc.Simulation(model, state, joints, config=recipe.solver)
         self.recipe = recipe
         self.label_config = recipe.label_config

@@ -15,6 +15,7 @@ from pipeline.scenes.peers import PeerWorld, to_box2d, to_pymunk
 from pipeline.scenes.placement import CLEARANCE, Sampler, place_discs
 from pipeline.scenes.registry import SCENES, register, scene
 from pipeline.scenes.structures import Arch, CardHouse, Dominoes
+from pipeline.scenes.surfaces import Conveyor, Platforms
 from pipeline.scenes.tumbler import Tumbler
 
 __all__ = [
@@ -27,12 +28,14 @@ __all__ = [
     "CardHouse",
     "Cars",
     "Chain",
+    "Conveyor",
     "Dominoes",
     "Gears",
     "Incline",
     "JointGrid",
     "Mixed",
     "PeerWorld",
+    "Platforms",
     "Pyramid",
     "Ragdolls",
     "Sampler",

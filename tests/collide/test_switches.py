@@ -103,8 +103,12 @@ def test_what_turns_back_within_a_platform_falls_out_of_it():
     (place, _), touched = steps(sim, 45), dc.contact_events(sim)
     assert abs(place[:, disc, 1].max() + 0.1) < 0.05 and touched.shape_b.tolist() == [3]
     (place, _) = steps(sim, 250)
+    assert "one-way: 1 shape that hold from one side; 2 contacts off at the last step" in sim.explain()
     assert place[-1, disc, 1] == pytest.approx(-1.7, abs=2e-3)
     assert place[-1, mast] == pytest.approx([2.0, 0.0], abs=2e-3)
+    assert dc.overlap(sim).max < 1e-3  # what passes through a platform overlaps nothing that holds it
+    look = dc.ContactEvents(sim)
+    assert len(look.touching.shape_a) == len(dc.contact_events(sim).shape_a) == 2
     off = sim.contacts.numpy("color")[: sim.contacts.numpy("contact_count")[0]] < 0
     assert off.sum() == 2 and not sim.contacts.numpy("impulse")[: len(off)][off].any()
     assert (np.diff(sim.contacts.numpy("key")[: len(off)]) > 0).all()  # those that are off among the others

@@ -30,7 +30,7 @@ from pipeline.data.generate import generate
 from pipeline.data.recipe import GenerateOptions, Recipe, load_recipe, parse_recipe
 from pipeline.data.recorder import make_shard
 from pipeline.files import LOCK, sole_writer, write_bytes
-from pipeline.scenes import Chain, Mixed, Stack, Thesis
+from pipeline.scenes import Chain, Conveyor, Mixed, Stack, Thesis
 
 SMALL = Recipe(scene=Thesis(bodies=6), options=GenerateOptions(worlds=5, seed=7, steps=70, dt=0.02, shard_worlds=2))
 SHARDS = ["shard-00000.h5", "shard-00001.h5", "shard-00002.h5"]
@@ -314,6 +314,8 @@ def test_bad_options_are_named(options, match, tmp_path):
 def test_joints_are_refused(tmp_path):
     with pytest.raises(ValueError, match="scene chain has joints"):
         make(Recipe(scene=Chain(), options=SMALL.options), tmp_path)
+    with pytest.raises(ValueError, match="scene conveyor has surfaces that move or resist rolling"):
+        make(Recipe(scene=Conveyor(), options=SMALL.options), tmp_path)
 
 
 # ---------------------------------------------------------------------- grids
