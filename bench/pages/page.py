@@ -22,6 +22,7 @@ SECTIONS = {
     "games": ("Scenes of games", games.games),
     "skips": ("What a scene does without", speed.skips),
     "sleep": ("Sleep", speed.sleep),
+    "population": ("Scenes that change as they run", speed.population),
     "sweep": ("One sweep", speed.sweep),
     "scaling": ("Everything but the solve", speed.scaling),
     "threads": ("Threads within a world", speed.threads),

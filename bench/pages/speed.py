@@ -184,6 +184,25 @@ def skips(record: Record) -> str:
     )
 
 
+def population(record: Record) -> str:
+    """Show what bodies and joints that come and go take."""
+    names = {
+        "step_us": "a step [us]",
+        "add_us": "add a disc",
+        "remove_us": "remove it",
+        "add_batch_us": "add 100",
+        "remove_batch_us": "remove them",
+        "add_joint_us": "add a rod",
+        "remove_joint_us": "remove it",
+        "grow_us": "more slots",
+        "slot_ns": "an empty slot in a step [ns]",
+    }
+    rows = [(size, *(row[name] for name in names)) for size, row in record["rows"].items()]
+    return paragraphs(
+        "Piles of discs at rest, between whose steps others come and go [us].", table(("discs", *names.values()), rows)
+    )
+
+
 def sleep(record: Record) -> str:
     """Show what sleep saves, what it costs, and what is different after it."""
     columns = ("bodies", "asleep_us", "asleep_step_us", "awake_slowdown", "half_share")

@@ -64,7 +64,9 @@ def mass_properties(vertices: np.ndarray, radius: Any = 0.0) -> MassProperties:
     """
     vertices = np.asarray(vertices, np.float64)
     radius = np.broadcast_to(np.asarray(radius, np.float64), vertices.shape[:-2])
-    count = vertices.shape[-2]
+    if vertices.shape[-2] == 1:  # what follows comes to this for a disc, to the bit
+        area = 2 * math.pi * radius**2 / 2
+        return MassProperties(area, vertices[..., 0, :] + 0.0, area * (radius**2 / 2))
     middle = vertices.mean(axis=-2)  # sums are taken about it: no cancellation far from the frame's origin
     start = vertices - middle[..., None, :]
     end = np.roll(start, -1, axis=-2)
@@ -88,11 +90,8 @@ def mass_properties(vertices: np.ndarray, radius: Any = 0.0) -> MassProperties:
     # a sector at each vertex, between the normals of its two edges; the integral of the unit vector over the
     # sector's angle is the difference of the normals, turned by -90 degrees
     before = np.roll(normals, 1, axis=-2)
-    if count == 1:
-        angle = np.full(start.shape[:-1], 2 * math.pi)
-    else:
-        turn = before[..., 0] * normals[..., 1] - before[..., 1] * normals[..., 0]
-        angle = np.abs(np.arctan2(turn, (before * normals).sum(-1)))
+    turn = before[..., 0] * normals[..., 1] - before[..., 1] * normals[..., 0]
+    angle = np.abs(np.arctan2(turn, (before * normals).sum(-1)))
     change = normals - before
     moment = np.stack((change[..., 1], -change[..., 0]), axis=-1) * (r**3 / 3)[..., None]
     sector = angle * r**2 / 2

@@ -229,6 +229,25 @@ def test_a_joint_between_bodies_that_are_there_acts_as_if_built_at_once():
         sim.index(joints=added.joints[1])
 
 
+@pytest.mark.parametrize("gone", ["joint", "body"])
+def test_after_a_joint_went_a_world_moves_as_one_built_at_once_of_what_is_there(gone):
+    def shorter(builder):
+        pivot = builder.add_body((0.0, 2.5), type=dc.BodyType.STATIC)
+        bobs = builder.add_discs([(0.5, 2.5), (1.0, 2.5)][: 1 if gone == "body" else 2], 0.1)
+        builder.add_revolute_joint(pivot, bobs[0])
+
+    sim, whole = build(first, pendulums), build(first, shorter)
+    sim.run(30, DT)
+    sim.remove(**({"joints": 1} if gone == "joint" else {"bodies": 8}))
+    bodies = twin(sim, whole)
+    whole.change_model(joint_impulse=sim.joints.numpy("joint_impulse"))
+    assert sim.joints.numpy("joint_impulse").any()
+    for _ in range(30):
+        sim.step(DT)
+        whole.step(DT)
+        assert bits(sim, bodies) == bits(whole, slice(None))
+
+
 def test_shapes_come_and_go_at_bodies_that_stay():
     sim = build(first)
     more = sim.additions()
