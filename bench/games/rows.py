@@ -88,13 +88,17 @@ ROWS: Mapping[str, Row] = {
     "boxes_64_worlds": Row("64 worlds of 10 boxes", scenes.Stack(), worlds=64, steps=100),
     "boxes_1024_worlds": Row("1 024 worlds of 10 boxes", scenes.Stack(), worlds=1024, steps=20, peer_worlds=64),
     "joint_grid_10000": Row(
-        "a net of 10 000 discs on hinges", scenes.JointGrid(bodies=10_000), rest=30, steps=5, still=False, large=True
+        "a net of 10 000 discs on hinges", scenes.JointGrid(bodies=10_000), rest=100, steps=10, still=False, large=True
     ),
     "joint_grid_900": Row(
         "a net of 900 discs on hinges", scenes.JointGrid(bodies=900), rest=100, steps=20, still=False
     ),
     "ragdolls_100": Row(
         "100 ragdolls of 11 bodies", scenes.Ragdolls(bodies=1_100, abreast=20), fall=600, rest=100, steps=20
+    ),
+    "falling_ragdolls_100": Row(
+        "100 ragdolls fall onto each other",
+        scenes.Ragdolls(bodies=1_100, abreast=20), rest=100, steps=50, anew=True, still=False,
     ),
     "bridge": Row(
         "5 discs fall on a bridge of 30 planks", scenes.Bridge(), rest=50, steps=100, anew=True, still=False

@@ -63,7 +63,9 @@ class Forest(NamedTuple):
     """Joints that form trees with their bodies, in the order of elimination: what is further from the root first."""
 
     start: np.ndarray
-    """First of each world, and how many there are, (W + 1,)."""
+    """First tree of each world, and how many there are, (W + 1,)."""
+    first: np.ndarray
+    """First joint of each tree, and how many there are, (trees + 1,)."""
     row: np.ndarray
     """First row of each, (n,)."""
     size: np.ndarray
@@ -104,7 +106,7 @@ def plant(model: Model, joints: Joints) -> Forest:
         one, other = (p, c if dynamic[c] else -1) if dynamic[p] else (c, -1)
         links.setdefault(one, []).append((other, j))
     loops_of = Counter(find(body) for body in loops)  # of each root
-    order: list[tuple[int, int, int]] = []  # joint, parent, child, from the roots on
+    order: list[tuple[int, int, int, int]] = []  # joint, parent, child, root, from the roots on
     seen: set[int] = set()
     for first in sorted(links):
         if first in seen:
@@ -112,21 +114,23 @@ def plant(model: Model, joints: Joints) -> Forest:
         seen.add(first)
         queue, found_here = [first], len(order)
         for body in queue:
-            order += [(j, body, -1) for other, j in reversed(links[body]) if other < 0]
+            order += [(j, body, -1, first) for other, j in reversed(links[body]) if other < 0]
             for other, j in links[body]:
                 if other >= 0 and other not in seen:
                     seen.add(other)
                     queue.append(other)
-                    order.append((j, body, other))
+                    order.append((j, body, other, first))
         if LOOP_SHARE * loops_of[find(first)] > len(order) - found_here:
             del order[found_here:]
-    found = np.array(order[::-1], np.int64).reshape(-1, 3)
+    found = np.array(order[::-1], np.int64).reshape(-1, 4)
     world = np.searchsorted(model.numpy("joint_start"), found[:, 0], "right") - 1
     found, world = found[np.argsort(world, kind="stable")], np.sort(world)
-    start = np.searchsorted(world, np.arange(model.world_count + 1)).astype(np.int32)
+    begins = np.flatnonzero(np.diff(found[:, 3], prepend=-1))
+    start = np.searchsorted(world[begins], np.arange(model.world_count + 1)).astype(np.int32)
+    first_joint = np.append(begins, len(found)).astype(np.int32)
     size = np.array([HELD[one] for one in JointKind])[kind[found[:, 0]]]
     row = joints.numpy("joint_row_start")[found[:, 0]]
-    return Forest(start, row, *(values.astype(np.int32) for values in (size, found[:, 1], found[:, 2])))
+    return Forest(start, first_joint, row, *(values.astype(np.int32) for values in (size, found[:, 1], found[:, 2])))
 
 
 class Apart(NamedTuple):

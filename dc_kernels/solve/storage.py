@@ -106,8 +106,8 @@ class SolverStorage:
             "row past": 0,
             "own row": int(own_rows.sum()),
             "stiff body": model.body_count if variant in OWN else 0,
-            **dict.fromkeys(("tree world", "tree joint", "tree factor", "tree wanted", "tree move"), 0),
-            **dict.fromkeys(("apart", "apart body+1"), 0),
+            **dict.fromkeys(("tree", "tree joint", "tree factor", "tree wanted", "tree move"), 0),
+            **dict.fromkeys(("tree+1", "apart", "apart body+1"), 0),
         }
         sizes.update(self._row_sizes(sizes, config))
         self.rows = Rows(sizes, model.dtype, model.device, model.backend)
@@ -125,7 +125,7 @@ class SolverStorage:
         count = len(forest.row)
         sizes = {"tree joint": count, "tree factor": TREE_JOINT * count, "tree wanted": 3 * count}
         sizes["tree move"] = TREE_MOVES * bodies
-        sizes["tree world"] = self.rows.sizes["world"] if count else 0
+        sizes |= {"tree": len(forest.first) - 1, "tree+1": len(forest.first)}
         self.rows.reallocate([name for name in ROWS if name.startswith("tree_")], **sizes)
         for name, values in forest._asdict().items():
             self.rows.fill(f"tree_{name}", values)

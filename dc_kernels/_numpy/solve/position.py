@@ -6,7 +6,7 @@ from typing import Any
 
 from dc_kernels._numpy.common import Kernels
 from dc_kernels._numpy.solve.row import push_row
-from dc_kernels._numpy.solve.trees import Trees
+from dc_kernels._numpy.solve.trees import Tree
 from dc_kernels._numpy.solve.world import World
 from dc_kernels.solve.rows import JOINTED
 
@@ -26,13 +26,13 @@ def position_kernels(variant: str) -> Kernels:
             return
         limit = config.max_correction * model.length_scale[w]
         world = World(w, variant, 0, config, model, motion, rows, None)
-        used = world.has_trees and rows.tree_used[w]
-        trees = Trees(w, variant, rows, motion.displacement, places=True) if used else None
+        used = [tree for tree in world.own_trees if rows.tree_used[tree]]
+        trees = [Tree(tree, variant, rows, motion.displacement, places=True) for tree in used]
         for _ in range(config.position_iterations):
             pushes = (push_row(row, motion.displacement, config.position_factor, limit) for row in world.own_rows)
             pushed = max(pushes, default=0.0)
-            if trees is not None:
-                trees.push(motion.displacement, config.position_factor, limit)
+            for tree in trees:
+                tree.push(motion.displacement, config.position_factor, limit)
             if not pushed > 0.0:
                 break
 

@@ -13,15 +13,15 @@ from dc_kernels.solve.rows import LANES
 LEAST = 1e-9  # of the largest singular value: a row that others hold already
 
 
-class Trees:
-    """The rows of a world's trees, and J M^-1 J^T of them.
+class Tree:
+    """The rows of a tree, and J M^-1 J^T of them.
 
     Attributes:
-        rows: those that the trees hold, without those along which nothing can move, or that ``places`` leave alone.
+        rows: those that the tree holds, without those along which nothing can move, or that ``places`` leave alone.
     """
 
-    def __init__(self, w: int, variant: str, rows: Any, bodies: Array, places: bool = False) -> None:
-        own = range(rows.tree_start[w], rows.tree_start[w + 1])
+    def __init__(self, tree: int, variant: str, rows: Any, bodies: Array, places: bool = False) -> None:
+        own = range(rows.tree_first[tree], rows.tree_first[tree + 1])
         at = [rows.row_slot[rows.tree_row[t] + i] for t in own for i in range(rows.tree_size[t])]
         read = (read_row(variant, k // (2 * LANES), k % (2 * LANES), rows, bodies) for k in at)
         found = [row for row in read if row is not None and row.effective_mass[0] > 0]
@@ -35,6 +35,11 @@ class Trees:
             matrix[i] = [np.concatenate([moved[one.a], moved[one.b]]) @ one.jacobian[0] for one in self.rows]
             matrix[i, i] += row.softness
         self._inverse = np.linalg.pinv((matrix + matrix.T) / 2, rcond=LEAST, hermitian=True)
+
+    def lacks(self, still: Any, rows: Any) -> bool:
+        """Whether a row lacked more of its speed as the last sweep came to it."""
+        change = by_lane(rows.change)
+        return any(not abs(change[row.at][0]) <= still * row.effective_mass[0] for row in self.rows)
 
     def solve(self, rows: Any, bodies: Array) -> None:
         """The impulses that make all rows hold at once, and the velocities with them."""

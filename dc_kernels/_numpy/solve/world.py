@@ -10,7 +10,7 @@ import numpy as np
 
 from dc_kernels._numpy.common import Array
 from dc_kernels._numpy.solve.row import Row, by_lane, jacobi_row, natural_map_row, read_row, sweep_row
-from dc_kernels._numpy.solve.trees import Trees
+from dc_kernels._numpy.solve.trees import Tree
 from dc_kernels.model.config import ACCELERATIONS, JOINT_SOLVERS, METHODS, STOPS
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.solve.iteration import APART, FALL, FAR, MOVING, NEVER, PAST
@@ -146,32 +146,34 @@ class World:
         return max(sweep_row(row, self.rows, self.motion.solved, self.omega) for row in self.own_rows)
 
     @cached_property
-    def trees(self) -> Trees:
-        """The trees of its joints."""
-        return Trees(self.w, self.variant, self.rows, self.motion.predicted)
+    def trees(self) -> dict[int, Tree]:
+        """Its trees of joints by number."""
+        return {tree: Tree(tree, self.variant, self.rows, self.motion.predicted) for tree in self.own_trees}
 
     def follow(self, change: Any) -> bool:
-        """Solve the joints' trees where the sweeps have left something apart; whether that was first found."""
-        config, rows, w = self.config, self.rows, self.w
-        sweeps, planted = self.iteration.sweeps, self.has_trees
-        if not planted or config.joint_solver != DIRECT or config.method == JACOBI:
+        """Solve the trees of joints that the sweeps have left apart; whether that was first found of one."""
+        config, rows, sweeps = self.config, self.rows, self.iteration.sweeps
+        if config.joint_solver != DIRECT or config.method == JACOBI:
             return False
-        used = bool(rows.tree_used[w])
-        every = min(config.residual_every, config.max_sweeps)
-        late = sweeps >= config.min_sweeps and (used or change < self.bound)
-        if not (late or (sweeps + 1) % every == 0):
-            return False
-        times = FAR if sweeps + 1 < config.min_sweeps else APART
-        if not self.lacks(times) and (config.stop == BY_MOTION or change < self.bound):
-            return False
-        rows.tree_used[w] = 1
-        self.trees.solve(rows, self.motion.solved)
-        return not used
+        late, found = sweeps >= config.min_sweeps, False
+        looks = (sweeps + 1) % min(config.residual_every, config.max_sweeps) == 0 or (late and change < self.bound)
+        still = self.motion.step_dt.dtype.type(FAR if sweeps + 1 < config.min_sweeps else APART) * self.still
+        unsolved = config.stop != BY_MOTION and not change < self.bound
+        for tree in self.own_trees:
+            used = bool(rows.tree_used[tree])
+            if not (looks or (late and used)):
+                continue
+            if unsolved or self.trees[tree].lacks(still, rows):
+                found = found or not used
+                rows.tree_used[tree] = 1
+                self.trees[tree].solve(rows, self.motion.solved)
+        return found
 
     @property
-    def has_trees(self) -> bool:
-        """Whether joints of it form trees."""
-        return self.variant in OWN and self.rows.tree_start[self.w + 1] > self.rows.tree_start[self.w]
+    def own_trees(self) -> range:
+        """Its trees of joints."""
+        start = self.rows.tree_start
+        return range(start[self.w], start[self.w + 1]) if self.variant in OWN else range(0)
 
     def apply(self, delta: Array) -> None:
         """Velocities follow a change of all impulses: V += M^-1 J^T delta (Wu 2018, equation 2.26)."""
@@ -189,8 +191,8 @@ class World:
         A row along which nothing can move has none.
         """
         rows, w = self.rows, self.w
-        if self.has_trees:
-            rows.tree_used[w] = 0
+        for tree in self.own_trees:
+            rows.tree_used[tree] = 0
         self.impulse[:] = 0.0
         own = slice(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
         columns = COLUMNS[self.variant]

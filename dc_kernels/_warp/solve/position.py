@@ -25,7 +25,7 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
     jointed, own = variant in JOINTED, variant in OWN
     if own:
         trees = tree_functions(dtype, variant)
-        factor_trees, solve_trees = trees.factor, trees.solve
+        factor_tree, solve_tree = trees.factor, trees.solve
 
     @wp.kernel(module=module, enable_backward=False)
     def correct_positions(
@@ -55,11 +55,9 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
         iteration = int(0)
         pushed = real(1.0)
         if wp.static(own):
-            direct = rows.tree_start[w + 1] > rows.tree_start[w]
-            if direct:
-                direct = rows.tree_used[w] == 1
-            if direct:
-                factor_trees(w, 1, motion.displacement, rows)
+            for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
+                if rows.tree_used[tree] == 1:
+                    factor_tree(tree, 1, motion.displacement, rows)
         while iteration < config.position_iterations and pushed > real(0.0):
             first = rows.color_block[w * ENDS]
             pushed = real(0.0)
@@ -78,8 +76,9 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
             for k in range(first * N_LANES, last * N_LANES):
                 pushed = wp.max(pushed, push_row(k / N_LANES, k % N_LANES, rows, motion.displacement, factor, limit))
             if wp.static(own):
-                if direct:
-                    solve_trees(w, 1, factor, limit, motion.displacement, rows)
+                for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
+                    if rows.tree_used[tree] == 1:
+                        solve_tree(tree, 1, factor, limit, motion.displacement, rows)
             iteration += 1
             if is_set(launch.cut) == 1:
                 break

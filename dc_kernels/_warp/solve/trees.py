@@ -18,7 +18,7 @@ from dc_kernels.solve.joints import TREE_JOINT, TREE_MOVES
 
 @cache
 def tree_functions(dtype: str, variant: str) -> SimpleNamespace:
-    """``factor`` and ``solve`` the trees of world w.
+    """``factor`` and ``solve`` a tree; whether it ``lacks`` more than ``still`` of a row's speed.
 
     ``bodies`` are velocities, or with ``places`` 1 displacements, of which a ``share`` of what is off, up to ``limit``,
     is removed.
@@ -27,11 +27,11 @@ def tree_functions(dtype: str, variant: str) -> SimpleNamespace:
     macros = {**row_macros(variant), "JOINT": TREE_JOINT, "MOVES": TREE_MOVES}
 
     @wp.func_native(native_code("solve/tree.h", "solve/tree_factor.h", dtype=dtype, **macros))
-    def factor(w: wp.int32, places: wp.int32, bodies: wp.array(dtype=t.vec4), rows: t.Rows): ...
+    def factor(tree: wp.int32, places: wp.int32, bodies: wp.array(dtype=t.vec4), rows: t.Rows): ...
 
     @wp.func_native(native_code("solve/tree.h", "solve/tree_solve.h", dtype=dtype, **macros))
     def solve(
-        w: wp.int32,
+        tree: wp.int32,
         places: wp.int32,
         share: t.real,
         limit: t.real,
@@ -39,4 +39,7 @@ def tree_functions(dtype: str, variant: str) -> SimpleNamespace:
         rows: t.Rows,
     ): ...
 
-    return SimpleNamespace(factor=factor, solve=solve)
+    @wp.func_native(native_code("solve/tree_lacks.h", dtype=dtype, **row_macros(variant)))
+    def lacks(tree: wp.int32, still: t.real, rows: t.Rows) -> wp.int32: ...
+
+    return SimpleNamespace(factor=factor, solve=solve, lacks=lacks)

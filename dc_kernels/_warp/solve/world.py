@@ -48,7 +48,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     one, TOO_FAR, TOO_MUCH = real(1.0), real(FAR), real(APART)
     if own:
         trees = tree_functions(dtype, variant)
-        factor_trees, solve_trees = trees.factor, trees.solve
+        factor_tree, solve_tree, lacks_of_tree = trees.factor, trees.solve, trees.lacks
     tiny = real(1e-30)
     never = real(-1e18)  # no change is as small
     columns = COLUMNS[variant]
@@ -197,8 +197,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             forget_rolling(rows.column, rows.limit_slot, rows.impulse, rolling, span.last)
         refresh(span, motion, rows)
         if wp.static(own):
-            if rows.tree_start[w + 1] > rows.tree_start[w]:
-                rows.tree_used[w] = 0
+            for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
+                rows.tree_used[tree] = 0
 
     @wp.func(module=module)
     def natural_map(span: Span, bodies: wp.array(dtype=vec4), rows: t.Rows):
@@ -235,27 +235,34 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @wp.func(module=module)
     def follow(span: Span, change: real, sweeps: int, config: t.Config, motion: t.Motion, rows: t.Rows):
-        """Solve the joints' trees, where the sweeps by now have left something apart; 1 where that was first found.
+        """Solve the trees of joints that the sweeps by now have left apart; 1 where that was first found of one.
 
         Sweeps are looked at a sweep before the stop by motion is, long before ``min_sweeps`` for what is far apart, and
         from there on after each where they do not suffice.
         """
         w = span.world
+        found = int(0)
         if rows.tree_start[w + 1] == rows.tree_start[w] or config.joint_solver != DIRECT or config.method == JACOBI:
-            return 0
-        used = rows.tree_used[w]
-        every = wp.min(config.residual_every, config.max_sweeps)
-        late = sweeps >= config.min_sweeps and (used == 1 or change < span.bound)
-        if not (late or (sweeps + 1) % every == 0):
-            return 0
+            return found
+        late = sweeps >= config.min_sweeps
+        looks = (sweeps + 1) % wp.min(config.residual_every, config.max_sweeps) == 0 or (late and change < span.bound)
         times = wp.where(sweeps + 1 < config.min_sweeps, TOO_FAR, TOO_MUCH)
-        if lacks(span, times, rows) == 0 and (config.stop == BY_MOTION or change < span.bound):
-            return 0
-        if used == 0:
-            factor_trees(w, 0, motion.predicted, rows)
-            rows.tree_used[w] = 1
-        solve_trees(w, 0, one, one, motion.solved, rows)
-        return 1 - used
+        still = times * span.still
+        open = config.stop != BY_MOTION and not (change < span.bound)
+        if not (looks or late):
+            return found
+        if not open and lacks(span, times, rows) == 0:
+            return found  # a look in lanes, which mostly spares those at each tree
+        for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
+            used = rows.tree_used[tree]
+            if looks or (late and used == 1):
+                if open or lacks_of_tree(tree, still, rows) == 1:
+                    if used == 0:
+                        factor_tree(tree, 0, motion.predicted, rows)
+                        rows.tree_used[tree] = 1
+                        found = 1
+                    solve_tree(tree, 0, one, one, motion.solved, rows)
+        return found
 
     @wp.func(module=module)
     def is_still(span: Span, config: t.Config, motion: t.Motion, rows: t.Rows):

@@ -1,5 +1,5 @@
 // The rigid rows and springs of joints whose bodies form trees, of the variant rows: joint by joint, a body's further
-// from the root first. Parameters: w, bodies (their fourth number is the inverse mass), rows. Macros: those of
+// from the root first. Parameters: tree, bodies (their fourth number is the inverse mass), rows. Macros: those of
 // solve/row.h, JOINT (numbers kept of a joint), MOVES (of a body). Everything here is in double, whatever the scalar:
 // of a light link between heavy bodies little is left of large numbers. A joint has SIZE rows at most, its parent is
 // the body nearer to the root, its child the other one, -1 if that is fixed.
@@ -10,7 +10,7 @@ typedef REAL Real;
 const int SIZE = 3;
 Real* const velocity = (Real*)bodies.data;
 const int* const slots = rows.row_slot.data;
-const int t0 = rows.tree_start.data[w], t1 = rows.tree_start.data[w + 1];
+const int t0 = rows.tree_first.data[tree], t1 = rows.tree_first.data[tree + 1];
 // What is kept of a joint: D^-1; G, three numbers of each row; Jacobians at the parent and at the child; what a row is
 // off by without its bodies' velocities; softness; inverse inertia of parent and child.
 struct Kept {

@@ -2,7 +2,7 @@
 // 2008 for the mobility of a body that carries others). For each joint D^-1 and G = W J^T D^-1 are kept, where W is the
 // mobility of its parent with what was eliminated before, and D = J W J^T of both bodies plus softness.
 // For displacements (places 1) the factors of the velocities serve again where the rows are the same.
-// Parameters: w, places, bodies, rows. Stands behind tree.h.
+// Parameters: tree, places, bodies, rows. Stands behind tree.h.
 const double LEAST = 1e-9;  // a pivot below this share of its row's own mass is that of a row that others hold already
 const Real* const columns = rows.column.data;
 const int* const ends = rows.body.data;

@@ -1,6 +1,6 @@
 // The impulses that make all rows of the trees hold at once, and the velocities with them; in the position phase
 // (places) the displacements that remove a share of what the rows have drifted by.
-// Parameters: w, places, share, limit, bodies, rows. Stands behind tree.h, after tree_factor.h has run.
+// Parameters: tree, places, share, limit, bodies, rows. Stands behind tree.h, after tree_factor.h has run.
 Real* const impulse = rows.impulse.data;
 Real* const change = rows.change.data;
 const double most = places ? (double)limit : 1e300;
