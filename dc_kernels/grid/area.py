@@ -169,11 +169,10 @@ def covered_nodes(arrays: Mapping[str, np.ndarray], grid: Grid) -> tuple[np.ndar
         c, s = math.cos(angles[body]), math.sin(angles[body])
         hull = vertices @ np.array([[c, s], [-s, c]]) + position[body]
         margin = radius + reach
-        low = np.ceil((hull.min(axis=0) - margin - grid.origin) / grid.spacing)
-        high = np.floor((hull.max(axis=0) + margin - grid.origin) / grid.spacing)
-        column, row = np.meshgrid(
-            *(np.arange(max(a, 0), min(b, n - 1) + 1) for a, b, n in zip(low, high, (grid.columns, grid.rows)))
-        )
+        sizes = np.array([grid.columns, grid.rows])  # a hull may lie farther off than integers reach
+        low = np.clip(np.ceil((hull.min(axis=0) - margin - grid.origin) / grid.spacing), 0, sizes)
+        high = np.clip(np.floor((hull.max(axis=0) + margin - grid.origin) / grid.spacing), -1, sizes - 1)
+        column, row = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high)))
         places = grid.origin + grid.spacing * np.stack([column, row], axis=-1)
         near = hull_distance(places, hull) <= margin
         nodes.append((w * grid.rows + row[near].astype(np.int64)) * grid.columns + column[near].astype(np.int64))

@@ -21,10 +21,10 @@ from pipeline.process import interruptible, progress_bar, torch_threads
 from pipeline.run.summary import summarize
 from pipeline.run.trajectory import Recording, TrajectoryWriter, measure
 from pipeline.scenes import Scene
-from pipeline.starts.registry import is_network, maker
+from pipeline.starts.registry import is_network
 from pipeline.starts.start import Start, step
 from pipeline.stepper.choice import StepperOptions
-from pipeline.stepper.registry import PRETRAINED, stepper_maker
+from pipeline.stepper.registry import DEFAULT_START, PRETRAINED, solve_maker
 
 TRAJECTORY, SUMMARY, PICTURE = "trajectory.h5", "summary.json", "summary.png"
 
@@ -35,7 +35,7 @@ class Output(Settings):
 
     steps: Whole = 250
     """Steps of each world [1]."""
-    start: str = "builtin"
+    start: str = DEFAULT_START
     """Start of the contact solver: none, builtin, random, bad, copy, or copyN, rounded to N decimals; grid or
     grid-bilinear, copy sent to a grid and back; the pretrained network: cnn, cnn-start (not in mid-solve); the file of
     a trained one, .safetensors."""
@@ -82,13 +82,9 @@ def simulate(
     options = {**asdict(run), **solver.named(), **asdict(output), "out": str(output.out)}
     config = {"scene": {"name": scene.name, **asdict(scene)}, "options": options}
     if stepping.stepper == "network":
-        if output.start != Output.start:
-            raise ValueError(f"start is {output.start!r}; a network in the solver's place has no start: leave it out")
         weights = None if stepping.weights is None else str(stepping.weights)
         options.update(stepper="network", weights=weights, project=stepping.project, energy=stepping.energy)
-        make = stepper_maker(stepping)
-    else:
-        make = maker(output.start, run.seed)
+    make = solve_maker(stepping, output.start, run.seed)
     sim = run.simulation(scene, solver.config(output.history))
     video = [] if output.video == "none" else [f"video.{output.video}"]
     check_writable(output.out, TRAJECTORY, SUMMARY, PICTURE, *video)

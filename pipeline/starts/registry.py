@@ -94,10 +94,19 @@ def is_network(name: str) -> bool:
 
 
 def _network_maker(name: str) -> Maker:
-    """Return what makes the start of a network, whose file is read."""
+    """Return what makes the start of a network, whose file is read.
+
+    Raises:
+        ValueError: it holds no network, or one that takes the place of the solver.
+    """
     from pipeline.networks.checkpoint import load_checkpoint
 
     model, manifest = load_checkpoint(PRETRAINED if name.lower() in CNN else name)
+    if "stepper" in manifest:
+        raise ValueError(
+            f"{name} holds a network that takes the place of the solver, so that it starts none; "
+            f"run it by deep-contact simulate --stepper network --weights {name}"
+        )
     if hasattr(model, "trunk") and hasattr(model, "head"):  # it corrects a solve in flight
         from pipeline.starts.learned import CallOptions, LearnedSolve
 

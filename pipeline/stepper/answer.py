@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.stencil import POLY6
+from dc_kernels.model.settings import shown
 from dc_kernels.runtime.optional import require
 from dc_kernels.torch_ops.transfer import gather_torch, splat_torch
 from pipeline.stepper.view import StepView
@@ -35,13 +36,33 @@ def reads_views(model: Any) -> bool:
 
 
 def answer(model: Any, view: StepView, grid: Grid) -> Answer:
-    """Ask a network for the ways of a view's bodies; those that are not dynamic keep theirs."""
+    """Ask a network for the ways of a view's bodies; those that are not dynamic keep theirs.
+
+    Raises:
+        TypeError, ValueError: what it answers is no tensor, or of another shape than a way and an impulse have.
+    """
     if reads_views(model):
-        way, impulse = model(view, grid)
+        answered = model(view, grid)
+        if not isinstance(answered, tuple) or len(answered) != 2:
+            raise TypeError(f"the network answers {shown(answered)}; it must be two tensors, ways and impulses")
+        way, impulse = answered
+        _check_answer("ways", way, view.way.shape)
+        if impulse is not None:
+            _check_answer("impulses", impulse, (len(view.gap), 2))
         return Answer(way, impulse=impulse)
     image = model(view.image(view.of_contacts(), grid))
+    _check_answer("an image", image, (len(view.walls), OUTPUTS, *grid.shape))
     change = gather_torch(image.contiguous(), view.position, grid, start=view.body_start)
     return Answer(view.way + change * view.dynamic, image=image)
+
+
+def _check_answer(name: str, values: Any, shape: tuple[int, ...]) -> None:
+    """Raise a ``TypeError`` or ``ValueError`` where a network answers something else than floats of a shape."""
+    if not isinstance(values, torch.Tensor) or not values.is_floating_point():
+        what = values.dtype if isinstance(values, torch.Tensor) else shown(values)
+        raise TypeError(f"the network answers {what} for {name}; it must be a tensor of floats")
+    if tuple(values.shape) != tuple(shape):
+        raise ValueError(f"the network answers {name} of shape {tuple(values.shape)}; it must be {tuple(shape)}")
 
 
 def image_of(view: StepView, way: Any, grid: Grid) -> tuple[Any, Any]:

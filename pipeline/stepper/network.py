@@ -9,10 +9,10 @@ Impulses stay on their friction cones, and act on both bodies: whatever the weig
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from dc_kernels.grid.grid import Grid
-from dc_kernels.model.settings import Count, Positive, Settings
+from dc_kernels.model.settings import Limits, Positive, Settings
 from dc_kernels.runtime.optional import require
 from dc_kernels.torch_ops.transfer import gather_torch
 from pipeline.networks.models import Channels
@@ -45,7 +45,7 @@ class StepNetConfig(Settings):
     """Channels of the U-Net at each scale; each scale halves the grid [1]."""
     near: Channels = 8
     """Channels that are read at the bodies [1]."""
-    rounds: Count = 12
+    rounds: Annotated[int, Limits(least=1, most=1024)] = 12
     """Rounds along the contacts [1]."""
     hidden: Channels = 16
     """Numbers that a contact keeps from round to round [1]."""

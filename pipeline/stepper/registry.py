@@ -4,11 +4,33 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.starts.registry import Maker
+from pipeline.starts.registry import Maker, maker
 from pipeline.stepper.choice import StepperOptions
 
 PRETRAINED = Path(__file__).resolve().with_name("stepnet.safetensors")
 """The file of the pretrained stepper, which comes with the package."""
+
+
+DEFAULT_START = "builtin"
+"""The start of a contact solver where nothing else is asked for."""
+
+
+def solve_maker(options: StepperOptions, start: str, seed: int) -> Maker:
+    """Return what makes the solve of a simulation's steps: a start of its solver, or a network in its place.
+
+    Raises:
+        OSError, ValueError, ImportError: see ``stepper_maker`` and ``starts.registry.maker``; for options that belong
+            to the other of the two.
+    """
+    if options.stepper == "network":
+        if start != DEFAULT_START:
+            raise ValueError(f"start is {start!r}; a network in the solver's place has no start: leave it out")
+        return stepper_maker(options)
+    for name in ("weights", "project", "energy"):
+        given, default = getattr(options, name), getattr(StepperOptions, name)
+        if given != default:
+            raise ValueError(f"{name} is {str(given)!r}, and stepper 'solver'; it is an option of --stepper network")
+    return maker(start, seed)
 
 
 def stepper_maker(options: StepperOptions) -> Maker:

@@ -208,8 +208,11 @@ def _grid(sim: dc.Simulation, model: Any, manifest: Mapping[str, Any]) -> dc.Gri
     """Return the grid of a network's image.
 
     Raises:
+        TypeError: the manifest is no mapping.
         ValueError: the network is none of a stepper, or its grid is another than its manifest says.
     """
+    if not isinstance(manifest, Mapping):
+        raise TypeError(f"manifest is a {type(manifest).__name__}; it must be the mapping that load_checkpoint returns")
     described = manifest.get("stepper")
     if not isinstance(described, Mapping):
         raise ValueError("the manifest has no 'stepper': the network was not trained by train-stepper")

@@ -16,6 +16,7 @@ import dc_kernels as dc
 from dc_kernels.grid.area import wall_nodes
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.room import rows_of
+from dc_kernels.runtime.memory import check_memory
 from dc_kernels.runtime.optional import require
 from dc_kernels.torch_ops.transfer import splat_torch
 from pipeline.training.losses import direction_bins
@@ -186,6 +187,7 @@ class StepReader:
 
         Raises:
             ValueError: for a simulation that a network cannot step: of another dtype, on a GPU, with joints or sleep.
+            MemoryError: naming the images of the worlds, which would not fit.
         """
         if sim.dtype != np.float32:
             raise ValueError(f"sim.dtype is {sim.dtype.name}; networks answer in float32")
@@ -200,6 +202,8 @@ class StepReader:
         self.sim, self.grid = sim, grid
         model = sim.model
         self._start = model.numpy("body_start").astype(np.int64)
+        worlds, nodes = model.world_count, grid.rows * grid.columns
+        check_memory(f"the images of {worlds} worlds on a grid of {grid.rows} x {grid.columns}", 4.0 * worlds * nodes)
         walls = np.zeros((model.world_count, 1, *grid.shape), np.float32)
         of_world, row, column = wall_nodes(model, sim.state, grid)
         walls[of_world, 0, row, column] = 1.0

@@ -181,6 +181,8 @@ def test_walls_of_every_shape_cover_the_nodes_near_them():
         builder.add_disc(builder.add_body((100.0 * w - 50.0, 0.0), type=dc.BodyType.STATIC), 1.0)
     model, state, _ = builder.finalize()
     grid = Grid(rows=40, columns=50, spacing=0.2, origin=(-1.0, -1.0))
+    finest = Grid(rows=40, columns=50, spacing=1e-300, origin=(-1.0, -1.0))
+    assert len(wall_nodes(model, state, finest)[0]) == 0  # walls lie more cells off than integers count
     world, row, column = wall_nodes(model, state, grid)
     covered = np.zeros((2, *grid.shape), bool)
     covered[world, row, column] = True

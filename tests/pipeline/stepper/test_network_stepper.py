@@ -17,8 +17,9 @@ from pipeline.options import RunOptions
 from pipeline.scenes import Chain, Thesis
 from pipeline.seeds import HELD_OUT_SEED
 from pipeline.starts.impulses import Builtin
+from pipeline.starts.registry import maker
 from pipeline.stepper.choice import StepperOptions
-from pipeline.stepper.registry import PRETRAINED
+from pipeline.stepper.registry import PRETRAINED, solve_maker
 from pipeline.stepper.solve import NetworkStepper
 from pipeline.stepper.view import CHANNELS
 
@@ -200,6 +201,37 @@ def test_what_a_network_cannot_step_is_refused(tmp_path: Path):
     manifest["stepper"]["grid"]["rows"] += 1
     with pytest.raises(ValueError, match="the network reads"):
         NetworkStepper(simulation(1, steps=0), model, manifest)
+    with pytest.raises(TypeError, match="manifest is a NoneType; it must be the mapping"):
+        NetworkStepper(simulation(1, steps=0), stepnet(), None)
+    with pytest.raises(ValueError, match=r"StepNetConfig\.rounds is 1000000000; .* \[1, 1024\]"):
+        models.build("stepnet", {**SMALL, "rounds": 10**9})
+    fine = models.build("stepnet", {**SMALL, "spacing": 1e-5})
+    with pytest.raises(MemoryError, match=r"the images of 1 worlds on a grid of \d+ x \d+ would take"):
+        NetworkStepper(simulation(1, steps=0), fine, STEPPER)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "error", "message"),
+    [
+        (lambda way, impulse: (way[:-1], impulse), ValueError, r"ways of shape \(\d+, 3\); it must be"),
+        (lambda way, impulse: (way, impulse[1:]), ValueError, r"impulses of shape \(\d+, 2\); it must be"),
+        (lambda way, impulse: (way.long(), impulse), TypeError, r"torch\.int64 for ways"),
+        (lambda way, impulse: way, TypeError, "two tensors, ways and impulses"),
+    ],
+)
+def test_what_is_no_answer_is_named(spoil, error, message, monkeypatch):
+    model, sim = stepnet(), simulation(1)
+    monkeypatch.setattr(model, "forward", lambda view, grid, forward=model.forward: spoil(*forward(view, grid)))
+    stepper = NetworkStepper(sim, model, STEPPER)
+    with pytest.raises(error, match=message):
+        sim.step(0.01, stepper=stepper)
+
+
+def test_an_image_of_another_shape_is_named(monkeypatch):
+    (model, manifest), sim = unet(), simulation(1)
+    monkeypatch.setattr(model, "forward", lambda image, forward=model.forward: forward(image)[:, :2])
+    with pytest.raises(ValueError, match=r"an image of shape \(1, 2, 19, 19\); it must be \(1, 3, 19, 19\)"):
+        sim.step(0.01, stepper=NetworkStepper(sim, model, manifest))
 
 
 def test_a_scene_runs_with_a_network_from_the_command_line(tmp_path: Path, capsys):
@@ -214,6 +246,23 @@ def test_a_scene_runs_with_a_network_from_the_command_line(tmp_path: Path, capsy
         with pytest.raises(SystemExit):
             main([*command.split(), *more.split()])
         assert text in capsys.readouterr().err
+    explained = f"explain thesis --bodies 6 --stepper network --weights {path} --project tolerance --steps 60"
+    assert main(explained.split()) == 0
+    found = capsys.readouterr().out
+    assert "rows: discs" in found and "then the solver to its tolerance\n  skipped: " in found
+
+
+def test_a_stepper_is_no_start_and_its_options_are_not_the_solvers(tmp_path: Path):
+    path = tmp_path / "net.safetensors"
+    for model, manifest in ((stepnet(), STEPPER), unet()):
+        save_checkpoint(path, model, manifest)
+        with pytest.raises(
+            ValueError, match=r"takes the place of the solver.* --stepper network --weights .*/net.safe"
+        ):
+            maker(str(path))
+    for name, value in (("project", 3), ("weights", path), ("energy", 2.0)):
+        with pytest.raises(ValueError, match=rf"{name} is '.*', and stepper 'solver'; .* --stepper network"):
+            solve_maker(StepperOptions(**{name: value}), "builtin", 0)
 
 
 def test_the_network_of_the_package_lowers_the_error_of_no_contacts_by_four_fifths():
