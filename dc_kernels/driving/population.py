@@ -240,7 +240,7 @@ def _make_room(sim: Simulation, fragment: Fragment, body_world: np.ndarray) -> N
 def _write(arrays: Arrays, model: Any, name: str, slots: np.ndarray, given: dict[str, np.ndarray], chosen: Any) -> None:
     """Write a field of the model at some slots; where nothing was given of a trait it is neutral."""
     if model.sizes[MODEL[name].per]:
-        arrays(model, name)[slots] = given[name][chosen] if name in given else NEUTRAL[name]
+        arrays(model, name)[slots] = given[name][chosen] if name in given else NEUTRAL.get(name, 0)
 
 
 def _splice(sim: Simulation, arrays: Arrays, shapes: np.ndarray, count: np.ndarray, corners: list[np.ndarray]) -> None:

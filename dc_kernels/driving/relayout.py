@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
 
 NEUTRAL = BODY_TRAITS | {f"shape_{name}": value for name, value in (SHAPE_TRAITS | ROLE_TRAITS).items()}
-"""What a body or shape has of the traits where none was given."""
+"""What a body or shape has of the traits where none was given; 0 of others."""
 AWAY = 1e4  # length scales from the origin of a world to the body of its empty shapes
 LARGE = 10**6  # bodies and shapes together that are looked for memory for before anything is allocated
-TRAITED = tuple(name for name in NEUTRAL if MODEL[name].per == "shape trait")
+TRAITED = tuple(name for name, field in MODEL.items() if field.per == "shape trait")
 ROW = 256  # empty shapes that lie in a row
 
 Arrays = dict[str, np.ndarray]
@@ -216,7 +216,7 @@ def park(fields: Arrays, shapes: np.ndarray, attics: np.ndarray) -> None:
         fields[name][shapes] = 0
     for name in TRAITED:
         if len(fields.get(name, ())):
-            fields[name][shapes] = NEUTRAL[name]
+            fields[name][shapes] = NEUTRAL.get(name, 0)
     like = np.flatnonzero(fields["shape_category"])
     for name in ("shape_friction", "shape_restitution"):  # what all have in common is looked up once
         fields[name][shapes] = fields[name][like[0]] if len(like) else 0
