@@ -184,7 +184,7 @@ class Driven(Populated):
             >>> balls = builder.add_discs([(0.0, 0.5), (2.0, 0.5)], 0.5)
             >>> sim = dc.Simulation(*builder.finalize(), config=dc.SolverConfig(contact_switches=True))
             >>> sim.run(50, 0.01, lambda sim: sim.change_contacts(enabled=[True, False]))
-            >>> sim.state.numpy("position")[1:, 1].round(1).tolist()
+            >>> [round(float(y), 1) for y in sim.state.numpy("position")[1:, 1]]
             [0.5, -0.7]
         """
         refuse_recording("change_contacts", "it writes at once")

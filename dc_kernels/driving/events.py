@@ -38,9 +38,9 @@ def contact_events(sim: Any, which: Literal["all", "begun", "ended", "hit"] = "a
         >>> ball = builder.add_discs([(0.0, 1.0)], 0.5)
         >>> sim = dc.Simulation(*builder.finalize(), config=dc.SolverConfig(contact_events=True))
         >>> hits = []
-        >>> sim.run(50, 0.01, callback=lambda sim: hits.extend(dc.contact_events(sim, "hit").shape_b))
-        >>> hits, dc.contact_events(sim).shape_a.tolist()
-        ([1], [0])
+        >>> sim.run(50, 0.01, callback=lambda sim: hits.append(dc.contact_events(sim, "hit").shape_b.tolist()))
+        >>> [shapes for shapes in hits if shapes], dc.contact_events(sim).shape_a.tolist()
+        ([[1]], [0])
     """
     check_simulation("sim", sim, PARTS)
     which = check_choice("which", which, ("all", "begun", "ended", "hit"))

@@ -243,7 +243,7 @@ def test_what_sleeps_neither_begins_nor_ends():
     box = builder.add_body((0.0, 0.5))
     builder.add_box(box, 0.5, 0.5)
     config = dc.SolverConfig(sleep=True, contact_events=True)
-    sim = dc.Simulation(*builder.finalize(), config=config)
+    sim = dc.Simulation(*builder.finalize("float64"), config=config)
     sim.step(DT)
     assert len(dc.sensor_events(sim, "begun").slot) == len(dc.contact_events(sim, "begun").slot) == 1
     asleep = 0
@@ -321,7 +321,7 @@ def test_errors_name_what_is_wrong():
         builder.add_discs(np.zeros((2, 2)), 1.0, angular_velocity=[0.0, 2.0], fixed_rotation=True)
     locked = builder.add_discs(np.zeros((2, 2)), 1.0, angular_velocity=[0.0, 2.0], fixed_rotation=[True, False])
     builder.add_disc(body, 1.0, sensor=True)
-    model, state, joints = builder.finalize()
+    model, state, joints = builder.finalize("float64")
     assert (model.numpy("inv_inertia")[locked] > 0).tolist() == [False, True]
     sim = dc.Simulation(model, state, joints)
     sim.step(DT)
