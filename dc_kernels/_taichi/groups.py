@@ -28,6 +28,8 @@ LANED = {"rows": ("column", "body", "impulse", "change", "before", "direction", 
 LANES = 8
 WIDE = {"points": ("place",)}
 """Vectors that may be the first numbers of longer rows, and lie at any address: one more axis; by the group's name."""
+SHARED = {("rows", "row_impulse"): ("joints", "joint_impulse"), ("rows", "row_color"): ("joints", "joint_color")}
+"""Fields that may be the very memory of another, which a kernel then must see by one name, the latter."""
 LAUNCHES = LAUNCH | field_table(("cut", "cut word", "int32", "1", "what ``runtime.signals`` names the words of"))
 """Numbers of a launch, and the memory that ends its sweeping."""
 VECTORS = (2, 4, 8)  # lengths of vectors that lie in memory as Taichi loads them; others are one more axis

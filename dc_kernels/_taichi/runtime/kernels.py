@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from dc_kernels._taichi.groups import GroupType, seen
+from dc_kernels._taichi.groups import SHARED, GroupType, seen
 from dc_kernels._taichi.runtime.access import Array, Group, uses_of
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.runtime.launches import Argument, Bound
@@ -134,22 +134,30 @@ class Kernel:
             value = seen(kind.name, kind.table[array.field], value)
         return value, annotation
 
-    def compiled(self, constants: Mapping[Array, Any], parallel: bool) -> Any:
-        """The kernel of Taichi with these numbers in it, for threads of its pool or the one that launches it."""
-        key = (parallel, *constants.values())
+    def compiled(self, constants: Mapping[Array, Any], other: Mapping[Array, Array], parallel: bool) -> Any:
+        """The kernel of Taichi with these numbers in it, for threads of its pool or the one that launches it.
+
+        Args:
+            constants: numbers that are compiled in.
+            other: arrays that are others, see ``shared``.
+            parallel: for threads of the pool.
+        """
+        key = (parallel, *constants.values(), *other)
         if key not in self._made:
             types = [self._annotation(array) for array in self._flat()]
             scope = {"ti": ti, "types": types, "stage": self.func, "Fields": Fields}
-            self._made[key] = define(self._source(constants, parallel), self.__name__, scope)
+            self._made[key] = define(self._source(constants, other, parallel), self.__name__, scope)
         return self._made[key]
 
-    def _source(self, constants: Mapping[Array, Any], parallel: bool) -> str:
+    def _source(self, constants: Mapping[Array, Any], other: Mapping[Array, Array], parallel: bool) -> str:
         """Source of the kernel: its loop, and the call of the function with its groups put together."""
         flat = self._flat()
-        names = {array: "__".join(filter(None, array)) for array in flat} | {a: repr(v) for a, v in constants.items()}
+        names = named(flat, constants, other)
         given = [*self._indices, *self.call(names, parallel)]
         annotations = [*(f"dim{i}: ti.i32" for i in range(len(self._indices))), "shards: ti.i32"]
-        annotations += [f"{names[array]}: types[{i}]" for i, array in enumerate(flat) if array not in constants]
+        annotations += [
+            f"{names[array]}: types[{i}]" for i, array in enumerate(flat) if array not in {**constants, **other}
+        ]
         lines = ["@ti.kernel", f"def {self.__name__}({', '.join(annotations)}):"]
         if parallel:
             lines += [
@@ -166,6 +174,33 @@ class Kernel:
             lines.append(f"{' ' * (4 + len(lines[-1]) - len(lines[-1].lstrip()))}for {index} in range(dim{i}):")
         indent = " " * (4 + len(lines[-1]) - len(lines[-1].lstrip()))
         return "\n".join([*lines, f"{indent}stage({', '.join(given)})", ""])
+
+
+def shared(given: Mapping[Array, Argument]) -> dict[Array, Array]:
+    """Arrays of ``SHARED`` that are the very memory of another one that is given, and that one."""
+    found = {}
+    for array, argument in given.items():
+        other = SHARED.get((array.group, array.field))
+        whole = given.get(Array(*other)) if other is not None else None
+        if other is not None and whole is not None and whole.value.ctypes.data == argument.value.ctypes.data:
+            found[array] = Array(*other)
+    return found
+
+
+def named(arrays: Iterable[Array], constants: Mapping[Array, Any], other: Mapping[Array, Array]) -> dict[Array, str]:
+    """What a kernel's source calls arrays and numbers: by group and field, numbers that are compiled in as they are."""
+    names = {array: "__".join(filter(None, array)) for array in arrays}
+    return {
+        **names,
+        **{array: names[whole] for array, whole in other.items()},
+        **{a: repr(v) for a, v in constants.items()},
+    }
+
+
+def merged(given: Mapping[Array, Argument], other: Mapping[Array, Array]) -> dict[Array, Argument]:
+    """Arguments without those that are others, which are written where either is."""
+    written = {whole for array, whole in other.items() if given[array].written}
+    return {a: one._replace(written=one.written or a in written) for a, one in given.items() if a not in other}
 
 
 class Either:
@@ -207,10 +242,11 @@ class KernelLaunch(Bound):
         """See ``Kernel.bind``; ``shards``: of the first axis, each a thread's."""
         self.source, self.extent, self.given, self.constants = kernel, extent, given, constants
         arguments = [Argument(f"dim{i}", ti.i32, n, False) for i, n in enumerate(extent)]
-        arguments += [Argument("shards", ti.i32, shards, False), *given.values()]
+        other = shared(given)
+        arguments += [Argument("shards", ti.i32, shards, False), *merged(given, other).values()]
         super().__init__(
             kernel.__name__,
-            functools.partial(kernel.compiled, constants),
+            functools.partial(kernel.compiled, constants, other),
             arguments,
             elements=kernel.arguments,
             real=kernel.real,

@@ -13,7 +13,7 @@ import numpy as np
 
 from dc_kernels._taichi.runtime.access import Array
 from dc_kernels._taichi.runtime.compiler import ti
-from dc_kernels._taichi.runtime.kernels import Fields, Kernel, KernelLaunch
+from dc_kernels._taichi.runtime.kernels import Fields, Kernel, KernelLaunch, merged, named, shared
 from dc_kernels._taichi.runtime.launches import Argument, Bound
 from dc_kernels._taichi.runtime.sources import define
 
@@ -51,24 +51,26 @@ def repeated(
         ValueError: where a launch is no kernel's, or the launches do not agree in their worlds or in an argument.
     """
     shards = len(shard_start) - 1
-    given: dict[Array, tuple[Any, Any, bool]] = {}
+    given: dict[Array, Argument] = {}
     constants: dict[Array, Any] = {}
     for launch in launches:
         if not isinstance(launch, KernelLaunch) or launch.extent != launches[0].extent or launch.source.axes != 1:
             raise ValueError(f"{launch} is no kernel over the worlds of the other launches")
         for array, argument in launch.given.items():
             before = given.get(array)
-            if before is not None and not _agree(before[0], argument.value):
+            if before is not None and not _agree(before.value, argument.value):
                 raise ValueError(f"{argument.name} is not the same in all launches")
-            written = argument.written or (before is not None and before[2])
-            given[array] = (argument.value, argument.annotation, written)
+            written = argument.written or (before is not None and before.written)
+            given[array] = argument._replace(written=written)
         constants |= launch.constants
+    other = shared(given)
+    given = merged(given, other)
     vector = ti.types.ndarray(dtype=ti.i32, ndim=1)
     # memory that the stages have too must not be seen by another name
     seen = {
-        value.ctypes.data: array
-        for array, (value, _, _) in given.items()
-        if isinstance(value, np.ndarray) and value.size
+        one.value.ctypes.data: array
+        for array, one in given.items()
+        if isinstance(one.value, np.ndarray) and one.value.size
     }
     places = [seen.get(one.ctypes.data) for one in (flags, *used)]
     own = [
@@ -81,20 +83,18 @@ def repeated(
         Argument("peak", ti.types.ndarray(dtype=ti.i32, ndim=2), peak, True),
     ]
     own += [Argument(f"watch{k}", vector, one, False) for k, one in enumerate((flags, *used)) if places[k] is None]
-    arguments = own + [
-        Argument(".".join(filter(None, array)), annotation, value, written)
-        for array, (value, annotation, written) in given.items()
-    ]
+    arguments = [*own, *given.values()]
     kernels = tuple(launch.source for launch in launches)
 
     def make(parallel: bool) -> Any:
-        key = (kernels, tuple(places), parallel, *constants.values())
+        key = (kernels, tuple(places), parallel, *constants.values(), *other)
         if key not in _made:
             types = [argument.annotation for argument in arguments]
             scope = {"ti": ti, "types": types, "Fields": Fields}
             scope |= {f"stage{i}": kernel.func for i, kernel in enumerate(kernels)}
-            names = {array: "__".join(filter(None, array)) for array in given}
-            source = _source(kernels, [a.name for a in own], names, constants, places, parallel)
+            names = named(given, {}, {})
+            inside = named(given, constants, other)
+            source = _source(kernels, [a.name for a in own], names, inside, places, parallel)
             _made[key] = define(source, "repeated", scope)
         return _made[key]
 
@@ -113,7 +113,7 @@ def _source(
     kernels: Sequence[Kernel],
     own: Sequence[str],
     names: Mapping[Array, str],
-    constants: Mapping[Array, Any],
+    inside: Mapping[Array, str],
     places: Sequence[Array | None],
     parallel: bool,
 ) -> str:
@@ -121,7 +121,6 @@ def _source(
     watched = [f"watch{k}" if place is None else names[place] for k, place in enumerate(places)]
     annotations = [f"{name}: types[{i}]" for i, name in enumerate([*own, *names.values()])]
     offset = names.get(Array("launch", "world_offset"), "0")
-    inside = {**names, **{array: repr(value) for array, value in constants.items()}}
     lines = ["@ti.kernel", f"def repeated({', '.join(annotations)}):"]
     lines += ["    ti.loop_config(block_dim=1)" if parallel else "    ti.loop_config(serialize=True)"]
     lines += [

@@ -131,6 +131,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         span,
         change,
         residual,
+        anew,
         config: t.Config,
         motion: t.Motion,
         rows: t.Rows,
@@ -139,6 +140,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     ):
         """Stop, pause or accelerate: ENDED when the world is done, PAUSES where it pauses; and what is to ``follow``.
 
+        With ``anew`` 1 the sweeps go on below the cap, as trees of joints have just been found apart;
         ``residual`` is looked at where ``asks_for_residual`` says so. A pause is due from ``pause_at`` sweeps on, where
         the steps of the last two are known: with Aitken at the end of a period.
         """
@@ -151,6 +153,8 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         it.sweeps = sweeps
         it.change = change
         it.finished = has_converged(span, change, residual, sweeps, config, motion, rows)
+        if anew == 1 and sweeps < config.max_sweeps:
+            it.finished = 0
         if it.finished == 1 and config.acceleration == ADAPTIVE and it.stretch_method == MOMENTUM:
             follow = ANEW
         if config.acceleration != PLAIN and span.pause_at == NEVER:

@@ -13,6 +13,7 @@ from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.lanes import MASK
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.solve.bodies import body_functions, largest, magnitude, total
+from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.solve.iteration import ASTRAY, FAR, MOVING
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES
 
@@ -23,7 +24,7 @@ INFINITY = float("inf")
 def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
     """``sweep``, ``apply``, ``push`` and ``extrapolate`` over the blocks b0 .. b1 of rows of a variant.
 
-    ``moving`` and ``natural_map`` write nothing: they are of blocks whose rows share bodies, too.
+    ``moving``, ``lacking`` and ``natural_map`` write nothing: they are of blocks whose rows share bodies, too.
     """
     t = group_types(dtype)
     vec8 = t.vec8
@@ -268,6 +269,22 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         return count
 
     @ti.func
+    def lacking(rows: t.Rows, b0, b1, still):
+        """1 where a row without bounds, as joints are held by, lacked more of its speed than ``still`` in the sweep."""
+        found = 0
+        b = b0
+        while b < b1 and found == 0:
+            k = (b * width) & MASK
+            # NaN is lacking
+            lacks = ti.select(magnitude(rows.change[2 * b]) <= still * rows.column[k + EN], vec8(0.0), vec8(1.0))
+            lacks = ti.select(rows.column[k + LO] < -UNBOUNDED, lacks, vec8(0.0))
+            lacks = ti.select(rows.column[k + HI] > UNBOUNDED, lacks, vec8(0.0))
+            if total(lacks) > 0.0:
+                found = 1
+            b += 1
+        return found
+
+    @ti.func
     def natural_map(rows: t.Rows, bodies: ti.template(), b0, b1, before, floor):
         """Sum of the squared natural maps of rows [(N s)^2], row after row, added to what was ``before``.
 
@@ -324,5 +341,11 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         return squares
 
     return SimpleNamespace(
-        sweep=sweep, apply=apply, push=push, extrapolate=extrapolate, moving=moving, natural_map=natural_map
+        sweep=sweep,
+        apply=apply,
+        push=push,
+        extrapolate=extrapolate,
+        moving=moving,
+        lacking=lacking,
+        natural_map=natural_map,
     )

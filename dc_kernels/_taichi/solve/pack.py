@@ -270,6 +270,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             if ti.static(own):
                 for k in range(rows.row_start[w], rows.row_start[w + 1]):
                     i = rows.row_slot[k]
-                    rows.row_impulse[k] = rows.impulse[i // LANES][i % LANES]
+                    if rows.row_held[k] >= 0.0:
+                        rows.row_impulse[k] = rows.impulse[i // LANES][i % LANES]
 
     return {"pack_rows": pack_rows, "unpack_impulses": unpack_impulses}

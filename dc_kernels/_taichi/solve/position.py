@@ -10,6 +10,7 @@ from dc_kernels._taichi.runtime.kernels import kernel
 from dc_kernels._taichi.solve.bodies import body_functions
 from dc_kernels._taichi.solve.lanes import lane_functions
 from dc_kernels._taichi.solve.row import row_functions
+from dc_kernels._taichi.solve.trees import tree_functions
 from dc_kernels._taichi.solve.world import ENDS
 from dc_kernels.solve.rows import COLORS, JOINTED, LANES, SERIAL_COLOR
 
@@ -21,7 +22,11 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
     push_row = row_functions(dtype, variant).push_row
     push_lanes = lane_functions(dtype, variant).push
     unknown_floor = body_functions(dtype).unknown_floor
-    jointed = variant in JOINTED
+    jointed, own = variant in JOINTED, variant == "rows"
+    factor_tree = solve_tree = None
+    if own:
+        trees = tree_functions(dtype, variant)
+        factor_tree, solve_tree = trees.factor, trees.solve
 
     @kernel
     def correct_positions(
@@ -52,10 +57,19 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
         serial = rows.color_block[w * ENDS + SERIAL_COLOR]
         last = rows.color_block[w * ENDS + COLORS]
         iteration = 0
+        if ti.static(own):
+            if pushed > 0.0:
+                for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
+                    if rows.tree_used[tree] == 1:
+                        factor_tree(tree, 1, motion.displacement, rows)
         while iteration < config.position_iterations and pushed > 0.0:
             pushed = push_lanes(rows, motion.displacement, first, serial, factor, limit, unknown_floor(config))
             for k in range(serial * LANES, last * LANES):
                 pushed = ti.max(pushed, push_row(k // LANES, k % LANES, rows, motion.displacement, factor, limit))
+            if ti.static(own):
+                for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
+                    if rows.tree_used[tree] == 1:
+                        solve_tree(tree, 1, factor, limit, motion.displacement, rows)
             iteration += 1
             if is_cut((last - first) * LANES, launch.cut):
                 pushed = 0.0

@@ -38,7 +38,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     )
     world = world_functions(dtype, variant)
     span_of, sweep, follow, load_impulses = world.span_of, world.sweep, world.follow, world.load_impulses
-    natural_map = world.natural_map
+    natural_map, solve_apart, own = world.natural_map, world.solve_apart, variant == "rows"
     end_period = aitken.functions(dtype, variant).end_period
     reset_nncg = nncg.functions(dtype, variant).reset
     relaxation = accelerate_functions(dtype, variant).relaxation
@@ -100,17 +100,20 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             while sweeping == 1:
                 follow(span, what, config, motion, rows)
                 largest = 0.0
+                apart = 0
                 asked = it.finished == 1
                 if done == GOES_ON:
                     prepare_sweep(span, config, motion)
                     largest = sweep(span, config, omega, motion, rows)
                     end_sweep(span, config, motion)
+                    if ti.static(own):
+                        apart = solve_apart(span, largest, it.sweeps + 1, config, motion, rows)
                     asked = asks_for_residual(it.sweeps + 1, config)
                 residual = 0.0
                 if asked:  # in the middle and at the end: compiled once
                     residual = natural_map(span, config, motion.solved, rows)
                 if done == GOES_ON:
-                    done, what = conclude_sweep(span, largest, residual, config, motion, rows, stats, it)
+                    done, what = conclude_sweep(span, largest, residual, apart, config, motion, rows, stats, it)
                     if is_cut((span.last - span.first) * LANES, launch.cut):
                         done = PAUSES
                 else:
@@ -210,10 +213,13 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if state.flags[w] == 0 and it.finished == 0:
             span = span_of(w, launch.past_offset + tid * launch.past_step, config, model, motion, rows)
             end_sweep(span, config, motion)
+            apart = 0
+            if ti.static(own):
+                apart = solve_apart(span, stats.change[w], it.sweeps + 1, config, motion, rows)
             residual = 0.0
             if asks_for_residual(it.sweeps + 1, config):
                 residual = natural_map(span, config, motion.solved, rows)
-            _, what = conclude_sweep(span, stats.change[w], residual, config, motion, rows, stats, it)
+            _, what = conclude_sweep(span, stats.change[w], residual, apart, config, motion, rows, stats, it)
             follow(span, what, config, motion, rows)
             store(stats.iteration, w, it)
 

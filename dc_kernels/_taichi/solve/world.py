@@ -14,14 +14,16 @@ from dc_kernels._taichi.solve.bodies import LANE_BITS, LAST_LANE, body_functions
 from dc_kernels._taichi.solve.lanes import lane_functions
 from dc_kernels._taichi.solve.ranges import piece
 from dc_kernels._taichi.solve.row import row_functions
-from dc_kernels.model.config import METHODS, STOPS
-from dc_kernels.solve.iteration import FALL, NEVER
+from dc_kernels._taichi.solve.trees import tree_functions
+from dc_kernels.model.config import JOINT_SOLVERS, METHODS, STOPS
+from dc_kernels.solve.iteration import APART, FALL, FAR, NEVER
 from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, SERIAL_COLOR
 
 ENDS = COLORS + 1
 JACOBI = METHODS["jacobi"]
 BY_RESIDUAL = STOPS["residual"]
 BY_MOTION = STOPS["motion"]
+DIRECT = JOINT_SOLVERS["direct"]
 TINY = 1e-30
 
 
@@ -50,7 +52,12 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     unknown_floor = body_functions(dtype).unknown_floor
     lanes = lane_functions(dtype, variant)
     sweep_lanes, apply_lanes, natural_map_lanes, moving = lanes.sweep, lanes.apply, lanes.natural_map, lanes.moving
+    lacking = lanes.lacking
     jointed, own = variant in JOINTED, variant == "rows"
+    factor_tree = solve_tree = lacks_of_tree = None
+    if own:
+        trees = tree_functions(dtype, variant)
+        factor_tree, solve_tree, lacks_of_tree = trees.factor, trees.solve, trees.lacks
     columns = COLUMNS[variant]
     width = len(columns)
     EN, ET = columns.index("en"), columns.index("et")
@@ -82,9 +89,6 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         span.still = config.motion_tolerance * config.slop * model.length_scale[w] / dt
         if ti.static(jointed):  # what a joint lacks shows as stretch: such a world is solved to the tolerances
             if rows.line_start[w + 1] > rows.line_start[w]:
-                span.still = -1e18
-        if ti.static(own):
-            if rows.row_start[w + 1] > rows.row_start[w]:
                 span.still = -1e18
         pull = model.gravity[w]
         span.fall = FALL * ti.sqrt(pull[0] * pull[0] + pull[1] * pull[1]) * dt
@@ -144,13 +148,51 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                 i = rows.row_slot[k]
                 if rows.column[i // (2 * LANES) * width + EN][i % LANES] > 0.0:
                     rows.impulse[i // LANES][i % LANES] = rows.row_impulse[k]
+            for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
+                rows.tree_used[tree] = 0
+
+    @ti.func
+    def solve_apart(span, change, sweeps, config: t.Config, motion: t.Motion, rows: t.Rows):
+        """Solve the trees of joints that the sweeps by now have left apart; 1 where that was first found of one.
+
+        Sweeps are looked at a sweep before the stop by motion is, long before ``min_sweeps`` for what is far apart, and
+        from there on after each where they do not suffice.
+        """
+        w = span.world
+        found = 0
+        if rows.tree_start[w + 1] > rows.tree_start[w] and config.joint_solver == DIRECT and config.method != JACOBI:
+            late = sweeps >= config.min_sweeps
+            every = ti.min(config.residual_every, config.max_sweeps)
+            looks = (sweeps + 1) % every == 0 or (late and change < span.bound)
+            still = APART * span.still
+            if sweeps + 1 < config.min_sweeps:
+                still = FAR * span.still
+            open = config.stop != BY_MOTION and not (change < span.bound)
+            apart = open
+            if not open and (looks or late):  # a look in lanes, which mostly spares those at each tree
+                apart = lacking(rows, span.first, span.last, still) == 1
+            if apart and (looks or late):
+                for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
+                    used = rows.tree_used[tree]
+                    if looks or used == 1:
+                        if open or lacks_of_tree(tree, still, rows) == 1:
+                            if used == 0:
+                                factor_tree(tree, 0, motion.predicted, rows)
+                                rows.tree_used[tree] = 1
+                                found = 1
+                            solve_tree(tree, 0, 1.0, 1.0, motion.solved, rows)
+        return found
 
     @ti.func
     def is_still(span, config: t.Config, motion: t.Motion, rows: t.Rows):
         """1 where the last sweep has moved at most one row in MOVING, and none far: see ``SolverConfig.stop``."""
         share, floor = config.motion_share, unknown_floor(config)
         count = moving(rows, motion, span.first, span.last, span.still, share, span.fall, floor)
-        return ti.cast(count <= 0, ti.i32)
+        done = ti.cast(count <= 0, ti.i32)
+        if ti.static(own):
+            if done == 1:
+                done = 1 - lacking(rows, span.first, span.last, APART * span.still)
+        return done
 
     @ti.func
     def natural_map(span, config: t.Config, bodies: ti.template(), rows: t.Rows):
@@ -184,6 +226,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         sweep=sweep,
         follow=follow,
         load_impulses=load_impulses,
+        solve_apart=solve_apart,
         is_still=is_still,
         natural_map=natural_map,
     )
