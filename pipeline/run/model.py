@@ -31,9 +31,10 @@ def read_model(file: Any) -> dict[str, np.ndarray]:
                 found = f"{arrays[name].dtype} {arrays[name].shape}"
                 raise ValueError(f"model/{name} is {found}; it must be {dtype} {(count, *shape)}")
             arrays[name] = arrays[name][...]
-    for axis in ("world", "body", "shape", "joint"):
-        if rows[f"{axis}+1"] != rows[axis] + 1:
-            raise ValueError(f"model/ has {rows[f'{axis}+1']} offsets of {rows[axis]} elements of the axis {axis}")
+    for offsets in [axis for axis in rows if axis.endswith("+1")]:
+        axis = offsets.removesuffix("+1")
+        if rows[offsets] != rows[axis] + 1:
+            raise ValueError(f"model/ has {rows[offsets]} offsets of {rows[axis]} elements of the axis {axis}")
     check_model(model, "model/")
     check_joints(joints, model, "model/")
     return {**model, **joints}
