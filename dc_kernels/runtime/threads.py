@@ -9,6 +9,7 @@ import contextlib
 import itertools
 import os
 import signal
+import statistics
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -28,9 +29,9 @@ SLICE = 1e8  # units of work that take 0.1 to 0.3 s together
 LOOK = 0.2
 """Longest that a thread waits for another without a look whether it was interrupted [s]: a real signal ends a wait, but
 ``_thread.interrupt_main``, and Ctrl-C under Windows, only set a flag, which a thread that waits for good never sees."""
-FIRST_TRIES, TRIES = 3, 2
-"""Times that each of two ways is taken in the first trial, and in later ones."""
-LEAST_TAKES, MOST_TAKES = 64, 1024
+FIRST_TRIES, TRIES = 3, 3
+"""Times that each of two ways is tried in the first trial, and in later ones."""
+LEAST_TAKES, MOST_TAKES = 96, 1024
 """Takes of the chosen way between two trials, the more the more often it has won in a row."""
 CLEARLY = 0.97
 """Of the time of the other: a change of ways that gains less is not made."""
@@ -194,8 +195,10 @@ def usable_cores() -> int:
 class Trial:
     """A choice between two ways to one result, the usual and another, by which is the faster here and now.
 
-    Both ways are taken in turn during a trial, so that work which grows or shrinks meanwhile counts for both. A trial
-    costs the difference of ``TRIES`` takes in ``LEAST_TAKES`` at most.
+    In a trial both ways are tried in turn, so that work which grows or shrinks meanwhile counts for both, and their
+    medians are compared, so that what else the machine does now and then counts for neither. A try is two takes, of
+    which the first is not counted: it finds the caches as the other way has left them. A trial costs the difference of
+    ``2 * TRIES`` takes in ``LEAST_TAKES`` at most.
 
     Attributes:
         other: whether the other way is to be taken next.
@@ -204,8 +207,11 @@ class Trial:
     def __init__(self) -> None:
         """Begin with a trial, the other way first."""
         self.other = self._chosen = True
-        self._spent = [0.0, 0.0]  # in the trial under way, in the usual way and the other
-        self._left = 2 * FIRST_TRIES  # takes of the trial, or of the chosen way before the next one
+        self._spent: tuple[list[float], list[float]] = (
+            [],
+            [],
+        )  # in the trial under way, in the usual way and the other
+        self._left = 4 * FIRST_TRIES  # takes of the trial, or of the chosen way before the next one
         self._wait = LEAST_TAKES
         self._trying = True
 
@@ -213,17 +219,19 @@ class Trial:
         """Count a take of the way that ``other`` says, and choose the next."""
         self._left -= 1
         if self._trying:
-            self._spent[self.other] += seconds
+            if self._left % 2 == 1:
+                return
+            self._spent[self.other].append(seconds)
             if self._left:
                 self.other = not self.other
                 return
             self._choose()
         elif self._left == 0:
-            self._spent = [0.0, 0.0]
-            self._trying, self._left, self.other = True, 2 * TRIES, not self._chosen
+            self._spent = ([], [])
+            self._trying, self._left, self.other = True, 4 * TRIES, not self._chosen
 
     def _choose(self) -> None:
-        now, instead = self._spent[self._chosen], self._spent[not self._chosen]
+        now, instead = (statistics.median(self._spent[way]) for way in (self._chosen, not self._chosen))
         if instead < CLEARLY * now:
             self._chosen, self._wait = not self._chosen, LEAST_TAKES
         else:
