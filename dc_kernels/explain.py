@@ -88,6 +88,7 @@ def explain(sim: Simulation) -> str:
     ends = f"stop at {'residual' if stop == 'residual' else 'change'} < {tolerance:g}{light}"
     if stop == "motion":
         ends += f", or where a sweep moves few contacts by more than {config.motion_tolerance:g} slops a step"
+        ends += f", or {config.motion_mean:g} of what contacts gave all bodies in the mean" * (config.motion_mean > 0)
     lines.append(
         f"acceleration: {config.acceleration}; {ends}, after at least "
         f"{config.min_sweeps} sweeps, or at {config.max_sweeps} sweeps; a world without rows is not swept"

@@ -15,9 +15,10 @@ from pipeline.scenes import Scene
 class SolverOptions(Settings):
     """Options of the contact solver."""
 
-    preset: Literal["default", "accurate", "fast", "thesis"] = "default"
-    """Settings by name, which the options below change: default ends where bodies hardly move on, accurate at an
-    impulse change of 1e-4 N s, fast after 10 sweeps, thesis is the theses' protocol."""
+    preset: Literal["default", "strict", "accurate", "fast", "thesis"] = "default"
+    """Settings by name, which the options below change: default ends where bodies hardly move on, strict where each of
+    them hardly does amid collisions too, accurate at an impulse change of 1e-4 N s, fast after 10 sweeps, thesis is the
+    theses' protocol."""
     method: Literal["pgs", "jacobi"] | None = None
     """Gauss-Seidel in colour order, or Jacobi with mass splitting; None: the preset's, here and below."""
     acceleration: Literal["none", "sor", "aitken", "nncg", "adaptive"] | None = None

@@ -24,7 +24,7 @@ SUMMARY = (
 KEYS = ("scenes", "overlap_mean_more_mm", "overlap_mean_more_masses_mm", "sweeps_over_accurate")
 THREADS = 1
 
-PRESETS = ("accurate", "default", "fast")
+PRESETS = ("accurate", "strict", "default", "fast")
 EVERY = 10  # steps between two looks at overlaps
 TOUCHING = 1e-3  # gap below which surfaces touch [length_scale]
 LAST = 50  # steps over which bodies drift

@@ -27,6 +27,7 @@ ITERATION = (
     "stop",
     "motion_tolerance",
     "motion_share",
+    "motion_mean",
     "residual_every",
     "omega",
     "aitken_period",

@@ -109,10 +109,11 @@ class World:
         real, dt, still = motion.step_dt.dtype.type, motion.step_dt[w], self.still
         fall = real(FALL) * np.sqrt(np.sum(model.gravity[w] ** 2)) * dt
         given = np.abs(motion.solved[:, :2] - motion.predicted[:, :2]).max(axis=1)
+        least = real(config.motion_mean) * self.beyond(given, fall)
         moving = movable = 0
         for row in self.own_rows:
             mass = row.effective_mass
-            limit = still + real(config.motion_share) * max(max(given[row.a], given[row.b]) - fall, real(0))
+            limit = still + max(real(config.motion_share) * (max(given[row.a], given[row.b]) - fall), least)
             moved = np.abs(by_lane(self.rows.change)[row.at])
             if not (moved <= real(FAR) * (limit * mass)).all():
                 return False
@@ -132,6 +133,13 @@ class World:
         change, still = by_lane(self.rows.change), self.motion.step_dt.dtype.type(times) * self.still
         held = (row for row in self.own_rows if row.low < -UNBOUNDED and row.high > UNBOUNDED)
         return any(not abs(change[row.at][0]) <= still * row.effective_mass[0] for row in held)
+
+    def beyond(self, given: Array, fall: Any) -> Any:
+        """Mean of what the bodies were given beyond ``fall``, over the mass of those that were given anything [m/s]."""
+        given = given[self.bodies]
+        touched = given > 0
+        mass = 1 / self.motion.solved[self.bodies, 3][touched]
+        return np.sum(mass * np.maximum(given[touched] - fall, 0)) / np.sum(mass) if touched.any() else 0
 
     @property
     def omega(self) -> float:

@@ -30,7 +30,8 @@ def range_functions(dtype: str) -> SimpleNamespace:
 
     ``squares`` is the sum of squares of the change, ``along`` its product with the move before; ``conjugate`` makes a
     step of nonlinear CG, ``onward`` and ``onward_bodies`` one of momentum; ``products``, ``remember`` and ``combine``
-    are the parts of Anderson's update. ``copy`` keeps a world's impulses, or its changes.
+    are the parts of Anderson's update. ``beyond`` is what bodies were given.
+    ``copy`` keeps a world's impulses, or its changes.
     """
     t = group_types(dtype)
     vec8 = t.vec8
@@ -50,6 +51,38 @@ def range_functions(dtype: str) -> SimpleNamespace:
             sums = sums + part
             begin += length
         return total(sums)
+
+    @ti.func
+    def beyond(motion: t.Motion, b0, b1, fall):
+        """By how much impulses have changed velocities beyond ``fall``, the mean over the mass of what they moved."""
+        pushes = vec8(0.0)
+        masses = vec8(0.0)
+        length = piece(b1 - b0, 4)
+        begin = b0
+        while begin < b1:
+            end = ti.min(begin + length, b1)
+            push = vec8(0.0)
+            mass = vec8(0.0)
+            for n in range((end - begin + LANES - 1) // LANES):
+                given = vec8(0.0)
+                weight = vec8(0.0)
+                for k in ti.static(range(LANES)):
+                    b = begin + LANES * n + k
+                    if b < end:
+                        v = motion.solved[b]
+                        u = motion.predicted[b]
+                        given[k] = ti.max(ti.abs(v[0] - u[0]), ti.abs(v[1] - u[1]))
+                        if given[k] > 0.0:
+                            weight[k] = 1.0 / v[3]
+                push = push + weight * ti.max(given - fall, vec8(0.0))
+                mass = mass + weight
+            pushes = pushes + push
+            masses = masses + mass
+            begin = end
+        mean = total(pushes) / total(masses)
+        if not mean < 1e30:  # NaN where there is no mass
+            mean = 0.0
+        return mean
 
     @ti.func
     def copy(source: ti.template(), target: ti.template(), at, i0, i1):
@@ -204,6 +237,7 @@ def range_functions(dtype: str) -> SimpleNamespace:
 
     return SimpleNamespace(
         squares=squares,
+        beyond=beyond,
         copy=copy,
         conjugate=conjugate,
         along=along,

@@ -12,7 +12,7 @@ from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.solve.bodies import LANE_BITS, LAST_LANE, body_functions
 from dc_kernels._taichi.solve.lanes import lane_functions
-from dc_kernels._taichi.solve.ranges import piece
+from dc_kernels._taichi.solve.ranges import piece, range_functions
 from dc_kernels._taichi.solve.row import row_functions
 from dc_kernels._taichi.solve.trees import tree_functions
 from dc_kernels.model.config import JOINT_SOLVERS, METHODS, STOPS
@@ -53,6 +53,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     lanes = lane_functions(dtype, variant)
     sweep_lanes, apply_lanes, natural_map_lanes, moving = lanes.sweep, lanes.apply, lanes.natural_map, lanes.moving
     lacking = lanes.lacking
+    beyond = range_functions(dtype).beyond
     jointed, own = variant in JOINTED, variant == "rows"
     factor_tree = solve_tree = lacks_of_tree = None
     if own:
@@ -187,7 +188,10 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     def is_still(span, config: t.Config, motion: t.Motion, rows: t.Rows):
         """1 where the last sweep has moved at most one row in MOVING, and none far: see ``SolverConfig.stop``."""
         share, floor = config.motion_share, unknown_floor(config)
-        count = moving(rows, motion, span.first, span.last, span.still, share, span.fall, floor)
+        least = 0.0
+        if config.motion_mean > 0.0:
+            least = config.motion_mean * beyond(motion, span.first_body, span.last_body, span.fall)
+        count = moving(rows, motion, span.first, span.last, span.still, share, span.fall, least, floor)
         done = ti.cast(count <= 0, ti.i32)
         if ti.static(own):
             if done == 1:

@@ -17,7 +17,7 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels._warp.common import scalar_types
+from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.native import SCALARS, in_parts, native_code
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.runtime.sequences import SEATS
@@ -46,7 +46,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
     share bodies. They take arrays rather than groups: a struct of 20 arrays passed by value would cost a small world's
     sweep 4 %.
     """
-    t = scalar_types(dtype)
+    t = group_types(dtype)
     real, vec4 = t.real, t.vec4
     macros = row_macros(variant)
 
@@ -127,11 +127,9 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         bodies: wp.array(dtype=vec4),
         predicted: wp.array(dtype=vec4),
         change: wp.array(dtype=real),
-        b0: wp.int32,
-        b1: wp.int32,
-        still: real,
+        span: t.Span,
         share: real,
-        fall: real,
+        least: real,
     ) -> wp.int32: ...
 
     @wp.func_native(code("lacking", UNBOUNDED=UNBOUNDED))

@@ -29,7 +29,8 @@ def range_functions(dtype: str) -> SimpleNamespace:
 
     ``squares`` is the sum of squares, ``along`` the product of a change with the move before; ``conjugate`` makes a
     step of nonlinear CG, ``onward`` and ``onward_bodies`` one of momentum; ``products``, ``remember`` and ``combine``
-    are the parts of Anderson's update; ``copy`` and ``copy_bodies`` keep numbers for later,
+    are the parts of Anderson's update; ``beyond`` is what bodies were given; ``copy`` and
+    ``copy_bodies`` keep numbers for later,
     ``restore`` goes back to the predicted velocities. Each is described at the
     top of its header.
     """
@@ -42,6 +43,16 @@ def range_functions(dtype: str) -> SimpleNamespace:
 
     @wp.func_native(code("squares"))
     def squares(x: wp.array(dtype=real), i0: wp.int32, i1: wp.int32, team: wp.uint64) -> real: ...
+
+    @wp.func_native(code("beyond"))
+    def beyond(
+        bodies: wp.array(dtype=vec4),
+        predicted: wp.array(dtype=vec4),
+        b0: wp.int32,
+        b1: wp.int32,
+        fall: real,
+        team: wp.uint64,
+    ) -> real: ...
 
     @wp.func_native(code("conjugate"))
     def conjugate(
@@ -152,6 +163,7 @@ def range_functions(dtype: str) -> SimpleNamespace:
     return SimpleNamespace(
         restore=restore,
         squares=squares,
+        beyond=beyond,
         conjugate=conjugate,
         along=along,
         onward=onward,

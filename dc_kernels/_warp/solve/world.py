@@ -42,7 +42,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     sweep_lanes, apply_lanes, natural_map_lanes = lanes.sweep, lanes.apply, lanes.natural_map
     extrapolate_lanes, move_on, moving_lanes = lanes.extrapolate, lanes.move_on, lanes.moving
     lacking_lanes, lacking_row = lanes.lacking, row.lacking_row
-    restore = range_functions(dtype).restore
+    restore, beyond = range_functions(dtype).restore, range_functions(dtype).beyond
     bound_lanes, forget_rolling = lanes.bound, lanes.forget_rolling
     jointed, own, surfaced = variant in JOINTED, variant in OWN, variant in SURFACED
     one, TOO_FAR, TOO_MUCH = real(1.0), real(FAR), real(APART)
@@ -268,6 +268,10 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     def is_still(span: Span, config: t.Config, motion: t.Motion, rows: t.Rows):
         """1 where the last sweep has moved at most one row in MOVING, and none far: see ``SolverConfig.stop``."""
         share = config.motion_share
+        least = real(0.0)
+        if config.motion_mean > least:
+            mean = beyond(motion.solved, motion.predicted, span.first_body, span.last_body, span.fall, span.team)
+            least = config.motion_mean * mean
         if has_lanes() == 1:  # nothing is written, so rows of the serial colour may stand side by side too
             count = moving_lanes(
                 rows.column,
@@ -275,17 +279,15 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                 motion.solved,
                 motion.predicted,
                 rows.change,
-                span.first,
-                span.last,
-                span.still,
+                span,
                 share,
-                span.fall,
+                least,
             )
         else:
             count = int(0)
             for k in range(span.first * N_LANES, span.last * N_LANES):
                 if count < LED_ASTRAY:
-                    here = moving_row(k / N_LANES, k % N_LANES, rows, motion, span, share)
+                    here = moving_row(k / N_LANES, k % N_LANES, rows, motion, span, share, least)
                     count = wp.where(here == LED_ASTRAY, here, count + here)
         done = wp.where(count <= 0, 1, 0)
         if wp.static(own):

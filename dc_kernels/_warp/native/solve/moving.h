@@ -1,13 +1,14 @@
-// MOVING times the rows of the blocks b0 .. b1 that the last sweep still moved, less all rows that can move; ASTRAY
-// where it moved one by FAR times as much. Moved is a row whose speed it changed by more than still + share times what
-// the impulses of the step have changed the velocity of the faster body by, beyond fall. Parameters: columns, row_body,
-// bodies, predicted, change, b0, b1, still, share, fall. Stands behind prelude.h, bodies.h.
+// MOVING times the rows of a world that the last sweep still moved, less all rows that can move; ASTRAY where it moved
+// one by FAR times as much. Moved is a row whose speed it changed by more than span.still + share times what the
+// impulses of the step have changed the velocity of the faster body by, beyond span.fall, or than span.still + least
+// where that is more. Parameters: columns, row_body, bodies, predicted, change, span, share, least. Stands behind
+// prelude.h, bodies.h.
 #if defined(__CUDA_ARCH__)
 return 0;  // a GPU counts row by row
 #else
 const Real* const before = (const Real*)predicted.data;
 int count = 0;
-for (int b = b0; b < b1; ++b) {
+for (int b = span.first; b < span.last; ++b) {
     const int* const index = row_body.data + (size_t)b * 2 * LANES;
     const Real* const block = columns.data + (size_t)b * COLUMNS * LANES;
     const Real* const d = change.data + (size_t)b * 2 * LANES;
@@ -17,7 +18,7 @@ for (int b = b0; b < b1; ++b) {
         return larger(magnitude(now.x - then.x), magnitude(now.y - then.y));
     };
     const Vector given = larger(pushed(index), pushed(index + LANES));
-    const Vector limit = still + share * larger(given - fall, zero);
+    const Vector limit = span.still + larger(share * (given - span.fall), zero + least);
     const Vector dn = magnitude(load(d)), dt = magnitude(load(d + LANES));
     const Vector n = limit * en, t = limit * et;
     // NaN is moved, and far
