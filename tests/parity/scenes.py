@@ -192,6 +192,24 @@ def crowd(builder: dc.ModelBuilder, seed: int = 0, count: int = 40) -> None:
                 builder.add_disc(body, 0.4 * size, center=draw.normal(0, 0.3, 2), mask=0xFFFFFFFF ^ draw.integers(4))
 
 
+def carried(builder: dc.ModelBuilder) -> None:
+    """Polygons and discs in a chain that a kinematic body carries, and in one that falls; both come last."""
+    builder.add_world(length_scale=0.5)
+    for i in range(8):
+        body = builder.add_body(
+            (0.5 * (i % 4) - 0.8 + 4.0 * (i // 4), 0.6 + 0.3 * (i % 3)), 0.4 * i, (0.3 * i, -1.0), 0.5 * i
+        )
+        if i % 3:
+            builder.add_box(body, 0.2, 0.15, radius=0.02 * (i % 2))
+        else:
+            builder.add_disc(body, 0.2)
+    turn = np.linspace(0, -np.pi, 9)
+    bowl = 1.3 * np.stack([np.cos(turn), np.sin(turn)], axis=1) + (0.0, 0.8)
+    lift = builder.add_body(velocity=(0.3, 0.2), angular_velocity=0.2, type=dc.BodyType.KINEMATIC)
+    builder.add_chain(lift, bowl)
+    builder.add_chain(builder.add_body((4.0, 0.0), mass=2.0), bowl)
+
+
 def simulation(scene: Callable[[dc.ModelBuilder], None], dtype: str, backend: str, **options: Any) -> dc.Simulation:
     builder = dc.ModelBuilder()
     scene(builder)

@@ -26,6 +26,7 @@ from tests.parity.scenes import (
     SCRATCH,
     bounce,
     boxes,
+    carried,
     crowd,
     discs,
     frozen,
@@ -44,7 +45,7 @@ PORTED = tuple(stage for stage in STEP if has_kernels("taichi", stage.file))
 
 def many(builder: dc.ModelBuilder) -> None:
     """All kinds of worlds in one simulation."""
-    for scene in (mixed, boxes, pendulum, bounce, kinematic, worlds):
+    for scene in (mixed, boxes, pendulum, bounce, kinematic, worlds, carried):
         scene(builder)
     for seed in range(4):
         crowd(builder, seed)
