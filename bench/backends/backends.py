@@ -7,6 +7,9 @@ oracle's where it ends within seconds and else Warp's.
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
 import statistics
 import tempfile
 from collections.abc import Sequence
@@ -38,6 +41,7 @@ RATIOS = {
 STARTS = ("cold_s", "warm_s")
 KEYS = (*RATIOS, "threads_ratio", "rows_filled", "bits_equal", *STARTS)
 THREADS = 2
+KEPT = "DEEP_CONTACT_BENCH_FOLDER"
 COMPILERS = ("taichi", "quadrants")
 LEFT_OUT = ("quadrants",)  # of the quick form: loading its kernels too takes longer than that may
 NAMES = {"warp": "Warp", "taichi": "Taichi", "quadrants": "Quadrants", "numpy": "numpy", "peer": "torch, SciPy"}
@@ -133,10 +137,13 @@ def measure_case(number: int, workers: dict[str, Worker], rounds: int, folder: P
 def save_scenes(folder: Path, cases: Sequence[Case]) -> None:
     """Write a snapshot of each scene in both scalars, which all engines start from."""
     for what in dict.fromkeys(case.what for case in cases if case.kind in ("step", "stages", "sweep")):
+        narrow, wide = (jobs.snapshot(folder, what, dtype) for dtype in ("float32", "float64"))
+        if wide.exists():
+            continue  # of a run that was cut short
         timing.progress(f"settling: {what}")
-        narrow = jobs.snapshot(folder, what, "float32")
         jobs.settle(what).save(narrow)
-        widen(narrow, jobs.snapshot(folder, what, "float64"))
+        widen(narrow, wide.with_suffix(".part"))
+        wide.with_suffix(".part").rename(wide)
 
 
 def widen(narrow: Path, wide: Path) -> None:
@@ -184,20 +191,32 @@ def version_of(package: str) -> str | None:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """All rows of the table, and the keys from them."""
+    """All rows of the table, and the keys from them.
+
+    Where the environment variable ``KEPT`` names a folder, scenes and the rows of each case are kept there, and those
+    that are there already are not measured again: a run that was cut short goes on.
+    """
     cases = [case for case in CASES if case.quick or not quick]
     rows: list[Row] = []
-    with tempfile.TemporaryDirectory(prefix="deep-contact-backends-") as name:
-        folder = Path(name)
-        save_scenes(folder, cases)
-        engines = [engine for engine in ENGINES if engine not in (LEFT_OUT if quick else ())]
+    with contextlib.ExitStack() as stack:
+        kept = os.environ.get(KEPT)
+        folder = Path(kept or stack.enter_context(tempfile.TemporaryDirectory(prefix="deep-contact-backends-")))
+        folder.mkdir(parents=True, exist_ok=True)
+        files = {case: folder / f"rows_{CASES.index(case)}_{'quick' if quick else 'full'}.json" for case in cases}
+        missing = [case for case in cases if not files[case].exists()]
+        save_scenes(folder, missing)
+        engines = [engine for engine in ENGINES if engine not in (LEFT_OUT if quick else ()) and missing]
         workers = {engine: Worker(engine, folder) for engine in engines}
         try:
-            for case in cases:
-                rows += measure_case(CASES.index(case), workers, ROUNDS_QUICK if quick else ROUNDS, folder)
+            for case in missing:
+                found = measure_case(CASES.index(case), workers, ROUNDS_QUICK if quick else ROUNDS, folder)
+                files[case].with_suffix(".part").write_text(json.dumps(found), encoding="utf-8")
+                files[case].with_suffix(".part").rename(files[case])
         finally:
             for worker in workers.values():
                 worker.close()
+        for file in files.values():
+            rows += json.loads(file.read_text(encoding="utf-8"))
     return {**summary(rows), **starts(quick), "rows": rows, "compilers": {c: version_of(c) for c in COMPILERS}}
 
 

@@ -134,3 +134,33 @@ def test_a_process_that_ends_leaves_cells_empty(tmp_path: Path):
     gone.close()
     gone.ask(do="time")
     assert gone.answer() == {"error": "the process ended with 0"}
+
+
+def test_a_run_that_was_cut_short_goes_on(tmp_path, monkeypatch):
+    made = []
+
+    def measured(number: int, workers: dict[str, Any], rounds: int, folder: Path) -> list[backends.Row]:
+        if len(made) == 3:
+            raise KeyboardInterrupt
+        made.append(number)
+        return invented()[:1]
+
+    monkeypatch.setenv(backends.KEPT, str(tmp_path / "kept"))
+    monkeypatch.setattr(backends, "save_scenes", lambda folder, missing: None)
+    monkeypatch.setattr(backends, "starts", lambda quick: {})
+    monkeypatch.setattr(backends, "Worker", lambda engine, folder: io.BytesIO())
+    monkeypatch.setattr(backends, "measure_case", measured)
+    with pytest.raises(KeyboardInterrupt):
+        backends.measure(True)
+    first = made.copy()
+    made.clear()
+    with pytest.raises(KeyboardInterrupt):
+        backends.measure(True)
+    assert len(first) == len(made) == 3 and not set(first) & set(made)
+    while len(made) == 3:
+        made.clear()
+        try:
+            rows = backends.measure(True)["rows"]
+        except KeyboardInterrupt:
+            continue
+    assert rows == invented()[:1] * sum(case.quick for case in jobs.CASES)
