@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from dc_kernels.collide.switches import switch_kernels
 from dc_kernels.events.lists import event_kernels
-from dc_kernels.model.arrays import Model
+from dc_kernels.model.arrays import Fielded, Model
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.solve.joints import are_rods, joint_kernels
 from dc_kernels.solve.rows import has_traits, only_centred_discs, variant_of
-from dc_kernels.stages import kernel_table
+from dc_kernels.stages import files_of, kernel_table
 
 
 class Choice(NamedTuple):
@@ -27,6 +31,44 @@ class Choice(NamedTuple):
     """All by name."""
 
 
+@dataclass(frozen=True)
+class Planned:
+    """Fields of a model and its joints as they are to be."""
+
+    given: Mapping[str, np.ndarray]
+    """Arrays by name."""
+    others: Callable[[str], np.ndarray]
+    """Gives the array of another field."""
+
+    def numpy(self, name: str) -> np.ndarray:
+        """The array of a field."""
+        return self.given[name] if name in self.given else self.others(name)
+
+
+class Need(NamedTuple):
+    """What the kernels of a scene depend on beside its settings; see ``Choice``."""
+
+    only_discs: bool
+    variant: str
+    added: tuple[str, ...]
+
+
+def need_of(model: Fielded, joints: Fielded, config: SolverConfig, specialize: bool) -> Need:
+    """What the kernels that a scene needs depend on; see ``choose_kernels``."""
+    rods, found = are_rods(joints), only_centred_discs(model)
+    added = (*joint_kernels(joints, rods), *event_kernels(model, config), *switch_kernels(model, config))
+    return Need(found, variant_of(model, found and specialize, rods), added)
+
+
+def check_kernels(model: Fielded, joints: Fielded, config: SolverConfig, specialize: bool, backend: str) -> None:
+    """Raise ValueError for a scene that a backend, or the method of the settings, has no kernels for; none is made.
+
+    A scene is refused for one of its shapes or joints, whatever else is there, so that what comes is held to it alone.
+    """
+    _, variant, added = need_of(model, joints, config, specialize)
+    files_of(backend, variant, sleep=config.sleep, added=added, soft=config.soft)
+
+
 def choose_kernels(model: Model, joints: Joints, config: SolverConfig, specialize: bool) -> Choice:
     """The kernels that a scene and its settings need.
 
@@ -36,9 +78,7 @@ def choose_kernels(model: Model, joints: Joints, config: SolverConfig, specializ
         config: settings of the solver.
         specialize: whether scenes of discs have kernels of their own.
     """
-    rods, found = are_rods(joints), only_centred_discs(model)
-    variant = variant_of(model, found and specialize, rods)
-    added = (*joint_kernels(joints, rods), *event_kernels(model, config), *switch_kernels(model, config))
+    found, variant, added = need_of(model, joints, config, specialize)
     table = kernel_table(
         model.backend,
         model.dtype.name,

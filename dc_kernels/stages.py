@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from typing import Any, Literal, NamedTuple
 
 from dc_kernels.model.enums import Activity
-from dc_kernels.runtime.backends import has_kernels, kernel_file, make_kernels
+from dc_kernels.runtime.backends import has_kernels, kernel_factory, kernel_file, make_kernels
 from dc_kernels.runtime.capture import recording
 from dc_kernels.solve.rows import COLUMNS, OWN
 
@@ -321,6 +321,36 @@ def markdown(stages: Sequence[Stage] = STEP) -> str:
     return "\n".join(rows)
 
 
+def files_of(
+    backend: str, variant: str, *, sleep: bool = False, added: Collection[str] = (), soft: bool = False
+) -> dict[str, tuple[str, ...]]:
+    """The files of the kernels of a simulation, and what those of each are made for; no kernel is made.
+
+    Args:
+        backend: see ``kernel_table``.
+        variant: see ``kernel_table``.
+        sleep: whether bodies may sleep.
+        added: kernels of ``LINKED``, ``EVENTS`` and ``SWITCHED`` that the scene needs.
+        soft: whether the method is "tgs_soft".
+
+    Raises:
+        ValueError: where a backend has not got the kernels, naming those that have; where the method has none.
+    """
+    if variant not in variants_of(backend):
+        having = [name for name in ("warp", "numpy") if variant in variants_of(name)]  # which need no extra
+        raise ValueError(f"backend is {backend!r}, which has no rows of {WORDS[variant]}; it must be one of {having}")
+    if soft and variant in OWN:
+        raise ValueError(f"SolverConfig.method is 'tgs_soft', which has no rows of {WORDS[variant]}; use another one")
+    more = (*(SLEEP if sleep else ()), *(SOFT if soft else ()))
+    more += tuple(stage for stage in (*LINKED, *EVENTS, *SWITCHED) if stage.kernel in added)
+    files = {stage.file: stage.options for stage in (*STEP, *more)}
+    for file in files:
+        if file in LACKING and not has_kernels(backend, file):
+            raise ValueError(f"backend is {backend!r}, which has no {LACKING[file]}; use 'warp' or 'numpy'")
+        kernel_factory(backend, file)
+    return files
+
+
 def kernel_table(
     backend: str,
     dtype: str,
@@ -345,19 +375,10 @@ def kernel_table(
         soft: whether the method is "tgs_soft".
 
     Raises:
-        ValueError: where a backend has not got the kernels, naming those that have.
+        ValueError: see ``files_of``.
     """
-    if variant not in variants_of(backend):
-        having = [name for name in ("warp", "numpy") if variant in variants_of(name)]  # which need no extra
-        raise ValueError(f"backend is {backend!r}, which has no rows of {WORDS[variant]}; it must be one of {having}")
     options = {"variant": variant, "only_discs": only_discs, "traits": traits}
-    if soft and variant in OWN:
-        raise ValueError(f"SolverConfig.method is 'tgs_soft', which has no rows of {WORDS[variant]}; use another one")
     table: dict[str, Any] = {}
-    more = (*(SLEEP if sleep else ()), *(SOFT if soft else ()))
-    more += tuple(stage for stage in (*LINKED, *EVENTS, *SWITCHED) if stage.kernel in added)
-    for file, names in {stage.file: stage.options for stage in (*STEP, *more)}.items():
-        if file in LACKING and not has_kernels(backend, file):
-            raise ValueError(f"backend is {backend!r}, which has no {LACKING[file]}; use 'warp' or 'numpy'")
+    for file, names in files_of(backend, variant, sleep=sleep, added=added, soft=soft).items():
         table.update(make_kernels(backend, file, dtype, *(options[name] for name in names)))
     return table

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup, Contacts, Model
+from dc_kernels.model.arrays import ArrayGroup, Contacts, Fielded, Model
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.enums import ShapeRole
 from dc_kernels.model.groups import SWITCHES
@@ -38,13 +38,13 @@ class Switches(ArrayGroup):
     table = SWITCHES
 
 
-def has_ways(model: Model) -> bool:
+def has_ways(model: Fielded) -> bool:
     """Whether a shape is one-way, or a segment of a one-sided chain."""
     role = model.numpy("shape_role")
     return bool(np.isin(role, (ShapeRole.ONE_WAY, ShapeRole.ONE_SIDED)).any())
 
 
-def switch_kernels(model: Model, config: SolverConfig) -> tuple[str, ...]:
+def switch_kernels(model: Fielded, config: SolverConfig) -> tuple[str, ...]:
     """Kernels that a scene and its settings need beside those of a step (``stages.SWITCHED``)."""
     return SCREENING if config.contact_switches or has_ways(model) else ()
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.choice import choose_kernels
 from dc_kernels.model.arrays import Model, State
 from dc_kernels.model.assemble import World, as_scalar
 from dc_kernels.model.builder import ModelBuilder
@@ -153,12 +152,6 @@ class Additions(ModelBuilder):
         known, ids = (np.array(list(part), np.int64) for part in (self._known, self._known.values()))
         owner = self._shapes.collect()[:, 0]
         return Fragment(fields, known, ids, world, np.argsort(owner, kind="stable"))
-
-    def check_kernels(self) -> None:
-        """Raise ValueError for what the simulation's backend has no kernels for, before anything is changed."""
-        sim = self.sim
-        model, _, joints = super().finalize(sim.dtype, backend=sim.backend)
-        choose_kernels(model, joints, sim.config, sim.specialize)
 
     def _is_doubtful(self, exact: dict[str, np.ndarray], fields: dict[str, np.ndarray]) -> bool:
         """Whether a number is none, or too large or too small, as the simulation's scalar."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dc_kernels.choice import Planned, check_kernels
 from dc_kernels.model.arrays import ArrayGroup, Model, to_numpy
 from dc_kernels.model.assemble import Geometry
 from dc_kernels.model.checks import check_values
@@ -71,6 +72,9 @@ def change(sim: Simulation, values: Mapping[str, Any]) -> None:
     with contextlib.ExitStack() as calls:
         for user in users:
             calls.enter_context(user.calls)
+        planned = Planned(given, lambda name: (model if name in MODEL else joints).numpy(name))
+        for user in users:
+            check_kernels(planned, planned, user.config, user.specialize, user.backend)
         if any(user.phase != "advance" for user in users):
             raise ValueError(
                 "change_model() in the middle of a step: finish it with solve() and advance(), or take a step"

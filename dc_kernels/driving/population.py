@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dc_kernels.choice import Planned, check_kernels
 from dc_kernels.driving.additions import Added, Additions, Fragment
 from dc_kernels.driving.changes import recolor
 from dc_kernels.driving.ids import ATTIC, EMPTY
@@ -30,8 +31,7 @@ if TYPE_CHECKING:
 BODY = tuple(name for name, field in MODEL.items() if TRAITS.get(field.per, field.per) == "body")
 SHAPE = tuple(name for name, field in MODEL.items() if TRAITS.get(field.per, field.per) == "shape")
 POSE = tuple(name for name, field in STATE.items() if field.per == "body")
-COMPLETE = ("warp", "numpy")
-"""Backends that have all kernels."""
+LINKS = tuple(name for name, field in JOINTS.items() if field.per == "joint")
 ENDS = ("joint_body_a", "joint_body_b")
 RESERVE = 'reserve more before, or make the simulation with on_overflow="grow"'
 SEEN = ("position", "angle", "force", "torque")
@@ -66,8 +66,8 @@ def add(sim: Simulation, additions: Additions) -> Added:
         raise ValueError("the additions were made for another simulation")
     fragment = additions.collect()
     given, known, world = fragment.fields, fragment.known, fragment.world
-    if sim.backend not in COMPLETE:
-        additions.check_kernels()
+    planned = Planned(given, lambda name: np.zeros(len(world["joint"]) if name in LINKS else 0))
+    check_kernels(planned, planned, sim.config, sim.specialize, sim.backend)
     now = sim.model.numpy("body_type")[sim.ids.find("body", fragment.known_ids)]
     if (now != given["body_type"][known]).any():
         i = int((now != given["body_type"][known]).argmax())
@@ -101,7 +101,7 @@ def add(sim: Simulation, additions: Additions) -> Added:
         joint_ids = sim.ids.take("joint", len(world["joint"]))
         _see(sim, come)
         if len(joint_ids):
-            fields = {name: given[name] for name, field in JOINTS.items() if field.per == "joint" and name in given}
+            fields = {name: given[name] for name in LINKS if name in given}
             fields |= {name: bodies[fields[name]] for name in ENDS}
             relink(sim, None, NewJoints(fields, world["joint"], joint_ids))
             recolor(sim, np.unique(world["joint"]), np.zeros(0, np.int64))

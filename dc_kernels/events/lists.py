@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup, Model, to_numpy
+from dc_kernels.model.arrays import ArrayGroup, Fielded, Model, to_numpy
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.enums import ShapeRole
 from dc_kernels.model.groups import LISTS, OVERLAPS, TOUCHES
@@ -164,12 +164,12 @@ def roles_of(model: Model) -> np.ndarray:
     return roles if len(roles) else np.zeros(model.shape_count, np.int32)
 
 
-def has_sensors(model: Model) -> bool:
+def has_sensors(model: Fielded) -> bool:
     """Whether a shape is a sensor."""
     return bool((model.numpy("shape_role") == ShapeRole.SENSOR).any())
 
 
-def event_kernels(model: Model, config: SolverConfig) -> tuple[str, ...]:
+def event_kernels(model: Fielded, config: SolverConfig) -> tuple[str, ...]:
     """Kernels that a scene and its settings need beside those of a step (``stages.EVENTS``)."""
     return (*(SENSING if has_sensors(model) else ()), *(NOTING if config.contact_events else ()))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from weakref import WeakSet
 
 import numpy as np
@@ -77,6 +77,13 @@ def kernel_vectors(array: np.ndarray, backend: str) -> Any:
 def uniform(values: np.ndarray) -> float:
     """The value that all have in common, -1 if they differ."""
     return float(values[0]) if len(values) and (values == values[0]).all() else -1.0
+
+
+class Fielded(Protocol):
+    """What has fields as numpy arrays: a group of arrays, or what is to be written to one."""
+
+    def numpy(self, name: str) -> np.ndarray:
+        """The array of a field."""
 
 
 class ArrayGroup:

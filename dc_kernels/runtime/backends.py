@@ -122,6 +122,19 @@ def has_kernels(backend: str, path: str, factory: str | None = None) -> bool:
     return found and (factory is None or hasattr(kernel_file(backend, path), factory))
 
 
+def kernel_factory(backend: str, path: str, factory: str = "kernels") -> Callable[..., dict[str, Any]]:
+    """The function of a file that makes kernels (see ``kernel_file``).
+
+    Raises:
+        ValueError: for a backend that has not got it, naming those that have.
+    """
+    make = getattr(kernel_file(backend, path), factory, None)
+    if make is None:
+        having = tuple(name for name in BACKENDS if has_kernels(name, path, factory))
+        raise ValueError(f"backend is {backend!r}, which has no {factory} of {path}; it must be one of {having}")
+    return make
+
+
 def make_kernels(backend: str, path: str, *options: Any, factory: str = "kernels") -> dict[str, Any]:
     """The kernels of a file by name (see ``kernel_file``); one thread at a time defines those of Warp.
 
@@ -136,10 +149,7 @@ def make_kernels(backend: str, path: str, *options: Any, factory: str = "kernels
     """
     key = (backend, path, factory, *options)
     if key not in _made:
-        make = getattr(kernel_file(backend, path), factory, None)
-        if make is None:
-            having = tuple(name for name in BACKENDS if has_kernels(name, path, factory))
-            raise ValueError(f"backend is {backend!r}, which has no {factory} of {path}; it must be one of {having}")
+        make = kernel_factory(backend, path, factory)
         with building() if BACKENDS[backend].compiled else contextlib.nullcontext():
             _made[key] = make(*options)
     return _made[key]

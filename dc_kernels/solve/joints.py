@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dc_kernels.model.arrays import Model
+from dc_kernels.model.arrays import Fielded, Model
 from dc_kernels.model.enums import BodyType, JointKind, JointPart
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.model.joints.groups import HELD, Joints
@@ -28,7 +28,7 @@ LASTING = 0.99 * UNBOUNDED
 """A break force from which a joint lasts, whatever the scalar type rounds it to [N]."""
 
 
-def are_rods(joints: Joints) -> bool:
+def are_rods(joints: Fielded) -> bool:
     """Whether all joints are rods that never break and let their bodies collide, which are packed as they are made."""
     kind, parts = joints.numpy("joint_kind"), joints.numpy("joint_parts")
     rigid = (kind == JointKind.DISTANCE) & (parts == JointPart.HOLD) & (joints.numpy("joint_frequency") == 0)
@@ -37,14 +37,14 @@ def are_rods(joints: Joints) -> bool:
     return bool((rigid & plain).all())
 
 
-def joint_kernels(joints: Joints, rods: bool) -> tuple[str, ...]:
+def joint_kernels(joints: Fielded, rods: bool) -> tuple[str, ...]:
     """Kernels that the joints of a scene need beside those of a step; none where all are rods.
 
     Args:
         joints: of the scene.
         rods: whether they are packed as rods (``are_rods``).
     """
-    if rods or not joints.sizes["joint"]:
+    if rods or not len(joints.numpy("joint_kind")):
         return ()
     names = ["make_joint_rows"]
     if joints.numpy("joint_break_force").min() < LASTING:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dc_kernels.model.arrays import Model
+from dc_kernels.model.arrays import Fielded, Model
 from dc_kernels.model.enums import BodyType, ShapeRole, ShapeType
 from dc_kernels.model.fields import COLORS
 
@@ -59,7 +59,7 @@ def read_column(columns: np.ndarray, variant: str, name: str, slot: np.ndarray) 
     return columns[(block * len(names) + names.index(name)) * LANES + lane]
 
 
-def only_centred_discs(model: Model) -> bool:
+def only_centred_discs(model: Fielded) -> bool:
     """Whether all that moves are discs about their centre of mass; sensors do not count, as none has contacts."""
     moving = (model.numpy("body_type") != BodyType.STATIC)[model.numpy("shape_body")]
     if len(role := model.numpy("shape_role")):
@@ -74,7 +74,7 @@ def has_traits(model: Model) -> bool:
     return bool(damped or (model.numpy("gravity_scale") != 1).any())
 
 
-def variant_of(model: Model, only_discs: bool, rods: bool = True) -> str:
+def variant_of(model: Fielded, only_discs: bool, rods: bool = True) -> str:
     """The variant of rows that a scene needs, a key of ``COLUMNS``.
 
     Args:
@@ -88,6 +88,6 @@ def variant_of(model: Model, only_discs: bool, rods: bool = True) -> str:
     """
     if model.numpy("shape_surface_speed").any() or model.numpy("shape_rolling_resistance").any():
         return "surfaces"
-    if model.joint_count:
+    if model.numpy("joint_start")[-1]:
         return "joints" if rods else "rows"
     return "discs" if only_discs else "general"
