@@ -9,13 +9,13 @@ import numpy as np
 from dc_kernels.model.arrays import Model, State
 from dc_kernels.model.assemble import World, as_scalar
 from dc_kernels.model.builder import ModelBuilder
+from dc_kernels.model.checks import whole
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import MODEL, TRAITS
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.rules import INVERSE
 from dc_kernels.model.settings import shown
 from dc_kernels.model.validate.geometry import check_geometry
-from dc_kernels.runtime.inputs import check_whole
 
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
@@ -33,6 +33,8 @@ class Added(NamedTuple):
     """(m,) int64."""
     joints: np.ndarray
     """(k,) int64."""
+    new_bodies: np.ndarray
+    """(n - existing,) int64; ``bodies`` without those that were there before: what ``remove`` takes away again."""
 
 
 class Fragment(NamedTuple):
@@ -93,8 +95,8 @@ class Additions(ModelBuilder):
             TypeError, ValueError: for what is no index of a world.
         """
         model = self.sim.model
-        index = check_whole("world", world)
-        if not index < model.world_count:
+        index = whole("world", world)
+        if not 0 <= index < model.world_count:
             raise ValueError(f"world is {shown(index)}; it must lie in [0, {model.world_count - 1}]")
         if self._targets and self._targets[-1] == index:
             return
@@ -112,9 +114,9 @@ class Additions(ModelBuilder):
         Raises:
             TypeError, ValueError: for what is no id of a body of that world.
         """
-        sim, where = self.sim, f"body {self._bodies.count}"
+        sim, where = self.sim, f"existing body {shown(body)}"
         self._need_world(where)
-        at = int(sim.index(bodies=check_whole("body", body))[0])
+        at = int(sim.index(bodies=whole("body", body))[0])
         first, last = sim.model.numpy("body_start")[self._targets[-1] : self._targets[-1] + 2].tolist()
         if not first <= at < last:
             raise ValueError(f"body {body} is not of world {self._targets[-1]}, to which the additions go")
@@ -133,6 +135,10 @@ class Additions(ModelBuilder):
             self._indices[at] = index
             self._centers[index] = com
         return self._indices[at]
+
+    def _need_world(self, where: str) -> None:
+        if not self._targets:
+            raise ValueError(f"{where} has no world: call to_world first, or sim.additions(world)")
 
     def collect(self) -> Fragment:
         """All additions as arrays.

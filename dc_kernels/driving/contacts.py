@@ -173,7 +173,8 @@ class ContactEvents:
 
     A pair begins to touch when one of its contacts presses or overlaps, and ceases to when it has no contact any more:
     what lies still does not flicker. A look after each step misses nothing; what comes and goes between two looks is
-    not seen. A world that is reset ceases and begins anew; pairs of one that has stopped stay.
+    not seen. Shapes are told by their ids: of what was removed nothing ends, and what takes its slot begins. A world
+    that is reset ceases and begins anew; pairs of one that has stopped stay.
 
     Attributes:
         sim: whose contacts are looked at.
@@ -188,6 +189,7 @@ class ContactEvents:
         self.sim = sim
         nothing = np.zeros(0, np.int64)
         self._ids, self._impulse = nothing, np.zeros(0)
+        self._named = self._names()
         self._start = sim.model.numpy("shape_start").copy()
         self.begun = self.ended = self.touching = self._touches(nothing, self._impulse)
         self.update()
@@ -226,15 +228,23 @@ class ContactEvents:
         ids, impulses = np.concatenate([pair, self._ids[kept]]), np.concatenate([impulse, self._impulse[kept]])
         order = np.argsort(ids)
         self._ids, self._impulse = ids[order], impulses[order]
+        self._named = self._names()
         self.touching = self._touches(self._ids, self._impulse)
 
     def _follow(self) -> None:
-        """Know shapes by the numbers that they have now, where worlds before theirs have been given more slots."""
+        """Know shapes by the numbers that they have now, and forget pairs of those that are no more."""
         start = self.sim.model.numpy("shape_start")
         if not np.array_equal(start, self._start):
             world = np.searchsorted(self._start, self._ids >> 32, "right") - 1
             shift = (start - self._start)[world].astype(np.int64)
             self._ids, self._start = self._ids + (shift << 32 | shift), start.copy()
+        stays = (self._names() == self._named).all(axis=0)
+        self._ids, self._impulse = self._ids[stays], self._impulse[stays]
+
+    def _names(self) -> np.ndarray:
+        """Ids of the shapes of the pairs, (2, n), which what comes in the slot of another one does not share."""
+        shapes, given = np.stack([self._ids >> 32, self._ids & (2**32 - 1)]), getattr(self.sim, "given_ids", None)
+        return shapes if given is None else given.numpy("shape_id")[shapes]
 
     def _touches(self, pairs: np.ndarray, impulse: np.ndarray) -> Touches:
         a, b, body = pairs >> 32, pairs & (2**32 - 1), self.sim.model.numpy("shape_body")

@@ -86,7 +86,8 @@ class Ids(ArrayGroup):
             i = int(bad.argmax())
             following = int(self.numpy("next_id")[KINDS.index(kind)])
             gone = 0 <= wanted[i] < following
-            why = "which has been removed" if gone else f"which has never been; ids lie in [0, {following - 1}]"
+            there = f"ids lie in [0, {following - 1}]" if following else f"no {kind} has"
+            why = "which has been removed" if gone else f"which has never been; {there}"
             raise ValueError(f"{name}[{i}] is the id {wanted[i]}, {why}")
         if once and len(np.unique(wanted)) < len(wanted):
             order = np.argsort(wanted, kind="stable")

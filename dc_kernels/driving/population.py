@@ -113,7 +113,7 @@ def add(sim: Simulation, additions: Additions) -> Added:
                 touched[given[name]] = True
             roused = sim.ids.find("body", body_ids[touched & ~new])
             _rouse(sim, roused, np.unique(np.concatenate(list(world.values()))))
-    return Added(body_ids, shape_ids, joint_ids)
+    return Added(body_ids, shape_ids, joint_ids, body_ids[new])
 
 
 def remove(sim: Simulation, bodies: Any, shapes: Any, joints: Any) -> None:

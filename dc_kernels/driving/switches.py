@@ -12,7 +12,7 @@ from dc_kernels.model.arrays import ArrayGroup, to_numpy
 from dc_kernels.model.checks import check_values
 from dc_kernels.model.fields import CONTACTS, ROWS
 from dc_kernels.model.groups import SWITCHES
-from dc_kernels.model.rules import Number
+from dc_kernels.model.rules import Number, refuse
 from dc_kernels.model.settings import numeric
 from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.runtime.interop import host_view
@@ -84,4 +84,6 @@ def _given(sim: Simulation, name: str, values: Any, count: int) -> np.ndarray:
     array = numeric(name, host_view(name, values), f"a number, or {count} of them", "buif")
     if array.shape == ():
         array = np.full(count, array)
+    if name == "enabled":
+        refuse(name, array, (array != 0) & (array != 1), "in [0, 1], False or True")
     return check_values(name, array, (count,), dtype)

@@ -381,6 +381,8 @@ def test_errors_name_what_is_wrong():
         sim.change_contacts(friction=[0, 0, 0, -1.0, 0, 0])
     with pytest.raises(ValueError, match=r"enabled has shape \(2,\); it must be \(6,\)"):
         sim.change_contacts(enabled=[True, False])
+    with pytest.raises(ValueError, match=r"enabled\[0\] is nan; it must be in \[0, 1\], False or True"):
+        sim.change_contacts(enabled=np.nan)
     with pytest.raises(ValueError, match=r"enabled\[0\] is 2; it must be in \[0, 1\]"):
         sim.change_contacts(enabled=2)
     with pytest.raises(ValueError, match="no shape has a surface_speed or rolling_resistance; no contact"):

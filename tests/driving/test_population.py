@@ -477,6 +477,54 @@ def test_events_follow_their_shapes_where_worlds_grow():
     assert events.touching.shape_b.tolist() == sim.index(shapes=touching[1]).tolist()
 
 
+def test_what_takes_the_slot_of_another_shape_begins_to_touch_and_what_was_removed_ends_nothing():
+    sim = build(lambda b: b.add_discs([(0.0, 0.25), (1.0, 0.25)], 0.25))
+    sim.run(30, DT)
+    events = dc.ContactEvents(sim)
+    assert events.touching.body_b.tolist() == [1, 2]
+    sim.remove(bodies=1)
+    added = add(sim, lambda b: b.add_discs([(0.0, 0.249)], 0.25))
+    slot = sim.index(bodies=added.bodies).tolist()
+    assert slot == [1]
+    sim.run(1, DT)
+    events.update()
+    assert events.begun.body_b.tolist() == slot
+    assert events.ended.body_b.tolist() == []
+    assert events.touching.body_b.tolist() == [1, 2]
+    sim.remove(bodies=2)
+    events.update()
+    assert (events.begun.body_b.tolist(), events.ended.body_b.tolist()) == ([], [])
+    assert events.touching.body_b.tolist() == slot
+
+
+def test_what_was_added_is_taken_back_without_the_bodies_that_were_there():
+    sim = build(first)
+    more = sim.additions()
+    more.add_disc(more.existing(5), 0.1, center=(0.0, 0.4))
+    bob = more.add_discs([(0.0, 2.0)], 0.1)[0]
+    more.add_distance_joint(more.existing(0), bob)
+    added = sim.add(more)
+    assert (added.bodies.tolist(), added.new_bodies.tolist()) == ([5, 6, 0], [6])
+    sim.remove(bodies=added.new_bodies, shapes=added.shapes, joints=added.joints)
+    assert sorted(sim.ids.numpy("body_id")[sim.ids.numpy("body_id") >= 0]) == list(range(6))
+    assert sim.ids.numpy("shape_id").max() == 7
+    assert sim.joints.sizes["joint"] == 0
+
+
+def test_finite_numbers_in_empty_slots_mean_nothing():
+    sim = build(first)
+    sim.remove(bodies=1)
+    other = sim.clone()
+    empty = sim.ids.numpy("body_id") < 0
+    assert empty.sum() == 2
+    for name, value in (("position", 3.0), ("angle", 1.0), ("force", 7.0), ("velocity", 2.0)):
+        sim.state.numpy(name)[empty] = value
+    for one in (sim, other):
+        one.run(10, DT)
+    assert bits(sim, ~empty) == bits(other, ~empty)
+    assert (sim.state.flags.numpy() == 0).all()
+
+
 def test_sensors_come_and_go():
     sim = build(first)
     gate = add(sim, lambda b: b.add_box(b.add_body((0.5, 0.3), type=dc.BodyType.STATIC), 0.5, 0.5, sensor=True))
@@ -554,6 +602,13 @@ def test_what_lay_on_a_body_that_goes_wakes():
         (lambda sim: sim.add(dc.ModelBuilder()), TypeError, r"additions is .*it must be what sim.additions\(\) makes"),
         (lambda sim: sim.add(build(first).additions()), ValueError, "made for another simulation"),
         (lambda sim: sim.additions(1), ValueError, r"world is 1; it must lie in \[0, 0\]"),
+        (lambda sim: sim.additions(-1), ValueError, r"world is -1; it must lie in \[0, 0\]"),
+        (
+            lambda sim: build(first, worlds=2).additions().add_body(),
+            ValueError,
+            "body 0 has no world: call to_world first",
+        ),
+        (lambda sim: build(first, worlds=2).additions().existing(9), ValueError, "body 9 has no world: call to_world"),
         (lambda sim: sim.additions().add_world(), TypeError, "to_world"),
         (lambda sim: sim.additions().finalize(), TypeError, r"sim.add\(additions\)"),
         (lambda sim: sim.additions().existing(17), ValueError, r"bodies\[0\] is the id 17, which has never been"),
@@ -562,7 +617,7 @@ def test_what_lay_on_a_body_that_goes_wakes():
         (lambda sim: sim.remove(bodies=[1, 1]), ValueError, r"bodies\[1\] is the id 1, which is there already"),
         (lambda sim: sim.remove(bodies=1.5), TypeError, "bodies"),
         (lambda sim: sim.remove(bodies=-1), ValueError, r"bodies\[0\] is the id -1, which has never been"),
-        (lambda sim: sim.remove(joints=0), ValueError, r"joints\[0\] is the id 0, which has never been"),
+        (lambda sim: sim.remove(joints=0), ValueError, r"joints\[0\] is the id 0, .* no joint has$"),
         (lambda sim: sim.reserve(bodies=-1), ValueError, "bodies"),
         (lambda sim: sim.index(bodies=1, shapes=1), ValueError, "ids of bodies, of shapes, or of joints"),
         (lambda sim: (sim.collide(DT), sim.remove(bodies=1)), ValueError, r"remove\(\) in the middle of a step"),
