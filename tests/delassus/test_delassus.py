@@ -205,7 +205,7 @@ def test_pivots_are_exact(pile, stack):
 
 
 def test_patch_leaves_the_rest(pile):
-    near = solve(pile, "pgs", tolerance=1e-12, max_sweeps=50).impulses
+    near = solve(pile, "pgs", tolerance=1e-12, max_sweeps=5000).impulses  # all that is wrong then lies in the patch
     wrong = near.copy()
     worst = int(np.argmax(near[:, 0]))
     wrong[worst] *= 1.5
