@@ -94,7 +94,6 @@ ROWS: Mapping[str, Row] = {
     ),
     "contact_events": Row("pairs that touch, begin, end and hit, listed", config={"contact_events": True}),
     "contact_switches": Row("contacts that may be switched off", config={"contact_switches": True}),
-    "continuous": Row("every shape followed along its way, however slow", config={"continuous": 0.0}),
     "sleep": Row("sleep allowed, nobody asleep", config={"sleep": True, "sleep_time": 1e6}),
     "slots": Row("as many empty slots as bodies", slots=True),
     "history": Row("the change of every sweep kept", config={"history": True}),

@@ -168,13 +168,7 @@ class Narrowphase(InPlace):
         still[:, 3] = arrays.get("inv_mass", arrays["body_type"] == BodyType.DYNAMIC)
         motion = {"step_dt": np.zeros(worlds, dtype), "reach": np.full(worlds, self.reach, dtype), "predicted": still}
         slop = SolverConfig().slop
-        settings = {
-            "slop": slop,
-            "slack": SLACK * slop,
-            "continuous": SolverConfig().continuous,
-            "uniform_friction": -1.0,
-            "uniform_restitution": -1.0,
-        }
+        settings = {"slop": slop, "slack": SLACK * slop, "uniform_friction": -1.0, "uniform_restitution": -1.0}
         values = {
             "model": self.shapes.group(),
             "state": self._state,

@@ -156,10 +156,6 @@ class SolverConfig(Settings):
     speculative_max: NotNegative = 0.1
     """Where a body moves by more than ``speculative`` in a step, gaps up to what the fastest moves in a step are
     contacts, but none above this [length_scale]."""
-    continuous: NotNegative = 0.5
-    """A shape that moves by more than this share of its size in a step, or turns by 0.6 times as many radians, is
-    followed along its way: it meets what it comes to touch, along the normal and at the time at which it does, and
-    nothing that it misses. 0: every shape, however slow [1]."""
     margin: NotNegative = 0.1
     """Broadphase boxes are this much larger on each side, so that pairs last several steps [length_scale]."""
     restitution_threshold: NotNegative = 0.32

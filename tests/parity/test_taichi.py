@@ -40,7 +40,6 @@ from tests.parity.scenes import (
 
 pytest.importorskip("dc_kernels._taichi.runtime.compiler", exc_type=ImportError)
 DT = 0.01
-SLOW = 1e30  # of ``continuous``: Taichi meets fast hulls as slow ones
 PORTED = tuple(stage for stage in STEP if has_kernels("taichi", stage.file))
 
 
@@ -112,9 +111,7 @@ def difference(got: np.ndarray, want: np.ndarray) -> str:
 
 def started(scene: Callable[[dc.ModelBuilder], None], steps: int, dtype: str) -> dc.Simulation:
     """A simulation that has run for some steps, and has begun another."""
-    continuous = 0.0 if scene is frozen else SLOW  # discs are followed along their way
-    config = dc.SolverConfig(max_sweeps=12, tolerance=0.0, continuous=continuous)
-    sim = simulation(scene, dtype, "warp", config=config)
+    sim = simulation(scene, dtype, "warp", config=dc.SolverConfig(max_sweeps=12, tolerance=0.0))
     with np.errstate(all="ignore"):
         sim.run(steps, DT)
     sim.collide(1.5 * DT)  # another time step, and room for what follows
@@ -150,8 +147,7 @@ def test_each_stage_leaves_the_bits_of_warp(scene: str, dtype: str) -> None:
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_a_trajectory_has_the_bits_of_warp(dtype: str) -> None:
     """Phase by phase: with the kernels that the stages have; ``test_taichi_steps`` runs a step as one kernel."""
-    config = dc.SolverConfig(continuous=SLOW)
-    sims = [simulation(many, dtype, backend, config=config, contacts_per_body=0.3) for backend in ("warp", "taichi")]
+    sims = [simulation(many, dtype, backend, contacts_per_body=0.3) for backend in ("warp", "taichi")]
     for _ in range(200):
         for sim in sims:
             sim.collide(DT)
@@ -309,7 +305,7 @@ def test_drawn_scenes_have_the_bits_of_warp_and_the_numbers_of_the_oracle(
         crowd(builder, seed, count)
         discs(builder, 1 + seed % 3, 1 + count % 3)
 
-    config = dc.SolverConfig(max_sweeps=12, tolerance=0.0, continuous=SLOW)
+    config = dc.SolverConfig(max_sweeps=12, tolerance=0.0)
     warp, oracle = (simulation(scene, "float64", backend, config=config) for backend in ("warp", "numpy"))
     warp.run(steps, dt)
     oracle.run(steps, dt)

@@ -1,8 +1,7 @@
 """Where two shapes will meet: their manifold at the time at which the motion of the step closes the gap.
 
 Of the axes that part two shapes the motion closes one after the other, and they meet along the one that it closes last
-(conservative advancement, Mirtich 1996); two corners are nearest where the line of motion passes. What moves without
-turning misses what lies beside the strip that it sweeps (van den Bergen 2004).
+(conservative advancement, Mirtich 1996); two corners are nearest where the line of motion passes.
 """
 
 from __future__ import annotations
@@ -18,46 +17,15 @@ FAST = 0.1  # way in a step over the distance of two discs, below which an arc i
 HORIZON = 1.25  # steps to look ahead: what forces accelerate closes before its velocity says
 
 
-def disc_disc_moving(
-    pa: Array, ra: Any, pb: Array, rb: Any, w: Array, *, dt: Any, slop: Any, fast: Any, epsilon: float
-) -> Manifold:
-    """Two discs, of which B moves by w; where they pass each other the gap is what w may close of it.
-
-    Where the way is more than ``fast`` times the radii, they meet along the line of their centres at the time at which
-    they touch.
-    """
+def disc_disc_moving(pa: Array, ra: Any, pb: Array, rb: Any, w: Array, dt: Any, slop: Any, epsilon: float) -> Manifold:
+    """Two discs, of which B moves by w; where they pass each other the gap is what w may close of it."""
     m = disc_disc(pa, ra, pb, rb, epsilon)
     (point, gap, feature), d = m.points[0], pb - pa
     closing, radii = -dot(m.normal, w) * dt, ra + rb
     if slop < gap < closing and length(w) * dt > FAST * radii:
-        squared = dot(w, w)
-        when = dot(d, w) / squared
-        miss = dot(d - w * when, d - w * when)
-        hits, swift = miss < radii * radii, length(w) * dt > fast * radii
-        time = -when - np.sqrt((radii * radii - miss) / squared) if hits else dt
-        if hits and swift and time < dt:
-            m.moved = w * time
-            m.normal = (d + m.moved) / radii
-            m.points = [(pa + m.normal * ra, -dot(m.normal, m.moved), feature)]
-        elif swift or not hits:
+        if length(d - w * (dot(d, w) / dot(w, w))) >= radii:
             m.points = [(point, max(length(d + w * dt) - radii + closing, gap), feature)]
     return m
-
-
-def hull_hull_beside(a: Hull, b: Hull, m: Manifold, w: Array) -> Manifold:
-    """The manifold of two hulls in the frame of A; where B's way misses A, the plane along it that parts them."""
-    along = w / length(w)
-    across = np.array([-along[1], along[0]], w.dtype)
-    of_a, of_b = dot(a.vertices, across), dot(b.vertices, across)
-    i, j, gap = int(np.argmax(of_a)), int(np.argmin(of_b)), of_b.min() - of_a.max()
-    if of_a.min() - of_b.max() > gap:
-        i, j, gap, across = int(np.argmin(of_a)), int(np.argmax(of_b)), of_a.min() - of_b.max(), -across
-    gap = gap - a.radius - b.radius
-    if gap < 0:
-        return m
-    point = a.vertices[i] + across * (a.radius + 0.5 * gap)
-    moved = along * dot(along, a.vertices[i] - b.vertices[j])
-    return Manifold(across, [(point, gap, i << 8 | j)], corner=True, beside=True, moved=moved)
 
 
 def closing_time(gaps: Array, speeds: Array, overlap: Any, horizon: Any) -> Any:
@@ -105,38 +73,11 @@ def hull_disc_moving(
 
 
 def hull_hull_moving(
-    a: Hull,
-    b: Hull,
-    w: Array,
-    share: Any,
-    *,
-    swift: bool,
-    dt: Any,
-    reach: Any,
-    slack: Any,
-    overlap: Any,
-    epsilon: float,
+    a: Hull, b: Hull, w: Array, share: Any, *, dt: Any, reach: Any, slack: Any, overlap: Any, epsilon: float
 ) -> Manifold:
-    """Two hulls in the frame of A, of which B moves by w and does ``share`` of it [1].
-
-    Where they are ``swift`` and apart, they miss each other beside the strip that B sweeps.
-    """
+    """Two hulls in the frame of A, of which B moves by w and does ``share`` of it [1]."""
     m = hull_hull(a, b, reach, slack, overlap, epsilon)
-    if not m.points:
-        return m
-    swift = swift and m.least_gap > overlap
-    if m.beside or swift:
-        m = hull_hull_closing(a, b, m, w, share, dt=dt, slack=slack, overlap=overlap, epsilon=epsilon)
-    if swift and -dot(m.normal, w) * dt > m.least_gap + slack:
-        return hull_hull_beside(a, b, m, w)
-    return m
-
-
-def hull_hull_closing(
-    a: Hull, b: Hull, m: Manifold, w: Array, share: Any, *, dt: Any, slack: Any, overlap: Any, epsilon: float
-) -> Manifold:
-    """Two hulls along the axis that w closes last; ``m`` is their manifold of now."""
-    if dot(w, w) * dt * dt <= slack * slack:
+    if not m.points or not m.beside or dot(w, w) * dt * dt <= slack * slack:
         return m
     radii, horizon = a.radius + b.radius, HORIZON * dt
     of_a = dot(a.normals[:, None], b.vertices[None] - a.vertices[:, None]).min(axis=1) - radii

@@ -45,15 +45,13 @@ class Manifold:
     """Contact points of a pair: (midpoint between the surfaces, gap, feature) each; normal from the first shape.
 
     ``corner``: the normal joins two corners. ``beside``: another axis than the normal's parts the shapes too, or they
-    touch along it. ``moved``: how far the second shape moves against the first until they meet at the points, which are
-    points of the first.
+    touch along it.
     """
 
     normal: Array
     points: list[tuple[Array, Any, int]]
     corner: bool = False
     beside: bool = False
-    moved: Array | float = 0.0
 
     @property
     def distance(self) -> Any:
@@ -69,8 +67,7 @@ class Manifold:
         """The manifold in another frame: turned by r, then moved by x; ``flip`` turns its normal around."""
         normal = rotate(r, self.normal)
         points = [(rotate(r, p) + x, gap, f) for p, gap, f in self.points]
-        moved = self.moved if isinstance(self.moved, float) else rotate(r, self.moved)
-        return Manifold(-normal if flip else normal, points, self.corner, self.beside, moved)
+        return Manifold(-normal if flip else normal, points, self.corner, self.beside)
 
 
 def length(v: Array) -> Any:

@@ -13,13 +13,11 @@ import numpy as np
 from dc_kernels._numpy.collide.closing import disc_disc_moving, hull_disc_moving, hull_hull_moving
 from dc_kernels._numpy.collide.manifold import Hull, Manifold, hull_disc, hull_hull, length
 from dc_kernels._numpy.collide.support import closes, supported
-from dc_kernels._numpy.collide.turning import Path, hulls_turning
 from dc_kernels._numpy.common import Array, Kernels, cross, dot, rotate, rotation
 from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 
 SLOPS = 2.0  # overlap up to which shapes touch: what rests a slop deep meets a tile a slop higher
-TURN = 0.6  # radians that count as a way of the size
 
 
 def kernels(dtype: str, only_discs: bool) -> Kernels:
@@ -77,8 +75,7 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
             ra, rb = model.shape_radius[a], model.shape_radius[b]
             if disc_a and disc_b:
                 drift = approach(a, centre_a, b, centre_b, motion.predicted, motion.predicted[:, 2])
-                swift = {"dt": dt, "slop": slop, "fast": config.continuous, "epsilon": epsilon}
-                return disc_disc_moving(centre_a, ra, centre_b, rb, drift, **swift)
+                return disc_disc_moving(centre_a, ra, centre_b, rb, drift, dt, slop, epsilon)
             if disc_a:
                 local = rotate(turn_b.T, centre_a - xb)
                 drift = rotate(turn_b.T, approach(b, centre_a, a, centre_a, state.velocity, state.angular_velocity))
@@ -101,48 +98,12 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
             within = speculative + dt * (length(vb - va) + spin)
             drift = approach(a, centre_a, b, centre_b, state.velocity, state.angular_velocity)
             share, hull_a = vb[3] / (va[3] + vb[3]), hull_of(a)
-            way = config.continuous * min(model.shape_extent[a], model.shape_extent[b])
-            swift = bool(length((vb - va)[:2]) * dt > way) and not turns(a, b)
-            swift = swift and model.body_type[model.shape_body[a]] != BodyType.STATIC
 
             def met(velocity: Array) -> Manifold:
                 w = rotate(turn_a.T, velocity)
-                return hull_hull_moving(hull_a, hull_b, w, share, swift=swift, reach=within, **bounds).placed(
-                    turn_a, xa
-                )
+                return hull_hull_moving(hull_a, hull_b, w, share, reach=within, **bounds).placed(turn_a, xa)
 
             return supported_meeting(a, b, drift, met)
-
-        def turns(a: int, b: int) -> bool:
-            """Whether one of two shapes turns by much in the step; a disc may turn as it likes."""
-            hulls = [s for s in (a, b) if model.shape_type[s] != ShapeType.DISC]
-            turn = max((abs(motion.predicted[model.shape_body[s], 2]) for s in hulls), default=0.0)
-            return bool(turn * dt > TURN * config.continuous)
-
-        def turning_meeting(a: int, b: int, m: Manifold) -> Manifold:
-            """Where two shapes meet that turn, by the arcs that they describe."""
-            flip = model.shape_type[a] == ShapeType.DISC
-            one, two = (b, a) if flip else (a, b)
-            body_one, body_two = model.shape_body[one], model.shape_body[two]
-            path = Path(
-                hull_of(one),
-                None if model.shape_type[two] == ShapeType.DISC else hull_of(two),
-                model.shape_radius[two],
-                model.shape_center[two],
-                *(state.position[body] for body in (body_one, body_two)),
-                *(state.angle[body] for body in (body_one, body_two)),
-                *(motion.predicted[body] for body in (body_one, body_two)),
-                *(length(model.shape_center[s]) + model.shape_extent[s] for s in (one, two)),
-                dt,
-                bounds["slack"],
-                bounds["overlap"],
-                epsilon,
-            )
-            if not flip:
-                return hulls_turning(path, m)
-            met = hulls_turning(path, Manifold(-m.normal, m.points))
-            points = [(point - met.moved, gap, feature) for point, gap, feature in met.points]
-            return Manifold(-met.normal, points, moved=-met.moved)
 
         def still(a: int, b: int, reach: Any) -> Manifold:
             """Points of a static hull and a shape as they are now, in world axes."""
@@ -182,11 +143,9 @@ def kernels(dtype: str, only_discs: bool) -> Kernels:
             if min(va[3], vb[3]) < 0 and max(va[3], vb[3]) <= 0:
                 continue  # asleep, both or beside what does not move (sleep/wake.py)
             m = manifold(a, b)
-            if turns(a, b) and m.points and m.least_gap > bounds["overlap"]:
-                m = turning_meeting(a, b, m)
             shapes = (a - int(model.shape_start[w])) << KEY_SHAPE_BITS | (b - int(model.shape_start[w]))
             for point, g, feature in m.points:
-                to_a, to_b = point - state.position[ba], point - state.position[bb] - m.moved
+                to_a, to_b = point - state.position[ba], point - state.position[bb]
                 speed = dot(m.normal, vb - va) + cross(to_b, m.normal) * vb[2] - cross(to_a, m.normal) * va[2]
                 if g <= speculative + max(-speed * dt, 0.0):
                     found.append((shapes << KEY_FEATURE_BITS | feature, a, b, m.normal, to_a, to_b, g))

@@ -73,32 +73,19 @@ def closing_functions(dtype: str) -> SimpleNamespace:
     Approach = ti.types.struct(velocity=vec2, share=real, dt=real, slack=real, overlap=real)
 
     @ti.func
-    def disc_disc_moving(pa, ra, pb, rb, w, dt, slop, fast):
+    def disc_disc_moving(pa, ra, pb, rb, w, dt, slop):
         """Two discs, of which B moves by w; where they pass each other the gap is what w may close of it.
 
-        What passes by is farther from the other disc at the end of the step than the normal of now says, by the
-        sagitta of the arc. Where the way is more than ``fast`` times the radii, they meet along the line of their
-        centres at the time at which they touch.
+        Normal and point stay those of now, as the impulse of a pair has to pass both centres; what passes by is
+        farther from the other disc at the end of the step than the normal says, by the sagitta of the arc.
         """
         m = disc_disc(pa, ra, pb, rb)
         d = pb - pa
         closing = -dot(m.normal, w) * dt
         radii = ra + rb
         if m.gap0 > slop and m.gap0 < closing and length(w) * dt > FAST * radii:
-            squared = dot(w, w)
-            when = dot(d, w) / squared
-            nearest = d - w * when
-            miss = dot(nearest, nearest)
-            swift = length(w) * dt > fast * radii
-            time = dt
-            if miss < radii * radii:
-                time = -when - ti.sqrt((radii * radii - miss) / squared)
-            if miss < radii * radii and swift and time < dt:
-                m.moved = w * time
-                m.normal = (d + m.moved) / radii
-                m.gap0 = -dot(m.normal, m.moved)
-                m.point0 = pa + m.normal * ra
-            elif miss >= radii * radii or swift:
+            nearest = d - w * (dot(d, w) / dot(w, w))
+            if dot(nearest, nearest) >= radii * radii:
                 m.gap0 = ti.max(length(d + w * dt) - radii + closing, m.gap0)
         return m
 

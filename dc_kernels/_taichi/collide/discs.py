@@ -120,31 +120,15 @@ def disc_contacts(dtype: str) -> Any:
                     way = ti.sqrt(vx * vx + vy * vy) * dt
                     passing = ti.select(gap > slop, ti.select(gap < closing, way, vec8(0.0)), vec8(0.0))
                     passing = ti.select(passing > FAST * radii, vec8(1.0), vec8(0.0))
-                    moved_x = vec8(0.0)
-                    moved_y = vec8(0.0)
                     if largest(passing) > 0.0:
-                        squared_way = vx * vx + vy * vy
-                        when = (x * vx + y * vy) / squared_way
+                        when = (x * vx + y * vy) / (vx * vx + vy * vy)
                         miss_x = x - vx * when
                         miss_y = y - vy * when
-                        miss = miss_x * miss_x + miss_y * miss_y
-                        hits = ti.select(miss < radii * radii, passing, vec8(0.0))
-                        swift = ti.select(way > config.continuous * radii, hits, vec8(0.0))
-                        chord = ti.select(hits > 0.0, radii * radii - miss, vec8(0.0))
-                        time = when * -1.0 - ti.sqrt(chord / squared_way)
-                        meets = ti.select(time < dt, swift, vec8(0.0))
                         end_x = x + vx * dt
                         end_y = y + vy * dt
                         later = ti.max(ti.sqrt(end_x * end_x + end_y * end_y) - radii + closing, gap)
-                        gap = ti.select(passing - hits + swift - meets > 0.0, later, gap)
-                        moved_x = ti.select(meets > 0.0, vx * time, vec8(0.0))
-                        moved_y = ti.select(meets > 0.0, vy * time, vec8(0.0))
-                        nx = ti.select(meets > 0.0, (x + moved_x) / radii, nx)
-                        ny = ti.select(meets > 0.0, (y + moved_y) / radii, ny)
-                        gap = ti.select(meets > 0.0, (nx * moved_x + ny * moved_y) * -1.0, gap)
-                        px = ti.select(meets > 0.0, xa + nx * ra, px)
-                        py = ti.select(meets > 0.0, ya + ny * ra, py)
-                        closing = (nx * vx + ny * vy) * -1.0 * dt
+                        later = ti.select(miss_x * miss_x + miss_y * miss_y >= radii * radii, later, gap)
+                        gap = ti.select(passing > 0.0, later, gap)
                     touching = ti.select(gap <= reach + ti.max(closing, vec8(0.0)), near, vec8(0.0))
                     # which touch, without a branch that is guessed wrong every few pairs
                     count = 0
@@ -154,8 +138,8 @@ def disc_contacts(dtype: str) -> Any:
                             count += ti.cast(touching[i] > 0.0, ti.i32)
                     arm_ax = px - xa
                     arm_ay = py - ya
-                    arm_bx = px - xb - moved_x
-                    arm_by = py - yb - moved_y
+                    arm_bx = px - xb
+                    arm_by = py - yb
                     for k in range(ti.min(count, capacity - found)):
                         i = pairs.temp_b[pair + k]
                         c = start + found + k

@@ -38,8 +38,7 @@ def manifold_functions(dtype: str) -> SimpleNamespace:
 
     # Up to two points: normal from the first shape to the second, midpoint between the surfaces, gap, feature.
     # ``corner``: the normal joins two corners. ``beside``: another axis than the normal's parts the shapes too, or they
-    # touch along it, so that their motion decides where they will meet. ``moved``: how far the second shape moves
-    # against the first until they meet at the points, which are points of the first.
+    # touch along it, so that their motion decides where they will meet.
     Manifold = ti.types.struct(
         count=ti.i32,
         corner=ti.i32,
@@ -51,7 +50,6 @@ def manifold_functions(dtype: str) -> SimpleNamespace:
         gap1=real,
         feature0=ti.i32,
         feature1=ti.i32,
-        moved=vec2,
     )
     # A shape's core: its vertices from ``first`` on, two of them for a segment of a chain, and its radius.
     Hull = ti.types.struct(first=ti.i32, count=ti.i32, segment=ti.i32, radius=real)

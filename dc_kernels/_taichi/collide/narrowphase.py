@@ -51,7 +51,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         return state.velocity[bb] - state.velocity[ba] + turning
 
     @ti.func
-    def discs_manifold(a, b, speculative, dt, slop, fast, model: t.Model, state: t.State, motion: t.Motion):
+    def discs_manifold(a, b, speculative, dt, slop, model: t.Model, state: t.State, motion: t.Motion):
         """Two discs; ``find_disc_contacts`` takes those of a scene that has hardly anything else."""
         ba = model.shape_body[a]
         bb = model.shape_body[b]
@@ -71,7 +71,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
             to_b = pb - state.position[bb]
             dv = vec2(vb[0] - va[0], vb[1] - va[1])
             dv = dv + (vec2(-to_b[1], to_b[0]) * vb[2] - vec2(-to_a[1], to_a[0]) * va[2])
-            m = disc_disc_moving(pa, ra, pb, rb, dv, dt, slop, fast)
+            m = disc_disc_moving(pa, ra, pb, rb, dv, dt, slop)
         return m
 
     @ti.func
@@ -195,8 +195,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     m = Manifold()
                     if kind_a == DISC and kind_b == DISC:
                         if ti.static(not only_discs):
-                            fast = config.continuous
-                            m = discs_manifold(a, b, speculative, dt, slop, fast, model, state, motion)
+                            m = discs_manifold(a, b, speculative, dt, slop, model, state, motion)
                     else:
                         hull_body = model.shape_body[ti.select(kind_a == DISC, b, a)]
                         if hull_body != turned:
@@ -243,7 +242,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                                 g = m.gap1
                                 feature = m.feature1
                             to_a = p - state.position[ba]
-                            to_b = p - state.position[bb] - m.moved
+                            to_b = p - state.position[bb]
                             speed = linear_speed(m.normal, va, vb)
                             if ti.static(not only_discs):
                                 speed = relative_speed(m.normal, va, vb, cross(to_a, m.normal), cross(to_b, m.normal))

@@ -5,9 +5,6 @@ a row of flush tiles is apart from the next tile along the way, and touches it f
 shapes the motion closes one after the other, and they meet along the one that it closes last (conservative
 advancement in the space of configurations, Mirtich 1996); two corners, of which none is closed, are nearest where the
 line of motion passes. An overlap up to ``overlap`` counts as open: what touches a face within it slides on.
-
-What moves without turning sweeps a strip: it misses what lies beside the strip, however its axes are closed, and the
-strip's side is then the plane between the two (van den Bergen, Ray casting against general convex objects, 2004).
 """
 
 from functools import cache
@@ -52,35 +49,20 @@ def closing_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
     Approach = wp.struct(ApproachFields, module=module)
 
     @wp.func(module=module)
-    def disc_disc_moving(pa: vec2, ra: real, pb: vec2, rb: real, w: vec2, dt: real, slop: real, fast: real):
+    def disc_disc_moving(pa: vec2, ra: real, pb: vec2, rb: real, w: vec2, dt: real, slop: real):
         """Two discs, of which B moves by w; where they pass each other the gap is what w may close of it.
 
-        What passes by is farther from the other disc at the end of the step than the normal of now says, by the
-        sagitta of the arc. Where the way is more than ``fast`` times the radii, they meet along the line of their
-        centres at the time at which they touch.
+        Normal and point stay those of now, as the impulse of a pair has to pass both centres; what passes by is
+        farther from the other disc at the end of the step than the normal says, by the sagitta of the arc.
         """
         m = disc_disc(pa, ra, pb, rb)
         d = pb - pa
         closing = -wp.dot(m.normal, w) * dt
         radii = ra + rb
         if m.gap0 > slop and m.gap0 < closing and wp.length(w) * dt > real(FAST) * radii:
-            squared = wp.dot(w, w)
-            when = wp.dot(d, w) / squared
-            nearest = d - w * when
-            miss = wp.dot(nearest, nearest)
-            time = dt
-            if miss < radii * radii:
-                time = -when - wp.sqrt((radii * radii - miss) / squared)
-            if miss >= radii * radii:
+            nearest = d - w * (wp.dot(d, w) / wp.dot(w, w))
+            if wp.dot(nearest, nearest) >= radii * radii:
                 m.gap0 = wp.max(wp.length(d + w * dt) - radii + closing, m.gap0)
-            elif wp.length(w) * dt > fast * radii:
-                if time < dt:
-                    m.moved = w * time
-                    m.normal = (d + m.moved) / radii
-                    m.gap0 = -wp.dot(m.normal, m.moved)
-                    m.point0 = pa + m.normal * ra
-                else:
-                    m.gap0 = wp.max(wp.length(d + w * dt) - radii + closing, m.gap0)
         return m
 
     @wp.func(module=module)
@@ -210,65 +192,9 @@ def closing_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         later.point1 = later.point1 - back
         return later
 
-    @wp.func(module=module)
-    def hull_hull_beside(
-        a: Hull, b: Hull, frame: Frame, m: Manifold, approach: Approach, vertices: wp.array(dtype=vec2)
-    ):
-        """The manifold of two hulls in the frame of A; where B's way misses A, the plane along it that parts them."""
-        w = approach.velocity
-        way = wp.length(w)
-        along = w / way
-        across = vec2(-along[1], along[0])
-        lowest = real(1e30)
-        highest = real(-1e30)
-        low = int(0)
-        high = int(0)
-        for i in range(a.first, a.first + a.count):
-            at = wp.dot(across, vertices[i])
-            if at < lowest:
-                lowest = at
-                low = i
-            if at > highest:
-                highest = at
-                high = i
-        low_b = real(1e30)
-        high_b = real(-1e30)
-        first = int(0)
-        last = int(0)
-        for j in range(b.first, b.first + b.count):
-            at = wp.dot(across, rotate(frame.c, frame.s, vertices[j]) + frame.x)
-            if at < low_b:
-                low_b = at
-                first = j
-            if at > high_b:
-                high_b = at
-                last = j
-        gap = low_b - highest - a.radius - b.radius
-        of_a = high
-        of_b = first
-        if lowest - high_b > low_b - highest:
-            gap = lowest - high_b - a.radius - b.radius
-            of_a = low
-            of_b = last
-            across = -across
-        if gap < real(0.0):
-            return m
-        m = Manifold()
-        m.count = 1
-        m.corner = True
-        m.beside = True
-        m.normal = across
-        m.gap0 = gap
-        m.point0 = vertices[of_a] + across * (a.radius + real(0.5) * gap)
-        m.feature0 = ((of_a - a.first) << 8) | (of_b - b.first)
-        met = rotate(frame.c, frame.s, vertices[of_b]) + frame.x
-        m.moved = along * wp.dot(along, vertices[of_a] - met)
-        return m
-
     return SimpleNamespace(
         Approach=Approach,
         disc_disc_moving=disc_disc_moving,
         hull_disc_moving=hull_disc_moving,
         hull_hull_moving=hull_hull_moving,
-        hull_hull_beside=hull_hull_beside,
     )

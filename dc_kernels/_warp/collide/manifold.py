@@ -41,8 +41,7 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         """Up to two points: normal from the first shape to the second, midpoint between the surfaces, gap, feature.
 
         ``corner``: the normal joins two corners. ``beside``: another axis than the normal's parts the shapes too, or
-        they touch along it, so that their motion decides where they will meet. ``moved``: how far the second shape
-        moves against the first until they meet at ``point0`` and ``point1``, which are points of the first.
+        they touch along it, so that their motion decides where they will meet.
         """
 
         count: wp.int32
@@ -55,7 +54,6 @@ def manifold_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         gap1: real
         feature0: wp.int32
         feature1: wp.int32
-        moved: vec2
 
     Manifold = wp.struct(Points, module=module)
 

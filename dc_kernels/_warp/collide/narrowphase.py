@@ -9,7 +9,6 @@ from dc_kernels._warp.collide.closing import HORIZON, closing_functions
 from dc_kernels._warp.collide.discs import disc_contacts
 from dc_kernels._warp.collide.manifold import manifold_functions
 from dc_kernels._warp.collide.support import support_functions
-from dc_kernels._warp.collide.turning import turning_functions
 from dc_kernels._warp.common import cross, from_start, kernel_module, rotate, rotate_back
 from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.native import native_code
@@ -26,7 +25,6 @@ INVALID = wp.constant(int(Flag.INVALID))
 SHIFT_A = wp.constant(wp.int64(KEY_SHAPE_BITS + KEY_FEATURE_BITS))
 SLOPS = wp.constant(2.0)  # overlap up to which shapes touch: what rests a slop deep meets a tile a slop higher
 SHIFT_B = wp.constant(wp.int64(KEY_FEATURE_BITS))
-TURN = wp.constant(0.6)  # radians that count as a way of the size
 
 
 @cache
@@ -47,13 +45,9 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     hull_hull = shapes.hull_hull
     moving = closing_functions(dtype, only_discs)
     disc_disc_moving, hull_disc_moving = moving.disc_disc_moving, moving.hull_disc_moving
-    hull_hull_moving, hull_hull_beside, Approach = moving.hull_hull_moving, moving.hull_hull_beside, moving.Approach
+    hull_hull_moving, Approach = moving.hull_hull_moving, moving.Approach
     support = support_functions(dtype, only_discs)
     closes, list_static, supported = support.closes, support.list_static, support.supported
-    least_gap = support.least_gap
-
-    turning = turning_functions(dtype, only_discs)
-    Path, hulls_turning = turning.Path, turning.hulls_turning
 
     find_disc_contacts, share_disc_contacts = disc_contacts(dtype)
 
@@ -104,7 +98,6 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         speculative = motion.reach[w]
         slop = config.slop * model.length_scale[w]
         slack = config.slack * model.length_scale[w]
-        fast = config.continuous
         toward = Approach()
         toward.dt = dt
         toward.slack = slack
@@ -168,14 +161,6 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                 if wp.dot(d, d) > far * far:
                     continue
             m = Manifold()
-            turns = bool(False)
-            if wp.static(not only_discs):
-                # a disc may turn as it likes; what does not touch yet and turns by much is followed on its arc
-                turn = wp.max(
-                    wp.where(kind_a == DISC, real(0.0), wp.abs(va[2])),
-                    wp.where(kind_b == DISC, real(0.0), wp.abs(vb[2])),
-                )
-                turns = turn * dt > real(TURN) * fast
             if kind_a == DISC and kind_b == DISC:
                 pa = xa
                 pb = xb
@@ -193,7 +178,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     to_a = pa - xa
                     to_b = pb - xb
                     dv += vec2(-to_b[1], to_b[0]) * vb[2] - vec2(-to_a[1], to_a[0]) * va[2]
-                m = disc_disc_moving(pa, ra, pb, rb, dv, dt, slop, fast)
+                m = disc_disc_moving(pa, ra, pb, rb, dv, dt, slop)
             elif kind_a == DISC:
                 c = wp.cos(state.angle[bb])
                 s = wp.sin(state.angle[bb])
@@ -253,11 +238,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     m = hull_hull(
                         hull_a, hull_b, frame, within, slack, toward.overlap, model.vertices, model.vertex_normals
                     )
-                    way = fast * wp.min(model.shape_extent[a], model.shape_extent[b])
-                    # what lands on seams has to be held by all that it lies on now: static hulls are left as they are
-                    swift = bool(wp.length(drift) * dt > way and not turns and least_gap(m) > toward.overlap)
-                    swift = swift and model.body_type[ba] != STATIC
-                    if m.count > 0 and (m.beside or swift):
+                    if m.count > 0 and m.beside:
                         arm_b = rotate(cb, sb, center_b)
                         drift = velocity_at(ba, bb, rotate(ca, sa, center_a), arm_b, state)
                         toward.share = vb[3] * inverse_or_zero(va[3] + vb[3])
@@ -278,43 +259,9 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                                 left = supported(pair, drift, dt, slack, toward.overlap, model, state, pairs)
                                 again = left[0] != drift[0] or left[1] != drift[1]
                                 drift = left
-                        if swift and -wp.dot(m.normal, toward.velocity) * dt > least_gap(m) + slack:
-                            m = hull_hull_beside(hull_a, hull_b, frame, m, toward, model.vertices)
-                    m.moved = rotate(ca, sa, m.moved)
                     m.normal = rotate(ca, sa, m.normal)
                     m.point0 = rotate(ca, sa, m.point0) + xa
                     m.point1 = rotate(ca, sa, m.point1) + xa
-            if wp.static(not only_discs):
-                if turns and m.count > 0 and least_gap(m) > toward.overlap:
-                    flip = kind_a == DISC
-                    path = Path()
-                    path.xa = wp.where(flip, xb, xa)
-                    path.xb = wp.where(flip, xa, xb)
-                    path.va = wp.where(flip, vb, va)
-                    path.vb = wp.where(flip, va, vb)
-                    path.angle_a = state.angle[wp.where(flip, bb, ba)]
-                    path.angle_b = state.angle[wp.where(flip, ba, bb)]
-                    path.round = kind_a == DISC or kind_b == DISC
-                    path.center = wp.where(flip, center_a, center_b)
-                    path.size_a = wp.length(center_a) + model.shape_extent[a]
-                    path.size_b = wp.length(center_b) + model.shape_extent[b]
-                    if flip:
-                        size = path.size_a
-                        path.size_a = path.size_b
-                        path.size_b = size
-                        m.normal = -m.normal
-                    path.dt = dt
-                    path.slack = slack
-                    path.overlap = toward.overlap
-                    one = hull_of(a, kind_a, ra, model.vertex_start)
-                    two = hull_of(b, kind_b, rb, model.vertex_start)
-                    if flip:
-                        m = hulls_turning(two, one, path, m, model.vertices, model.vertex_normals)
-                        m.normal = -m.normal
-                        m.point0 = m.point0 - m.moved
-                        m.moved = -m.moved
-                    else:
-                        m = hulls_turning(one, two, path, m, model.vertices, model.vertex_normals)
             # the lower feature first, so that contacts are sorted by key
             swap = int(0)
             if m.count == 2 and m.feature1 < m.feature0:
@@ -328,7 +275,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     g = m.gap1
                     feature = m.feature1
                 to_a = p - xa
-                to_b = p - xb - m.moved
+                to_b = p - xb
                 speed = linear_speed(m.normal, va, vb)
                 if wp.static(not only_discs):
                     speed = relative_speed(m.normal, va, vb, cross(to_a, m.normal), cross(to_b, m.normal))

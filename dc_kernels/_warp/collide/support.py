@@ -113,4 +113,4 @@ def support_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
             other = pairs.temp_a[other]
         return left
 
-    return SimpleNamespace(closes=closes, least_gap=least_gap, list_static=list_static, supported=supported)
+    return SimpleNamespace(closes=closes, list_static=list_static, supported=supported)

@@ -32,7 +32,6 @@ auto store_pairs = [=](Real* to, Vector x, Vector y) {
 // a scene of one material need not look it up
 const bool slips = config.uniform_friction < 0, bounces = config.uniform_restitution < 0;
 const Real one_friction = config.uniform_friction, one_restitution = config.uniform_restitution;
-const Real fast = config.continuous;
 const Real* const shape_friction = model.shape_friction.data;
 const Real* const shape_restitution = model.shape_restitution.data;
 auto friction_of = [=](int one, int other) {
@@ -87,35 +86,22 @@ auto scan = [HOLDS](int begin, int end, int found, int to, bool stops) {
         if (!any(near)) continue;
         const Vector length = root(squared);
         const auto apart = length > (Real)EPSILON * radii;
-        Vector nx = pick(apart, x / length, zero + (Real)1), ny = pick(apart, y / length, zero);
+        const Vector nx = pick(apart, x / length, zero + (Real)1), ny = pick(apart, y / length, zero);
         Vector gap = length - rA - rB;
-        const Vector along = rA + (Real)0.5 * gap;
-        Vector px = xA + nx * along, py = yA + ny * along, movedX = zero, movedY = zero;
-        Vector closing = -(nx * vx + ny * vy) * step;
+        const Vector along = rA + (Real)0.5 * gap, px = xA + nx * along, py = yA + ny * along;
+        const Vector speed = nx * vx + ny * vy, closing = -speed * step;
         const auto passing = (gap > slop) & (gap < closing) & (root(vx * vx + vy * vy) * step > (Real)FAST * radii);
         if (any(passing)) {
-            const Vector way = vx * vx + vy * vy, when = (x * vx + y * vy) / way;
+            const Vector when = (x * vx + y * vy) / (vx * vx + vy * vy);
             const Vector missX = x - vx * when, missY = y - vy * when, endX = x + vx * step, endY = y + vy * step;
-            const Vector miss = missX * missX + missY * missY;
             const Vector later = larger(root(endX * endX + endY * endY) - radii + closing, gap);
-            const auto hits = passing & (miss < radii * radii);
-            const Vector time = -when - root(pick(hits, radii * radii - miss, zero) / way);
-            const auto swift = hits & (root(way) * step > fast * radii), meets = swift & (time < step);
-            gap = pick((passing & ~hits) | (swift & ~meets), later, gap);
-            movedX = pick(meets, vx * time, zero);
-            movedY = pick(meets, vy * time, zero);
-            nx = pick(meets, (x + movedX) / radii, nx);
-            ny = pick(meets, (y + movedY) / radii, ny);
-            gap = pick(meets, -(nx * movedX + ny * movedY), gap);
-            px = pick(meets, xA + nx * rA, px);
-            py = pick(meets, yA + ny * rA, py);
-            closing = -(nx * vx + ny * vy) * step;
+            gap = pick(passing & (missX * missX + missY * missY >= radii * radii), later, gap);
         }
         const auto touching = near & (order < (Real)lanes) & (gap <= reach + larger(closing, zero));
         Real normals[2 * LANES], arms_a[2 * LANES], arms_b[2 * LANES], gaps[LANES];
         store_pairs(normals, nx, ny);
         store_pairs(arms_a, px - xA, py - yA);
-        store_pairs(arms_b, px - xB - movedX, py - yB - movedY);
+        store_pairs(arms_b, px - xB, py - yB);
         store(gaps, gap);
         // which touch, without a branch that is guessed wrong every few pairs
         int which[LANES], count = 0;
