@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels._numpy.common import Array, Kernels, cross, dot, rotate, rotation
+from dc_kernels._numpy.collide.approach import approach_of
+from dc_kernels._numpy.common import Array, Kernels, dot, rotate, rotation
 from dc_kernels.collide.switches import ASIDE, SLOPS
 from dc_kernels.model.enums import ShapeRole
 from dc_kernels.model.fields import CONTACTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS
@@ -19,14 +20,6 @@ FIELDS = tuple(name for name, field in CONTACTS.items() if field.per == "contact
 def kernels(dtype: str) -> Kernels:
     """``screen_contacts``, ``show_switched``, and ``switch_contacts``; the arrays bring their scalar type."""
     return {"screen_contacts": screen_contacts, "switch_contacts": switch_contacts, "show_switched": show_switched}
-
-
-def approach_of(c: int, state: Any, contacts: Any) -> Any:
-    """Speed at which a contact approaches before the step's forces [m/s], negative where it parts."""
-    a, b, n = contacts.body_a[c], contacts.body_b[c], contacts.normal[c]
-    along = dot(n, state.velocity[a] - state.velocity[b])
-    turning = cross(contacts.arm_a[c], n) * state.angular_velocity[a]
-    return along + turning - cross(contacts.arm_b[c], n) * state.angular_velocity[b]
 
 
 def holds(s: int, o: int, normal: Array, gap: Any, approach: Any, slop: Any, deep: Any, model: Any, state: Any) -> bool:

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels._numpy.common import Kernels, cross, dot
+from dc_kernels._numpy.collide.approach import approach_of
+from dc_kernels._numpy.common import Kernels
 from dc_kernels._numpy.events.lists import compare, passes, read, write
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 
@@ -15,15 +16,6 @@ from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 def kernels(dtype: str) -> Kernels:
     """``note_touches``; the arrays bring their scalar type."""
     return {"note_touches": note_touches}
-
-
-def speed_of(c: int, state: Any, contacts: Any) -> Any:
-    """Speed at which a contact approached before the step's forces [m/s], negative where it parted."""
-    speeds = []
-    for body, arm in ((contacts.body_a[c], contacts.arm_a[c]), (contacts.body_b[c], contacts.arm_b[c])):
-        along = dot(contacts.normal[c], state.velocity[body])
-        speeds.append(along + cross(arm, contacts.normal[c]) * state.angular_velocity[body])
-    return speeds[0] - speeds[1]
 
 
 def note_touches(tid: int, launch: Any, config: Any, model: Any, state: Any, contacts: Any, touches: Any) -> None:
@@ -46,8 +38,8 @@ def note_touches(tid: int, launch: Any, config: Any, model: Any, state: Any, con
             continue
         speed, fastest = contacts.gap.dtype.type(0), mine[0]
         for c in mine:
-            if contacts.impulse[c, 0] > 0 and speed_of(c, state, contacts) > speed:
-                speed, fastest = speed_of(c, state, contacts), c
+            if contacts.impulse[c, 0] > 0 and approach_of(c, state, contacts) > speed:
+                speed, fastest = approach_of(c, state, contacts), c
         point = state.position[contacts.body_a[fastest]] + contacts.arm_a[fastest]
         slot, normal = start + len(found), contacts.normal[fastest]
         old = known.get((a, b))

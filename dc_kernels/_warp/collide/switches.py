@@ -5,10 +5,10 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels._warp.common import cross, kernel_module, rotate
+from dc_kernels._warp.collide.approach import approach_function
+from dc_kernels._warp.common import kernel_module, rotate
 from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.native import native_code
-from dc_kernels._warp.solve.laws import relative_speed
 from dc_kernels.collide.switches import ASIDE, SLOPS
 from dc_kernels.model.enums import ShapeRole
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
@@ -24,9 +24,10 @@ SHAPE = wp.constant(wp.int64(2**KEY_SHAPE_BITS - 1))
 def kernels(dtype: str) -> dict[str, Any]:
     """``screen_contacts``, ``show_switched``, and ``switch_contacts`` for a user; one thread a world."""
     t = group_types(dtype)
-    real, vec2, vec4 = t.real, t.vec2, t.vec4
+    real, vec2 = t.real, t.vec2
     module = kernel_module("switches", dtype)
     contiguous = contiguous_groups(dtype)
+    approach_of = approach_function(dtype, "switches")
 
     @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype))
     def move_contact(source: t.Contacts, i: wp.int32, target: t.Contacts, k: wp.int32): ...
@@ -39,22 +40,6 @@ def kernels(dtype: str) -> dict[str, Any]:
 
     @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype))
     def put_back(source: t.Switches, i: wp.int32, target: t.Contacts, k: wp.int32): ...
-
-    @wp.func(module=module)
-    def approach_of(c: int, state: t.State, contacts: t.Contacts):
-        """Speed at which a contact approaches before the step's forces [m/s], negative where it parts."""
-        a = contacts.body_a[c]
-        b = contacts.body_b[c]
-        n = contacts.normal[c]
-        va = state.velocity[a]
-        vb = state.velocity[b]
-        return -relative_speed(
-            n,
-            vec4(va[0], va[1], state.angular_velocity[a], real(0.0)),
-            vec4(vb[0], vb[1], state.angular_velocity[b], real(0.0)),
-            cross(contacts.arm_a[c], n),
-            cross(contacts.arm_b[c], n),
-        )
 
     @wp.func(module=module)
     def holds(

@@ -5,10 +5,10 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels._warp.common import cross, kernel_module
+from dc_kernels._warp.collide.approach import approach_function
+from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.events.lists import copy_pairs, is_before, list_missing
 from dc_kernels._warp.groups import contiguous_groups, group_types
-from dc_kernels._warp.solve.laws import relative_speed
 from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 
@@ -22,25 +22,10 @@ SHAPE = wp.constant(wp.int64(2**KEY_SHAPE_BITS - 1))
 def kernels(dtype: str) -> dict[str, Any]:
     """``note_touches``."""
     t = group_types(dtype)
-    real, vec4 = t.real, t.vec4
+    real = t.real
     module = kernel_module("touches", dtype)
     contiguous = contiguous_groups(dtype)
-
-    @wp.func(module=module)
-    def speed_of(c: int, state: t.State, contacts: t.Contacts):
-        """Speed at which a contact approached before the step's forces [m/s], negative where it parted."""
-        a = contacts.body_a[c]
-        b = contacts.body_b[c]
-        n = contacts.normal[c]
-        va = state.velocity[a]
-        vb = state.velocity[b]
-        return -relative_speed(
-            n,
-            vec4(va[0], va[1], state.angular_velocity[a], real(0.0)),
-            vec4(vb[0], vb[1], state.angular_velocity[b], real(0.0)),
-            cross(contacts.arm_a[c], n),
-            cross(contacts.arm_b[c], n),
-        )
+    approach_of = approach_function(dtype, "touches")
 
     @wp.kernel(module=module, enable_backward=False)
     def note_touches(
@@ -80,7 +65,7 @@ def kernels(dtype: str) -> dict[str, Any]:
                 impulse += contacts.impulse[c][0]
                 presses = presses or (acts and (contacts.impulse[c][0] != real(0.0) or contacts.gap[c] < real(0.0)))
                 if contacts.impulse[c][0] > real(0.0):
-                    approach = speed_of(c, state, contacts)
+                    approach = approach_of(c, state, contacts)
                     if approach > speed:
                         speed = approach
                         fastest = c
