@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from dc_kernels.model.dtypes import FLOATS
+from dc_kernels.model.dtypes import float_dtype, float_name
 from dc_kernels.runtime.backends import kernel_file
 from dc_kernels.runtime.building import building
 
@@ -79,7 +79,6 @@ def shapes(dtype: str = "float32") -> SimpleNamespace:
     Raises:
         ValueError: for another dtype.
     """
-    if dtype not in FLOATS:
-        raise ValueError(f"dtype is {dtype!r}; it must be one of {tuple(FLOATS)}")
+    name = float_name(float_dtype(dtype))
     with building():
-        return _manifold.manifold_functions(dtype, False)
+        return _manifold.manifold_functions(name, False)

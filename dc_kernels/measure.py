@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dc_kernels.model.room import used_slots
+from dc_kernels.model.settings import WrongType, shown
 from dc_kernels.runtime.inputs import check_positive, check_simulation
 
 
@@ -80,7 +81,13 @@ def overlap(sim: Any, recollide: float | None = None) -> Overlap:
 
 
 def contact_slots(contacts: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The slots in use, world after world, and the world of each: two arrays (n,) of integers."""
+    """The slots in use, world after world, and the world of each: two arrays (n,) of integers.
+
+    Raises:
+        TypeError: for what is no contacts of a simulation.
+    """
+    if isinstance(contacts, type) or not hasattr(contacts, "contact_count"):
+        raise WrongType(f"contacts is {shown(contacts)}; it must be the contacts of a Simulation")
     count = contacts.numpy("contact_count")
     return used_slots(contacts.numpy("contact_start"), count), np.repeat(np.arange(len(count)), count)
 

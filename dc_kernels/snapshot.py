@@ -33,7 +33,7 @@ from dc_kernels.model.room import used_slots
 from dc_kernels.model.rules import BrokenRule, refuse
 from dc_kernels.model.settings import WrongType, check_choice, shown
 from dc_kernels.model.validate.scene import check_joints, check_model, check_state
-from dc_kernels.runtime.backends import BACKENDS
+from dc_kernels.runtime.backends import BACKENDS, check_device
 from dc_kernels.runtime.files import file_name, write_file
 from dc_kernels.runtime.hdf5 import image, reading
 from dc_kernels.runtime.inputs import check_count, check_file
@@ -125,7 +125,8 @@ def load(
     contacts = values["contacts"]
     del contacts["contact_start"]  # the simulation reserves its slots itself
     count, contact_dt = contacts.pop("contact_count"), contacts.pop("contact_dt")
-    device, backend = device or header.device, backend or header.backend
+    backend = backend or header.backend
+    device = device or header.device_of(backend)
     model = _filled(Model(header.sizes, header.real, device, backend), values["model"])
     joints = _filled(Joints(header.sizes, header.real, device, backend), values["joints"])
     state = State(header.sizes, header.real, device, backend)
@@ -299,6 +300,17 @@ class _Header:
             self.config = SolverConfig(**values)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: config: {error}") from error
+
+    def device_of(self, backend: str) -> str:
+        """The device that it was saved from.
+
+        Raises:
+            ValueError: where there is no such device of the backend.
+        """
+        try:
+            return check_device(self.device, backend)
+        except ValueError as error:
+            raise ValueError(f"{self.path}: attribute {error}; load(device=) takes another one") from error
 
     def counting(self, name: str) -> _Header:
         """The header of a group that has contacts of its own, as many as the size of that name.

@@ -26,9 +26,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.faults.learning_targets import pipeline_targets, torch_targets
-from bench.faults.stage_targets import driving_targets, solver_targets, stage_targets
-from bench.faults.targets import (
+from bench.faults.targets.learning import pipeline_targets, torch_targets
+from bench.faults.targets.scenes import event_targets, joint_targets, population_targets, query_targets
+from bench.faults.targets.simulations import (
     Target,
     always,
     builder_targets,
@@ -37,6 +37,7 @@ from bench.faults.targets import (
     point_targets,
     simulation_targets,
 )
+from bench.faults.targets.stages import driving_targets, solver_targets, stage_targets
 from bench.faults.values import bad_values, cases, required, subclasses
 from dc_kernels.model.settings import shown
 
@@ -58,6 +59,10 @@ TARGETS: dict[str, Callable[[], Iterator[Target]]] = {
     "stages": stage_targets,
     "solver": solver_targets,
     "driving": driving_targets,
+    "joints": joint_targets,
+    "population": population_targets,
+    "events": event_targets,
+    "queries": query_targets,
     "torch": torch_targets,
     "pipeline": pipeline_targets,
 }

@@ -99,13 +99,15 @@ def wrong_in_simulation(sim: Any) -> list[str]:
     length = np.hypot(*wide.T)
     check("vertex_normals are no unit vectors", (np.abs(length - 1) < 1e-3) | (length == 0))
     joint_world = np.repeat(np.arange(model.world_count), np.diff(of["joint_start"]))
+    wrong += wrong_in_joints({name: joints.numpy(name) for name in joints.table})
+    wrong += wrong_in_what_few_have(of) + wrong_in_lists(sim)
     for name in ("joint_body_a", "joint_body_b"):
         check(f"{name} of another world", body_world[joints.numpy(name)] == joint_world)
     check("joint of a body with itself", joints.numpy("joint_body_a") != joints.numpy("joint_body_b"))
     check("joint_length < 0", joints.numpy("joint_length") >= 0)
     check("joint_color", (joints.numpy("joint_color") >= -1) & (joints.numpy("joint_color") < 64))
     check("time", np.isfinite(state.numpy("time")) & (state.numpy("time") >= 0))
-    check("flags", (state.numpy("flags") >= 0) & (state.numpy("flags") < 16))
+    check("flags", (state.numpy("flags") >= 0) & (state.numpy("flags") < 32))
     cache = sim.cache
     start, live = contacts.numpy("contact_start"), cache.numpy("count")
     check("contact_dt", np.isfinite(contacts.numpy("contact_dt")) & (contacts.numpy("contact_dt") >= 0))
@@ -119,6 +121,66 @@ def wrong_in_simulation(sim: Any) -> list[str]:
         check("color", (cache.numpy("color")[slots] >= -1) & (cache.numpy("color")[slots] < 64))
         check("age", cache.numpy("age")[slots] >= 0)
     return wrong
+
+
+def broken(rules: dict[str, Any]) -> list[str]:
+    """The rules that not all values keep."""
+    return [what for what, good in rules.items() if not np.all(good)]
+
+
+def wrong_in_joints(of: dict[str, np.ndarray]) -> list[str]:
+    """What the numbers of no joint may be."""
+    kind, parts = of["joint_kind"], of["joint_parts"]
+    held = np.array([1, 2, 2, 3, 2, 2, 1, 1])[np.clip(kind, 0, 7)]
+    rows = held * (parts & 1) + (parts >> 1 & 1) + (parts >> 2 & 1)
+    rules = {f"{name} < 0": of[name] >= 0 for name in ("joint_strength", "joint_frequency", "joint_damping_ratio")}
+    return broken(
+        {
+            **rules,
+            "joint_kind": (kind >= 0) & (kind < 8),
+            "joint_parts": (parts > 0) & (parts < 8),
+            "joint_row_start": np.array_equal(of["joint_row_start"], np.concatenate([[0], np.cumsum(rows)])),
+            "joint_axis is no unit vector": np.abs(np.hypot(*of["joint_axis"].T) - 1.0) < 2e-3,
+            "limits": ((parts & 4) == 0) | (of["joint_lower"] <= of["joint_upper"]),
+            "joint_broken": np.isin(of["joint_broken"], [0, 1]),
+            "joint_collides": np.isin(of["joint_collides"], [0, 1]),
+            "joint_break_force < 0": of["joint_break_force"] >= 0,
+        }
+    )
+
+
+def wrong_in_what_few_have(of: dict[str, np.ndarray]) -> list[str]:
+    """What the traits of no body and no shape may be."""
+    names = ("linear_damping", "angular_damping", "shape_rolling_resistance")
+    return broken(
+        {
+            **{f"{name} < 0": of[name] >= 0 for name in names},
+            "shape_role": (of["shape_role"] >= 0) & (of["shape_role"] < 4),
+        }
+    )
+
+
+def wrong_in_lists(sim: Any) -> list[str]:
+    """What no lists of sleepers, of what touches or overlaps, and no ids may hold."""
+    rules: dict[str, Any] = {}
+    if sim.config.sleep:
+        rules["asleep"] = np.isin(sim.sleepers.numpy("asleep"), [0, 1, 2])
+        rules["rest_time"] = np.isfinite(sim.sleepers.numpy("rest_time")) & (sim.sleepers.numpy("rest_time") >= 0)
+    first = sim.model.numpy("shape_start")
+    for group, start in ((sim.touches, sim.contacts.numpy("contact_start")), (sim.overlaps, sim.pairs.numpy("start"))):
+        for prefix in ("", "begun_", "ended_", "hit_"):
+            if f"{prefix}a" not in group.table or not group.sizes["world"]:
+                continue
+            for w, n in enumerate(group.numpy(f"{prefix}count")):
+                pairs = [group.numpy(f"{prefix}{side}")[start[w] : start[w] + n] for side in "ab"]
+                rules[f"{type(group).__name__}.{prefix}, world {w}"] = all(
+                    (side >= first[w]).all() and (side < first[w + 1]).all() for side in pairs
+                )
+    if sim.given_ids is not None:
+        for kind in ("body", "shape", "joint"):
+            ids = sim.ids.numpy(f"{kind}_id")
+            rules[f"{kind}_id comes twice"] = len(np.unique(ids[ids >= 0])) == (ids >= 0).sum()
+    return broken(rules)
 
 
 def load_dataset(path: Path) -> tuple[str, list[str]]:
@@ -225,8 +287,42 @@ def load_toml(path: Path) -> tuple[str, list[str]]:
     return hashlib.sha256(text.encode()).hexdigest(), wrong
 
 
+def load_in_solve(path: Path) -> tuple[str, list[str]]:
+    """Solve steps with a network in the loop."""
+    from pipeline.starts.registry import maker
+
+    return stepped(maker(str(path)))
+
+
+def load_stepper(path: Path) -> tuple[str, list[str]]:
+    """Take steps by a network in the solver's place."""
+    from pipeline.stepper.choice import StepperOptions
+    from pipeline.stepper.registry import stepper_maker
+
+    return stepped(stepper_maker(StepperOptions(stepper="network", weights=path)))
+
+
+def stepped(make: Callable[[Any], Any]) -> tuple[str, list[str]]:
+    """The state of a pile after some steps with what is made for it, and what is wrong in that."""
+    import dc_kernels as dc
+
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_chain(builder.add_body(type=dc.BodyType.STATIC), [(0, 6), (0, 0), (6, 0), (6, 6)])
+    builder.add_discs([(1.0 + i % 4, 0.5 + i // 4) for i in range(12)], 0.5)
+    sim = dc.Simulation(*builder.finalize())
+    made = make(sim)
+    for _ in range(STEPS):
+        sim.collide(DT)
+        made.solve()
+        sim.advance()
+    found = {name: sim.state.numpy(name) for name in ("position", "angle", "velocity", "time", "flags")}
+    return digest(found), not_finite(found)
+
+
 LOADERS: dict[str, Callable[[Path], tuple[str, list[str]]]] = {
     "snapshot": load_snapshot,
+    "populated snapshot": load_snapshot,
     "shard": load_dataset,
     "resumed shard": load_resumed,
     "index": load_dataset,
@@ -234,6 +330,8 @@ LOADERS: dict[str, Callable[[Path], tuple[str, list[str]]]] = {
     "fclib": load_fclib,
     "checkpoint": load_network,
     "training": load_training_state,
+    "contactnet": load_in_solve,
+    "stepper": load_stepper,
     "toml": load_toml,
 }
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
 DT = 0.01
 NAMES = {
     "snapshot": "file.h5",
+    "populated snapshot": "file.h5",
     "shard": "shard-00001.h5",
     "resumed shard": "shard-00001.h5",
     "index": "index.h5",
@@ -15,6 +17,8 @@ NAMES = {
     "fclib": "file.hdf5",
     "checkpoint": "file.safetensors",
     "training": "file.safetensors",
+    "contactnet": "file.safetensors",
+    "stepper": "file.safetensors",
     "toml": "file.toml",
 }
 """The file of each kind that is changed."""
@@ -32,11 +36,18 @@ def make_originals(folder: Path) -> None:
     from pipeline.options import RunOptions
     from pipeline.run.simulate import Output, simulate
     from pipeline.scenes import Thesis
+    from pipeline.starts import registry as start_registry
+    from pipeline.stepper import registry as stepper_registry
 
     sim = scene()
     sim.run(60, DT)
     (folder / "snapshot").mkdir(parents=True)
     sim.save(folder / "snapshot" / "file.h5")
+    (folder / "populated snapshot").mkdir()
+    populated().save(folder / "populated snapshot" / "file.h5")
+    for name, path in (("contactnet", start_registry.PRETRAINED), ("stepper", stepper_registry.PRETRAINED)):
+        (folder / name).mkdir()
+        shutil.copyfile(path, folder / name / NAMES[name])
     recipe = Recipe(scene=Thesis(bodies=6), options=GenerateOptions(worlds=4, steps=8, shard_worlds=2))
     generate(recipe, folder / "shard", threads=1, progress=False)
     generate(recipe, folder / "index", threads=1, progress=False)
@@ -76,6 +87,47 @@ def scene() -> Any:
         builder.add_box(builder.add_body((2.5, 3.0), type=dc.BodyType.KINEMATIC, velocity=(0.1, 0.0)), 0.5, 0.1)
         builder.add_distance_joint(box, ground + 1)
     return dc.Simulation(*builder.finalize())
+
+
+def populated() -> Any:
+    """Two worlds with joints of all kinds, traits, roles, events, sleepers, and what came and went."""
+    import dc_kernels as dc
+
+    builder = dc.ModelBuilder()
+    for _ in range(2):
+        builder.add_world()
+        ground = builder.add_body(type=dc.BodyType.STATIC)
+        builder.add_box(ground, 8.0, 0.5, center=(0.0, -0.5), surface_speed=0.1, rolling_resistance=0.05)
+        builder.add_box(ground, 0.5, 0.5, center=(3.0, 0.5), sensor=True)
+        builder.add_box(ground, 0.5, 0.1, center=(-3.0, 2.0), one_way=(0.0, 1.0))
+        builder.add_chain(ground, [(-8.0, 3.0), (-8.0, 0.0)], one_sided=True)
+        builder.add_discs([(-2.0 + 1.1 * i, 0.5) for i in range(4)], 0.5, angular_damping=0.1)
+        builder.add_discs([(3.0, 2.0)], 0.4, sensor=[False], gravity_scale=0.5)
+        links = [builder.add_body((-4.0 + i, 6.0)) for i in range(9)]
+        for link in links:
+            builder.add_box(link, 0.3, 0.1)
+        ends = iter(zip([ground, *links], links))
+        builder.add_distance_joint(*next(ends), frequency=2.0, damping_ratio=0.5, lower=0.1, upper=9.0)
+        builder.add_rope_joint(*next(ends), max_length=2.0)
+        builder.add_revolute_joint(*next(ends), lower=-1.0, upper=1.0, motor_speed=0.5, max_motor_torque=2.0)
+        builder.add_prismatic_joint(*next(ends), (1.0, 0.0), lower=-0.5, upper=0.5, break_force=1e6)
+        builder.add_weld_joint(*next(ends))
+        builder.add_wheel_joint(*next(ends))
+        builder.add_target_joint(ground, links[6], max_force=10.0)
+        builder.add_gear_joint(links[6], links[7], -2.0)
+        builder.add_general_joint(links[7], links[8], (0.0, 1.0, 0.0), (0.0, -1.0, 0.0))
+    config = dc.SolverConfig(sleep=True, contact_events=True, contact_switches=True)
+    sim = dc.Simulation(*builder.finalize(), config=config)
+    sim.run(30, DT)
+    sim.remove(bodies=[1], joints=[0])
+    more = sim.additions(1)
+    more.add_disc(more.add_body((6.0, 0.5)), 0.5)
+    sim.add(more)
+    sim.reserve(bodies=3, shapes=3)
+    sim.run(30, DT)
+    sim.sleep([int(sim.index(bodies=2)[0])])
+    sim.step(DT)
+    return sim
 
 
 def network() -> Any:

@@ -14,6 +14,7 @@ from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import CACHE, CONTACTS
 from dc_kernels.model.room import Room, fill_segments, move_segments
 from dc_kernels.model.validate.contacts import check_contacts
+from dc_kernels.runtime.inputs import check_mapping
 
 
 class Cache(ArrayGroup):
@@ -118,7 +119,7 @@ class StepContacts(FoundContacts):
         count = check_values("contact_count", count, (worlds,), np.dtype(np.int64))
         contact_dt = check_values("contact_dt", contact_dt, (worlds,), real, finite=False)
         for name in ("key", "impulse", "color", "age"):
-            if name not in arrays:
+            if name not in check_mapping("arrays", arrays):
                 raise ValueError(f"{name} is missing; the contact cache needs key, impulse, color and age")
         found, total = {}, np.size(arrays["key"])
         for name, values in arrays.items():

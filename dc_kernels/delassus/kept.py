@@ -79,14 +79,16 @@ def _arrays_of(arguments: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dic
             view = host_view(label if part is None else str(part), one)
             if isinstance(view, np.ndarray) and view.ndim:
                 arrays[label] = view
-            elif view is not None:
+            elif view is not None or part is None:  # what may not be None is refused for it
                 others[label] = view
     return arrays, others
 
 
 def _key(arrays: Mapping[str, np.ndarray], others: Mapping[str, Any]) -> Hashable | None:
     """What a solver is for; None where none is to be kept for it."""
-    apart = any(name in arrays or name in others for name in APART) or any(name in arrays for name in CONSTANT)
+    apart = any(name in arrays or others.get(name) is not None for name in APART) or any(
+        name in arrays for name in CONSTANT
+    )
     if apart or any("." in name for name in others):
         return None
     count = len(arrays["body_a"]) if "body_a" in arrays else 0

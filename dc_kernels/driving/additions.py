@@ -116,7 +116,7 @@ class Additions(ModelBuilder):
         """
         sim, where = self.sim, f"existing body {shown(body)}"
         self._need_world(where)
-        at = int(sim.index(bodies=whole("body", body))[0])
+        at = int(sim.ids.find("body", whole("body", body), name="body")[0])
         first, last = sim.model.numpy("body_start")[self._targets[-1] : self._targets[-1] + 2].tolist()
         if not first <= at < last:
             raise ValueError(f"body {body} is not of world {self._targets[-1]}, to which the additions go")

@@ -24,7 +24,7 @@ from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MO
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.room import rows_of
 from dc_kernels.model.rules import Number
-from dc_kernels.model.settings import numeric
+from dc_kernels.model.settings import UnknownName, numeric
 from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.model.validate.scene import check_joints, check_model
 from dc_kernels.runtime.interop import host_view
@@ -61,7 +61,7 @@ def change(sim: Simulation, values: Mapping[str, Any]) -> None:
         values: by name of a field; none: whatever may have been written.
 
     Raises:
-        KeyError, TypeError, ValueError: naming field, index and limit, before anything is written.
+        TypeError, ValueError: naming field, index and limit, before anything is written.
     """
     model, joints = sim.model, sim.joints
     given = {name: _given(name, array, model, joints) for name, array in values.items()}
@@ -104,7 +104,7 @@ def _given(name: str, values: Any, model: Model, joints: Joints) -> np.ndarray:
                 if meant
                 else ("is no field of a model or of joints")
             )
-        raise KeyError(f"{name} {why}. It may be one of {', '.join(changeable)}")
+        raise UnknownName(f"{name} {why}. It may be one of {', '.join(changeable)}")
     field = group.table[name]
     if field.per in TRAITS and not group.sizes[field.per] and group.sizes[axis := TRAITS[field.per]]:
         keyword = name.removeprefix("shape_")

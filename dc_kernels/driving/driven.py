@@ -139,7 +139,7 @@ class Driven(Populated):
                 or a tensor, is checked and taken up.
 
         Raises:
-            KeyError: for a field that lays out memory, or that follows from others.
+            UnknownName: a ``ValueError`` and ``KeyError``, for a field that lays out memory, or follows from others.
             TypeError, ValueError: naming field, index and limit; in the middle of a step.
             RuntimeError: within ``wp.ScopedCapture``.
 
@@ -171,7 +171,7 @@ class Driven(Populated):
                 ``contacts.restitution`` or ``rows.surface_speed``, at these slots, is checked and taken up.
 
         Raises:
-            KeyError: for another name.
+            UnknownName: a ``ValueError`` and ``KeyError``, for another name.
             TypeError, ValueError: naming field, index and limit; out of turn.
             RuntimeError: within ``wp.ScopedCapture``.
 

@@ -52,22 +52,23 @@ class Ids(ArrayGroup):
         following[KINDS.index(kind)] += count
         return np.arange(first, first + count)
 
-    def find(self, kind: str, ids: Any, *, once: bool = False) -> np.ndarray:
+    def find(self, kind: str, ids: Any, *, once: bool = False, name: str | None = None) -> np.ndarray:
         """The indices of bodies, shapes or joints by their ids, (k,) int64; an integer counts as one of them.
 
         Args:
             kind: of what.
             ids: integers, (k,).
             once: whether each may be there once only.
+            name: of the argument, for errors; None: the plural of the kind.
 
         Raises:
             TypeError: for what is no integers.
             ValueError: naming the first that has been removed, has never been, or is there twice.
         """
-        name = PLURAL[kind]
-        given = numeric(name, host_view(name, ids), "integers", "iu")
+        label = PLURAL[kind] if name is None else name
+        given = numeric(label, host_view(label, ids), "integers", "iu")
         if given.ndim > 1:
-            raise ValueError(f"{name} has shape {given.shape}; it must be one id, or (k,)")
+            raise ValueError(f"{label} has shape {given.shape}; it must be one id, or (k,)")
         wanted = given.reshape(-1).astype(np.int64)
         if not len(wanted):
             return wanted
@@ -88,11 +89,12 @@ class Ids(ArrayGroup):
             gone = 0 <= wanted[i] < following
             there = f"ids lie in [0, {following - 1}]" if following else f"no {kind} has"
             why = "which has been removed" if gone else f"which has never been; {there}"
-            raise ValueError(f"{name}[{i}] is the id {wanted[i]}, {why}")
+            place = f"{label}[{i}]" if name is None else name
+            raise ValueError(f"{place} is the id {wanted[i]}, {why}")
         if once and len(np.unique(wanted)) < len(wanted):
             order = np.argsort(wanted, kind="stable")
             again = order[1:][wanted[order[1:]] == wanted[order[:-1]]]
-            raise ValueError(f"{name}[{int(again.min())}] is the id {wanted[again.min()]}, which is there already")
+            raise ValueError(f"{label}[{int(again.min())}] is the id {wanted[again.min()]}, which is there already")
         return index
 
 

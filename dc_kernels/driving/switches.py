@@ -13,7 +13,7 @@ from dc_kernels.model.checks import check_values
 from dc_kernels.model.fields import CONTACTS, ROWS
 from dc_kernels.model.groups import SWITCHES
 from dc_kernels.model.rules import Number, refuse
-from dc_kernels.model.settings import numeric
+from dc_kernels.model.settings import UnknownName, numeric
 from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.runtime.interop import host_view
 from dc_kernels.runtime.threads import uninterrupted
@@ -38,7 +38,7 @@ def change(sim: Simulation, values: Mapping[str, Any]) -> None:
         values: by name, of all contacts in the order of ``contact_slots``, (n,), or one number; none: what was written.
 
     Raises:
-        KeyError, TypeError, ValueError: naming field, index and limit; out of turn. Nothing is changed then, but what
+        TypeError, ValueError: naming field, index and limit; out of turn. Nothing is changed then, but what
             was written to the arrays stays.
     """
     if sim.phase != "collide":
@@ -72,7 +72,7 @@ def _array(group: ArrayGroup, name: str) -> np.ndarray:
 def _given(sim: Simulation, name: str, values: Any, count: int) -> np.ndarray:
     """Values of all contacts, of the dtype of their field."""
     if name not in PLACES:
-        raise KeyError(f"{name} is nothing that change_contacts() changes. It may be one of {', '.join(PLACES)}")
+        raise UnknownName(f"{name} is nothing that change_contacts() changes. It may be one of {', '.join(PLACES)}")
     if name == "enabled" and not sim.config.contact_switches:
         raise ValueError("SolverConfig.contact_switches is False; no contact of this simulation is switched off")
     if name == "surface_speed" and not sim.rows.sizes["switched contact"]:
@@ -81,7 +81,8 @@ def _given(sim: Simulation, name: str, values: Any, count: int) -> np.ndarray:
             why = "SolverConfig.contact_switches is False"
         raise ValueError(f"{why}; no contact of this simulation has a surface speed that could be changed")
     dtype = _array(getattr(sim, PLACES[name][0]), name).dtype
-    array = numeric(name, host_view(name, values), f"a number, or {count} of them", "buif")
+    kinds = "buif" if name == "enabled" else "uif"
+    array = numeric(name, host_view(name, values), f"a number, or {count} of them", kinds)
     if array.shape == ():
         array = np.full(count, array)
     if name == "enabled":

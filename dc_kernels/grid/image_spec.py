@@ -11,7 +11,8 @@ import numpy as np
 from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES, channel_codes
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.stencil import Stencil
-from dc_kernels.model.settings import Count, NotNegative, Settings
+from dc_kernels.model.settings import Count, NotNegative, Settings, WrongType, shown
+from dc_kernels.runtime.inputs import check_mapping
 
 
 @dataclass(frozen=True)
@@ -88,12 +89,17 @@ class ImageSpec(Settings):
         """Return what ``to_dict`` described; what is left out is as by default.
 
         Raises:
-            ValueError: for an unknown name, one that is missing, or a value out of range.
+            TypeError, ValueError: for an unknown name, one that is missing, or a value of another type or out of range.
         """
+        given = dict(check_mapping("values", values))
         try:
-            given = dict(values)
-            grid, stencil = dict(given.pop("grid")), given.pop("stencil", {})
+            grid = dict(check_mapping("grid of values", given.pop("grid")))
+            stencil = dict(check_mapping("stencil of values", given.pop("stencil", {})))
             grid["origin"] = tuple(grid["origin"])
             return cls(Grid(**grid), stencil=Stencil(**stencil), **given)
-        except (KeyError, TypeError) as error:
-            raise ValueError(f"the images are described by {values}: {error}") from None
+        except WrongType:
+            raise
+        except KeyError as error:
+            raise ValueError(f"values of images are {shown(values)}; they lack {error}") from None
+        except TypeError as error:  # a keyword that there is not, or an origin that is no tuple
+            raise ValueError(f"values of images are {shown(values)}: {error}") from None

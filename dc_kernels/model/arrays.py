@@ -16,7 +16,9 @@ import numpy as np
 from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import elements, float_dtype, float_name, many_zeros, numpy_spec
 from dc_kernels.model.fields import CONTACTS, MODEL, STATE, TRAITS, Field
-from dc_kernels.model.settings import counted
+from dc_kernels.model.rules import Number, Unit
+from dc_kernels.model.settings import UnknownName, counted, shown
+from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.model.worlds import Segments, WorldViews, by_world
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
@@ -267,8 +269,15 @@ class ArrayGroup:
 
     def memory(self, name: str) -> np.ndarray:
         """The array of a field as numpy, to be written to: the memory itself on a CPU, a copy from a GPU."""
-        memory = self._memory.get(name)
-        return to_numpy(getattr(self, name)) if memory is None else memory
+        memory = self._memory.get(name) if isinstance(name, str) else None
+        return to_numpy(getattr(self, self.field(name).name)) if memory is None else memory
+
+    def field(self, name: str) -> Field:
+        """The field of a name; raises ``UnknownName``, naming those that there are."""
+        if not isinstance(name, str) or name not in self.table:
+            kind = type(self).__name__.lower()
+            raise UnknownName(f"name is {shown(name)}, no field of {kind}; it must be one of {', '.join(self.table)}")
+        return self.table[name]
 
     def views(self) -> dict[str, np.ndarray]:
         """All arrays as numpy, by name."""
@@ -281,12 +290,13 @@ class ArrayGroup:
         contacts, of which a world has those in use.
 
         Raises:
-            ValueError: for a field that is not divided among worlds, or a group of no simulation.
+            ValueError: for an unknown field, one that is not divided among worlds, or a group of no simulation.
         """
+        field = self.field(name)
         counted = "contact_count" in self.table
         slots = (self.numpy("contact_start"), self.numpy("contact_count")) if counted else None
         label = f"{type(self).__name__.lower()}.{name}"
-        return by_world(label, self.table[name], self.numpy(name), self.segments, slots)
+        return by_world(label, field, self.numpy(name), self.segments, slots)
 
     def __repr__(self) -> str:
         """Sizes, scalar, backend and device."""
@@ -302,13 +312,12 @@ class ArrayGroup:
         """Copy values into a field.
 
         Raises:
-            KeyError: for an unknown field, naming those that there are.
-            ValueError: naming the field, when the shape differs, for non-finite values or a lossy integer dtype, or for
-                a field that a simulation has checked, or derived others from, and goes by (``writable``).
+            UnknownName: a ``ValueError`` and ``KeyError``, for an unknown field, naming those that there are.
+            ValueError: naming the field, when the shape differs, for non-finite values or a lossy integer dtype; for
+                a field that a simulation has checked, or derived others from, and goes by (``writable``); for numbers
+                out of the field's range in the others of a group that a simulation goes by.
         """
-        kind = type(self).__name__.lower()
-        if name not in self.table:
-            raise KeyError(f"{name!r} is no field of {kind}; it must be one of {', '.join(self.table)}")
+        kind, rule = type(self).__name__.lower(), self.field(name).rule
         if not self.writable(name):
             way = f"sim.change_model({name}=values) changes it there; or " if name in self.changeable else ""
             raise ValueError(
@@ -317,7 +326,10 @@ class ArrayGroup:
             )
         element = elements(self.table, self.dtype)[name]
         shape = (*(self.sizes[axis] for axis in element.axes), *element.shape)
-        self.fill(name, check_values(name, values, shape, element.scalar))
+        array = check_values(name, values, shape, element.scalar)
+        if self.fixed and isinstance(rule, Number | Unit):  # nobody looks at it again
+            check_rule(name, array, rule)
+        self.fill(name, array)
 
     def fill(self, name: str, values: np.ndarray) -> None:
         """Copy values of a field's own shape and dtype into it, whatever they are: ``assign`` looks at them."""

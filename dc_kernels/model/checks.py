@@ -45,6 +45,7 @@ FIELDS: dict[str, Any] = {
     "lower": Finite,
     "upper": Finite,
     "motor_speed": Finite,
+    "speed": Finite,
     "max_motor_torque": NotNegative,
     "max_motor_force": NotNegative,
     "max_force": NotNegative,
@@ -220,9 +221,7 @@ def truths(name: str, values: Any, count: int) -> np.ndarray:
     """
     if not isinstance(values, np.ndarray | list | tuple):
         return np.full(count, truth(name, values))
-    array = np.asarray(values)
-    if array.dtype != np.bool_:
-        raise WrongType(f"{name} is of dtype {array.dtype}; it must be True, False, or bools of shape ({count},)")
+    array = numeric(name, values, f"True, False, or bools of shape ({count},)", "b")
     if array.shape != (count,):
         raise ValueError(f"{name} has shape {array.shape}; it must be a bool or ({count},)")
     return array

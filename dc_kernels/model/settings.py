@@ -43,6 +43,12 @@ class WrongType(TypeError, ValueError):
     """A value of the wrong type; a ``ValueError`` too, so that those who catch that miss nothing."""
 
 
+class UnknownName(ValueError, KeyError):
+    """A name of nothing; a ``ValueError`` as any other bad value, and a ``KeyError``, as names are looked up."""
+
+    __str__ = Exception.__str__  # a KeyError would show a literal of its text
+
+
 @dataclass(frozen=True, kw_only=True)
 class Limits:
     """What a number may be: metadata of an annotation."""

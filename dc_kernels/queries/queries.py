@@ -95,6 +95,7 @@ class Queries(InPlace):
             ValueError, TypeError: naming the argument, the index and the limit.
         """
         self._sim = shapes if hasattr(shapes, "state") else None
+        self.shapes = Shapes(getattr(shapes, "model", shapes), backend)
         if self._sim is not None:
             if position is not None or angle is not None:
                 raise ValueError("position and angle are those of the simulation; leave them out")
@@ -102,7 +103,6 @@ class Queries(InPlace):
             name = "position" if position is None else "angle"
             raise ValueError(f"{name} is missing; give that of the bodies, or a Simulation")
         self._given, self._position, self._angle = shapes, position, angle
-        self.shapes = Shapes(getattr(shapes, "model", shapes), backend)
         self.backend, self.dtype = self.shapes.backend, self.shapes.dtype
         kernel_file(self.backend, "queries.queries")  # says which backends have them
         self.threads = host_threads(self.backend, check_count("threads", threads))
@@ -227,7 +227,7 @@ class Queries(InPlace):
         """
         query = self._asked("lower", lower, world, mask, skip_body)
         low = query["place"]
-        high = check_values("upper", upper, low.shape, self.dtype)
+        high = self._within("upper", check_values("upper", upper, low.shape, self.dtype))
         bad = np.argwhere(high < low)
         if len(bad):
             i, k = (int(n) for n in bad[0])

@@ -29,6 +29,8 @@ check_truth = checker(bool)
 """Returns True or False, or raises an error with the name."""
 check_path = checker(Path)
 """Returns a path, or raises an error with the name."""
+check_mapping = checker(Mapping)
+"""Returns values by name, or raises an error with the name of the argument."""
 check_maybe_callable = checker(Callable[..., Any] | None)
 """Returns what can be called, or None, or raises an error with the name."""
 check_callable = checker(Callable[..., Any])

@@ -15,7 +15,7 @@ from dc_kernels.model.rules import UNIT_TOLERANCE, refuse
 from dc_kernels.model.settings import WrongType, numeric, shown
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
-from dc_kernels.runtime.inputs import check_finite, check_layout, check_start, refuse_overlap
+from dc_kernels.runtime.inputs import check_finite, check_layout, check_mapping, check_start, refuse_overlap
 from dc_kernels.runtime.interop import host_view
 
 UNIT = 2.0 * UNIT_TOLERANCE  # of a squared length
@@ -71,9 +71,10 @@ def own_rows(rows: Mapping[str, Any] | None) -> dict[str, Any]:
     """A caller's own rows, complete; empty without any.
 
     Raises:
+        TypeError: for what is no mapping.
         ValueError: naming what is unknown or missing.
     """
-    if not rows:
+    if rows is None or not check_mapping("rows", rows):
         return {}
     for name in rows:
         if name not in OWN_ROWS:

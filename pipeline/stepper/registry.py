@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from pipeline.starts.registry import Maker, maker
@@ -44,5 +45,8 @@ def stepper_maker(options: StepperOptions) -> Maker:
     from pipeline.networks.checkpoint import load_checkpoint
     from pipeline.stepper.solve import NetworkStepper
 
-    model, manifest = load_checkpoint(options.weights or PRETRAINED)
+    path = options.weights or PRETRAINED
+    model, manifest = load_checkpoint(path)
+    if not isinstance(manifest.get("stepper"), Mapping):
+        raise ValueError(f"{path}: its manifest has no 'stepper'; the network was not trained by train-stepper")
     return lambda sim: NetworkStepper(sim, model, manifest, options)

@@ -65,6 +65,8 @@ def test_what_is_wrong_is_named_and_harms_no_later_call(solvers):
         delassus.from_contacts(**bad, dt=DT)
     with pytest.raises(ValueError, match="gap has shape"):
         delassus.from_contacts(**contacts(50, 1, gap=np.zeros(49)), dt=DT)
+    with pytest.raises(ValueError, match="friction is missing"):
+        delassus.from_contacts(**contacts(50, 1, friction=None), dt=DT)
     with pytest.raises(ValueError, match="friction"):
         delassus.from_contacts(**contacts(50, 1, friction=-1.0), dt=DT)
     assert_as_new(contacts(50, 2))

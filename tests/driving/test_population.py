@@ -611,7 +611,7 @@ def test_what_lay_on_a_body_that_goes_wakes():
         (lambda sim: build(first, worlds=2).additions().existing(9), ValueError, "body 9 has no world: call to_world"),
         (lambda sim: sim.additions().add_world(), TypeError, "to_world"),
         (lambda sim: sim.additions().finalize(), TypeError, r"sim.add\(additions\)"),
-        (lambda sim: sim.additions().existing(17), ValueError, r"bodies\[0\] is the id 17, which has never been"),
+        (lambda sim: sim.additions().existing(17), ValueError, "body is the id 17, which has never been"),
         (lambda sim: sim.additions().add_disc(0, 1.0), ValueError, "body of shape 0 is 0"),
         (lambda sim: sim.additions().add_body((float("nan"), 0)), ValueError, "position"),
         (lambda sim: sim.remove(bodies=[1, 1]), ValueError, r"bodies\[1\] is the id 1, which is there already"),

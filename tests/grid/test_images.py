@@ -307,7 +307,7 @@ def test_a_specification_goes_through_json():
     assert ImageSpec.from_dict(json.loads(json.dumps(spec.to_dict()))) == spec
     for change, message in (
         ({"colour": 1}, "colour"),
-        ({"grid": {"rows": 3}}, "described by"),
+        ({"grid": {"rows": 3}}, "values of images are .*; they lack 'origin'"),
         ({"bins": 0}, "bins is 0"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -104,7 +104,9 @@ def test_a_field_is_not_replaced_by_another_array(backend):
     state.assign("position", [(0, 5), (3, 5)])  # as the message says: the simulation goes on from there
     sim.step(0.01)
     np.testing.assert_allclose(state.numpy("position"), [(0, 5), (3, 5)], atol=0.01)
-    with pytest.raises(KeyError, match="'vel' is no field of state; it must be one of position, angle, velocity, "):
+    with pytest.raises(
+        KeyError, match="name is 'vel', no field of state; it must be one of position, angle, velocity, "
+    ):
         state.assign("vel", np.zeros((2, 2)))
 
 

@@ -252,6 +252,11 @@ def test_sizes_of_all_kinds_and_bodies_that_are_nowhere():
             ValueError,
             r"upper\[0, 1\] is -1\.0; it must be >= ",
         ),
+        (
+            lambda q: q.overlap_boxes([(0, 0)], [(1, 1e200)], world=0),
+            ValueError,
+            r"upper\[0, 1\] is 1e\+200; it must be",
+        ),
         (lambda q: q.closest_points([(0, 0)], max_distance=-1, world=0), ValueError, r"max_distance\[0\] is -1\.0"),
     ],
 )

@@ -367,6 +367,9 @@ def test_what_no_joint_may_be_is_refused_by_name(name, values, message):
     sim = dc.Simulation(*builder.finalize(backend="numpy"))
     with pytest.raises(ValueError, match=message):
         sim.change_model(**{name: values})
+    if sim.joints.writable(name) and name != "joint_lower":  # which may be written before joint_upper is
+        with pytest.raises(ValueError, match=message.replace(r"joints\.", "")):
+            sim.joints.assign(name, values)
 
 
 @pytest.mark.parametrize(

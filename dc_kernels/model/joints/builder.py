@@ -348,7 +348,7 @@ class JointBuilder:
         more: dict[str, Any] = {
             "jacobian_a": triple("jacobian_a", jacobian_a, where),
             "jacobian_b": triple("jacobian_b", jacobian_b, where),
-            "speed": number("motor_speed", speed, where),
+            "speed": number("speed", speed, where),
         }
         more["lower"], more["upper"], _ = self._limits(lower, upper, where)
         return self._add_joint(JointKind.GENERAL, (a, b), ((0.0, 0.0), (0.0, 0.0)), where, options, **more)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.faults.targets import Backend, Target, always, simulation
+from bench.faults.targets.simulations import Backend, Target, always, builder, simulation
 from bench.faults.values import HUGE, Array, Given, TimeStep
 from dc_kernels.model.settings import Count, NotNegative, Positive, Whole
 
@@ -140,6 +140,14 @@ def solver_targets() -> Iterator[Target]:
         "schedule": Given("none", 1, None),
     }
     given: dict[str, Any] = {**touch, **masses, **moves, **known, **starts, **scales, **options, "backend": Backend}
+    before = {"velocity_before": Array(2, 2, optional=True), "angular_velocity_before": Array(2, optional=True)}
+    arms: dict[str, Any] = {
+        "angle": Array(2, optional=True, finite=False),
+        "joints": Given("12", 3, [1], {"joint": 1}, {1: 2}),
+    }
+    arms |= {name: Array(1, 2, optional=True) for name in ("arm_a", "arm_b")}
+    arms |= {"rows": Given("12", 3, [1], {"row": 1}, {1: 2}), "row_start": Array(2, whole=True, optional=True)}
+    given |= {**before, **arms}
     names: dict[str, tuple[str, ...]] = {"normal": ("inv_mass",), "point": ("arm_a",)}
 
     def solver() -> Callable[..., Any]:
@@ -151,7 +159,7 @@ def solver_targets() -> Iterator[Target]:
         lambda: dc.ContactSolver(**contact()).solve,
         lambda: {"dt": 0.01},
         {"dt": TimeStep, "kept": bool, "config": dc.SolverConfig | None}
-        | {name: Array(*hint.shape, optional=True) for name, hint in moves.items()},
+        | {**before, **{name: Array(*hint.shape, optional=True) for name, hint in moves.items()}},
     )
     joint = {
         "joint_body_a": np.zeros(1, INT),
@@ -188,7 +196,8 @@ def driving_targets() -> Iterator[Target]:
         "angle": Array(2, strict=False),
         "time": Array(1, strict=False),
     }
-    yield Target("reset", lambda: sim().reset, dict, {"worlds": WORLDS})
+    wrong = Given("12", 3, [1], {"speed": 1.0}, {1: 2}, {"time": "12"}, builder().finalize()[0])
+    yield Target("reset", lambda: sim().reset, dict, {"worlds": WORLDS, "state": wrong})
     for name, hint in state.items():
 
         def reset() -> Callable[..., Any]:
@@ -228,4 +237,13 @@ def driving_targets() -> Iterator[Target]:
         lambda: dict(restored),
         {"count": Array(1, whole=True, strict=False), "contact_dt": Given("1", None, [math.nan], [-1.0], [1e-40])},
         {"count": ("contact_count",)},
+    )
+    whole = {"count": np.zeros(1, INT), "arrays": empty, "contact_dt": np.zeros(1, np.float32)}
+    less = [{name: empty[name] for name in empty if name != missing} for missing in empty]
+    yield Target(
+        "restore_contacts",
+        lambda: sim().restore_contacts,
+        lambda: dict(whole),
+        {"arrays": Given("12", 3, None, [1], {}, {1: 2}, *less, {**empty, "key": "12"}, {**empty, "age": None})},
+        {"arrays": tuple(empty)},
     )

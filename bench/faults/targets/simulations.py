@@ -161,7 +161,7 @@ def simulation_targets() -> Iterator[Target]:
         "overlap", lambda: dc.overlap, lambda: {"sim": sim()}, {"recollide": Positive | None}, {"recollide": ("dt",)}
     )
     yield Target("save", lambda: sim().save, lambda: {"path": folder() / "a.h5"}, {"path": Path})
-    yield Target("load", lambda: dc.Simulation.load, snapshot, {"path": Path, "threads": Count})
+    yield Target("load", lambda: dc.Simulation.load, snapshot, {"path": Path, "threads": Count | None})
 
 
 @functools.cache
@@ -208,7 +208,7 @@ def grid_targets() -> Iterator[Target]:
             **places,
             **options,
         }
-        | {"reverse": bool, "start": offsets["start"]},
+        | {"reverse": bool, **offsets},
     )
     yield Target("Transfer", lambda: dc.Transfer, lambda: {"grid": grid}, {**places, **options})
     corners = {"lower": Vector, "upper": Vector}
@@ -223,6 +223,8 @@ def grid_targets() -> Iterator[Target]:
         "shared_cells", lambda: dc.shared_cells, lambda: {"points": points, "grid": grid}, {**where, "grid": dc.Grid}
     )
     spec = dc.ImageSpec(grid)
+    described = Given("12", 3, None, [1], {}, {1: 2}, {**spec.to_dict(), "grid": 3}, {**spec.to_dict(), "nothing": 1})
+    yield Target("from_dict", lambda: dc.ImageSpec.from_dict, lambda: {"values": spec.to_dict()}, {"values": described})
     threads = {"threads": Count | None}
     yield Target(
         "Images",

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-from bench.faults.targets import Target, simulation
+from bench.faults.targets.simulations import Target, simulation
 from bench.faults.values import Array
 from dc_kernels.model.settings import Count, Limits, Positive, Seed, Whole
 

@@ -1,0 +1,1 @@
+"""What is called with bad arguments, and what each argument may be: for ``calls``."""
