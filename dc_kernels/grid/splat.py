@@ -117,7 +117,7 @@ class Splat:
             tiled: None: as the size of the image tells, but not in a recording; the oracle has no tiles.
         """
         dtype = to_numpy(value).dtype
-        self.table, self.backend, self.threads = transfer_kernels(backend, dtype.name), backend, threads
+        self.table, self.backend = transfer_kernels(backend, dtype.name), backend
         worlds, _, rows, columns = image.shape
         count, channels = value.shape
         channels *= bins
@@ -143,6 +143,8 @@ class Splat:
             "image": image,
         }
         self.touched: Any = None
+        self._slots, self.threads = threads, host_threads(backend, threads)
+        self._own = threads // self.threads  # that a launch shares itself
         self._lock = threading.Lock()
         self._most = 0  # points of a world that one launch adds; 0: all
         if not self.tiled:
@@ -154,10 +156,9 @@ class Splat:
                 self.values["points"] = kernel_file(backend, "groups").group("points", dtype.name, POINTS, part)
             self.touched = kernel_array(np.zeros((worlds, -(-rows // BAND)), np.int32), backend)
             self.values["touched"] = self.touched
-            shards = shard_worlds(worlds, max(host_threads(backend, threads), 1 if recording() else self._slices))
-            self._launches = [self._bind("splat_worlds", n, world_offset=w, threads=threads) for w, n in shards]
+            shards = shard_worlds(worlds, max(self.threads, 1 if recording() else self._slices))
+            self._launches = [self._bind("splat_worlds", n, world_offset=w) for w, n in shards]
             return
-        threads = self.threads = host_threads(backend, threads)
         self._tile_rows, self._tile_columns = -(-rows // TILE_ROWS), -(-columns // TILE_COLUMNS)
         tiles = self._tile_rows * self._tile_columns
         self._parts = max(threads, min(FINER * slices_of(reached), MOST_COUNTED // max(worlds * tiles, 1)))
@@ -172,7 +173,8 @@ class Splat:
             "touched": np.zeros(worlds * tiles, np.int32),
             "scratch": aligned_zeros((threads, channels * TILE_ROWS * (TILE_COLUMNS + 2 * window)), dtype),
         }
-        self.values.update(world_tiles=tiles, chunks=self._parts)
+        span = -(-worlds * tiles // threads)
+        self.values.update(slot_tiles=span, chunks=self._parts)
         self._reserve(count + count // 2)
 
     @property
@@ -184,15 +186,15 @@ class Splat:
         """Return what makes the next call clear these nodes, (n,) each, whatever reached them in the call before."""
         if self.tiled:
             tile = row // TILE_ROWS * self._tile_columns + column // TILE_COLUMNS
-            found = np.unique(world * self.values["world_tiles"] + tile)
+            found = np.unique(world * self._tile_rows * self._tile_columns + tile)
             return functools.partial(self.tiles["touched"].__setitem__, found, 1)
         band = np.zeros(self.touched.shape, np.int32)
         band[world, row // BAND] = 1
         values = {"band": kernel_array(band, self.backend), "touched": self.touched}
         return Kernel(self.table["mark_bands"], values)
 
-    def _bind(self, name: str, dim: int, **values: Any) -> Launch:
-        return bind(self.table[name], dim, {**self.values, **values}, "cpu")
+    def _bind(self, name: str, dim: int | tuple[int, int], **values: Any) -> Launch:
+        return bind(self.table[name], dim, {"threads": self._own, **self.values, **values}, "cpu")
 
     def _reserve(self, entries: int) -> None:
         """Make room for the entries of all tiles, and what is fetched ahead of the last."""
@@ -200,25 +202,24 @@ class Splat:
         arrays = {**self.tiles, "order": np.zeros(entries + TILE_ROWS, np.int32)}
         dtype = self.tiles["scratch"].dtype.name
         self.values["tiles"] = kernel_file(self.backend, "groups").group("tiles", dtype, TILES, arrays)
-        worlds, threads = len(self.missed), self.threads
+        worlds, own = len(self.missed), self._own
         self._count, self._list = (
-            [self._bind(name, worlds, chunk=chunk) for chunk in range(self._parts)]
+            [self._bind(name, (min(own, self._parts - k), worlds), first_chunk=k) for k in range(0, self._parts, own)]
             for name in ("count_tiles", "list_tiles")
         )
-        # more shards than threads would need more buffers; tiles are many, and those of a shard lie side by side
-        shards = [
-            (slot, first, shard_worlds(count, FINER * self._slices))
-            for slot, (first, count) in enumerate(shard_worlds(len(self.tiles["lost"]), threads))
-        ]
-        self._edges = np.array([first + part for _, first, parts in shards for part, _ in parts])
+        # more slots than threads would need more buffers; tiles are many, and those of a slot lie side by side
+        tiles = len(self.tiles["lost"])
+        span = self.values["slot_tiles"]
+        parts = shard_worlds(span, FINER * self._slices)
+        self._edges = np.array([first + part for first in range(0, tiles, span) for part, _ in parts])
+        self._edges = self._edges[self._edges < tiles]
         # slice by slice, each by all threads
         self._tiled = [
             [
-                self._bind("splat_tiles", parts[k][1], tile_offset=first + parts[k][0], slot=slot)
-                for slot, first, parts in shards
-                if k < len(parts)
+                self._bind("splat_tiles", (self._own, n), tile_offset=slot * span + part, first_slot=slot)
+                for slot in range(0, self._slots, self._own)
             ]
-            for k in range(max(len(parts) for _, _, parts in shards))
+            for part, n in parts
         ]
 
     def __call__(self) -> None:

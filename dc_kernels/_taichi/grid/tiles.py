@@ -1,4 +1,4 @@
-"""The splat onto an image larger than a core's cache, tile by tile, on one thread.
+"""The splat onto an image larger than a core's cache, tile by tile.
 
 Points are listed by the tiles they reach (a counting sort), a tile's points are added to a buffer of its own in the
 order of their index, and the buffer is copied to the image: a node gets the sum that it has without tiles. Without a
@@ -89,17 +89,31 @@ def kernels(dtype: str) -> dict[str, Any]:
 
     @kernel
     def count_tiles(
-        tid, chunk: ti.i32, chunks: ti.i32, stencil: t.Stencil, points: t.Points, image: t.image, tiles: Tiles
+        chunk,
+        world,
+        first_chunk: ti.i32,
+        chunks: ti.i32,
+        stencil: t.Stencil,
+        points: t.Points,
+        image: t.image,
+        tiles: Tiles,
     ):
-        """Count the points of a world's chunk that reach each tile; one thread a world."""
-        visit(False, tid, chunk, chunks, stencil, points, image, tiles)
+        """Count the points that reach each tile; a thread takes a chunk of a world's points."""
+        visit(False, world, first_chunk + chunk, chunks, stencil, points, image, tiles)
 
     @kernel
     def list_tiles(
-        tid, chunk: ti.i32, chunks: ti.i32, stencil: t.Stencil, points: t.Points, image: t.image, tiles: Tiles
+        chunk,
+        world,
+        first_chunk: ti.i32,
+        chunks: ti.i32,
+        stencil: t.Stencil,
+        points: t.Points,
+        image: t.image,
+        tiles: Tiles,
     ):
-        """List the points of a world's chunk by tile, from the slots on."""
-        visit(True, tid, chunk, chunks, stencil, points, image, tiles)
+        """List points by tile, from the slots on; a thread takes a chunk of a world's points."""
+        visit(True, world, first_chunk + chunk, chunks, stencil, points, image, tiles)
 
     @ti.func
     def coordinates(first, end, points: t.Points, tiles: Tiles):
@@ -161,31 +175,29 @@ def kernels(dtype: str) -> dict[str, Any]:
                     image[0, 0, 0, row + n] = 0.0
                     n += 1
 
-    @kernel
-    def splat_tiles(
-        tid,
-        tile_offset: ti.i32,
-        world_tiles: ti.i32,
-        slot: ti.i32,
+    @ti.func
+    def splat_tile(
+        tile,
+        slot,
         stencil: t.Stencil,
-        bins: ti.i32,
-        channel_offset: ti.i32,
+        bins,
+        channel_offset,
         points: t.Points,
-        value: t.values,
+        value: ti.template(),
         tiles: Tiles,
         image: t.image,
     ):
         """Add a tile's points in the slot's buffer and copy it to the image; clear a tile that none reaches now."""
-        tile = tid + tile_offset
-        world = tile // world_tiles
         channels = value.shape[1]
         rows = image.shape[2]
         columns = image.shape[3]
         plane = rows * columns
-        target = (world * image.shape[1] + channel_offset) * plane
         across = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS
-        row_low = (tile - world * world_tiles) // across * TILE_ROWS
-        column_low = (tile - world * world_tiles) % across * TILE_COLUMNS
+        world_tiles = across * ((rows + TILE_ROWS - 1) // TILE_ROWS)
+        world = tile // world_tiles
+        target = (world * image.shape[1] + channel_offset) * plane
+        row_low = tile % world_tiles // across * TILE_ROWS
+        column_low = tile % world_tiles % across * TILE_COLUMNS
         row_high = ti.min(row_low + TILE_ROWS, rows)
         column_high = ti.min(column_low + TILE_COLUMNS, columns)
         # a window reaches into the tile from no farther away than its own width
@@ -268,5 +280,25 @@ def kernels(dtype: str) -> dict[str, Any]:
                         image[0, 0, 0, to + n] = tiles.scratch[0, source + n]
                         n += 1
         tiles.lost[tile] = lost
+
+    @kernel
+    def splat_tiles(
+        slot,
+        k,
+        tile_offset: ti.i32,
+        slot_tiles: ti.i32,
+        first_slot: ti.i32,
+        stencil: t.Stencil,
+        bins: ti.i32,
+        channel_offset: ti.i32,
+        points: t.Points,
+        value: t.values,
+        tiles: Tiles,
+        image: t.image,
+    ):
+        """Add the points of a slot's tiles in its buffer and copy each to the image; clear tiles that none reaches."""
+        tile = tile_offset + slot * slot_tiles + k
+        if tile < tiles.touched.shape[0]:
+            splat_tile(tile, first_slot + slot, stencil, bins, channel_offset, points, value, tiles, image)
 
     return {"count_tiles": count_tiles, "list_tiles": list_tiles, "splat_tiles": splat_tiles}

@@ -14,6 +14,7 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.grid.stencil import WEIGHTS, grid_code, grid_types
+from dc_kernels.grid.layout import TILE_COLUMNS, TILE_ROWS
 
 VISIT = ("grid/tiling.h", "grid/visit.h")
 TILE = ("grid/tiling.h", "grid/tile.h", "grid/points.h", "grid/add.h", *WEIGHTS, "grid/splat_tile.h")
@@ -38,9 +39,10 @@ def kernels(dtype: str) -> dict[str, Any]:
     ): ...
 
     @wp.kernel(module=module, enable_backward=False)
-    def count_tiles(chunk: int, chunks: int, stencil: Stencil, points: Points, image: image_type, tiles: Tiles):
-        """Count the points of a world's chunk that reach each tile; one thread a world."""
-        count_chunk(wp.tid(), chunk, chunks, stencil, points, image, tiles)
+    def count_tiles(first_chunk: int, chunks: int, stencil: Stencil, points: Points, image: image_type, tiles: Tiles):
+        """Count the points that reach each tile; a thread takes a chunk of a world's points."""
+        chunk, world = wp.tid()
+        count_chunk(world, first_chunk + chunk, chunks, stencil, points, image, tiles)
 
     @wp.func_native(grid_code(dtype, *VISIT, "grid/list_tiles.h"))
     def list_chunk(
@@ -54,9 +56,10 @@ def kernels(dtype: str) -> dict[str, Any]:
     ): ...
 
     @wp.kernel(module=module, enable_backward=False)
-    def list_tiles(chunk: int, chunks: int, stencil: Stencil, points: Points, image: image_type, tiles: Tiles):
-        """List the points of a world's chunk by tile, from the slots on."""
-        list_chunk(wp.tid(), chunk, chunks, stencil, points, image, tiles)
+    def list_tiles(first_chunk: int, chunks: int, stencil: Stencil, points: Points, image: image_type, tiles: Tiles):
+        """List points by tile, from the slots on; a thread takes a chunk of a world's points."""
+        chunk, world = wp.tid()
+        list_chunk(world, first_chunk + chunk, chunks, stencil, points, image, tiles)
 
     @wp.func_native(grid_code(dtype, *TILE))
     def splat_tile(
@@ -75,8 +78,8 @@ def kernels(dtype: str) -> dict[str, Any]:
     @wp.kernel(module=module, enable_backward=False)
     def splat_tiles(
         tile_offset: int,
-        world_tiles: int,
-        slot: int,
+        slot_tiles: int,
+        first_slot: int,
         stencil: Stencil,
         bins: int,
         channel_offset: int,
@@ -87,7 +90,12 @@ def kernels(dtype: str) -> dict[str, Any]:
         image: image_type,
     ):
         """Add a tile's points in the slot's buffer and copy it to the image; clear a tile that none reaches now."""
-        tile = wp.tid() + tile_offset
-        splat_tile(tile, tile // world_tiles, slot, stencil, bins, channel_offset, points, value, tiles, image)
+        slot, k = wp.tid()
+        tile = tile_offset + slot * slot_tiles + k
+        if tile < tiles.touched.shape[0]:
+            rows, columns = image.shape[2], image.shape[3]
+            across = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS
+            world = tile // (across * ((rows + TILE_ROWS - 1) // TILE_ROWS))
+            splat_tile(tile, world, first_slot + slot, stencil, bins, channel_offset, points, value, tiles, image)
 
     return {"count_tiles": count_tiles, "list_tiles": list_tiles, "splat_tiles": splat_tiles}
