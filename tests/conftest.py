@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from collections import Counter
+from typing import Any
 
 import pytest
 import warp as wp
@@ -37,3 +39,58 @@ def wakeup_descriptor():
     if threading.current_thread() is threading.main_thread():
         left = signal.set_wakeup_fd(-1)
         assert left == -1, f"the test leaves signals going to descriptor {left}"
+
+
+TOGETHER = (
+    "driving/test_population.py",
+    "parity/test_taichi.py",
+    "parity/test_taichi_joints.py",
+    "parity/test_taichi_solve.py",
+    "parity/test_taichi_steps.py",
+    "solve/test_contacts.py",
+    "solve/test_own_rows.py",
+    "solve/test_surfaces.py",
+)
+"""Files whose tests compile the same kernels of Taichi, which another process finds only when this one has ended."""
+FIRST = (
+    "runtime/test_ptx.py",
+    "grid/test_transfer.py",
+    "parity/test_parity.py",
+    "project/test_extend.py",
+    "pipeline/evaluate/test_evaluate.py",
+    "pipeline/contactnet/test_contact_training.py",
+    "pipeline/training/test_grid_training.py",
+    "project/test_docs.py",
+    "taichi/test_grid.py",
+    "taichi/test_program.py",
+    "bench/test_stability.py",
+    "bench/test_stability_fuzz.py",
+)
+"""Few tests that take long: at the end one process would be at work on them, and the others idle."""
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Where several processes share the tests, put first those files that take long, then those of many tests."""
+    if not hasattr(config, "workerinput"):
+        return
+    files = [item.nodeid.split("::", 1)[0].removeprefix("tests/") for item in items]
+    count = Counter(files)
+    rank = {file: i for i, file in enumerate((*TOGETHER, *FIRST))}
+    place = {id(item): (rank.get(file, len(rank)), -count[file]) for item, file in zip(items, files)}
+    items.sort(key=lambda item: place[id(item)])
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give whole files to the processes in the order that they are collected in, and those ``TOGETHER`` to one."""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = super()._split_scope(nodeid)
+            return "together" if file.removeprefix("tests/") in TOGETHER else file
+
+    config.option.loadscopereorder = False
+    return Scheduling(config, log)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bench import house
+from tests.conftest import FIRST, TOGETHER
 
 # Where a bar is not reached yet, today's figure is the bound: it may fall, and then it is lowered here, but not rise.
 
@@ -25,3 +26,8 @@ def test_report_names_what_is_above_its_bar(values):
     text = house.report(values)
     assert all(key in text for key in house.KEYS)
     assert values["where"]["longest_module"] in text
+
+
+def test_files_that_are_run_first_are_there():
+    missing = [file for file in (*TOGETHER, *FIRST) if not (house.ROOT / "tests" / file).is_file()]
+    assert not missing and len({*TOGETHER, *FIRST}) == len(TOGETHER) + len(FIRST)
