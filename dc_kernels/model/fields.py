@@ -275,7 +275,7 @@ ROWS = field_table(
     ("row_impulse", "own row", "real", "N s", "along the row's Jacobians"),
     ("tree_start", "world+1", "int32", "1", "first tree of joints of each world, which are solved directly"),
     ("tree_first", "tree+1", "int32", "1", "first joint of each tree"),
-    ("tree_used", "tree", "int32", "1", "1: sweeps of this step left it apart, so that it was solved"),
+    ("tree_used", "tree", "int32", "1", "after how many sweeps of this step it was solved last, 0: not at all"),
     ("tree_row", "tree joint", "int32", "1", "first row of the joint, of those that the trees hold"),
     ("tree_size", "tree joint", "int32", "1", "rows of it that they hold, 3 at most"),
     ("tree_parent", "tree joint", "int32", "1", "its body that is nearer to the root of the tree"),

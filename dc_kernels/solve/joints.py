@@ -111,17 +111,25 @@ def plant(model: Model, joints: Joints) -> Forest:
     for first in sorted(links):
         if first in seen:
             continue
+        bodies = [first]
         seen.add(first)
-        queue, found_here = [first], len(order)
-        for body in queue:
-            order += [(j, body, -1, first) for other, j in reversed(links[body]) if other < 0]
-            for other, j in links[body]:
+        for body in bodies:
+            for other, _ in links[body]:
                 if other >= 0 and other not in seen:
                     seen.add(other)
+                    bodies.append(other)
+        fixed = sum(other < 0 for body in bodies for other, _ in links[body])
+        if LOOP_SHARE * loops_of[find(first)] > len(bodies) - 1 + fixed:
+            continue
+        middle = _middle({body: [other for other, _ in links[body] if other >= 0] for body in bodies})
+        queue, parent = [middle], {middle: -1}
+        for body in queue:
+            order += [(j, body, -1, middle) for other, j in reversed(links[body]) if other < 0]
+            for other, j in links[body]:
+                if other >= 0 and other != parent[body]:
+                    parent[other] = body
                     queue.append(other)
-                    order.append((j, body, other, first))
-        if LOOP_SHARE * loops_of[find(first)] > len(order) - found_here:
-            del order[found_here:]
+                    order.append((j, body, other, middle))
     found = np.array(order[::-1], np.int64).reshape(-1, 4)
     world = np.searchsorted(model.numpy("joint_start"), found[:, 0], "right") - 1
     found, world = found[np.argsort(world, kind="stable")], np.sort(world)
@@ -131,6 +139,28 @@ def plant(model: Model, joints: Joints) -> Forest:
     size = np.array([HELD[one] for one in JointKind])[kind[found[:, 0]]]
     row = joints.numpy("joint_row_start")[found[:, 0]]
     return Forest(start, first_joint, row, *(values.astype(np.int32) for values in (size, found[:, 1], found[:, 2])))
+
+
+def _middle(near: dict[int, list[int]]) -> int:
+    """The body of a tree from which the farthest one is fewest joints away.
+
+    What is done to one half of a chain need not wait for the other then, so that a processor does both at once.
+
+    Args:
+        near: its neighbours by body.
+    """
+    open_ends = {body: len(others) for body, others in near.items()}
+    leaves, left = [body for body, count in open_ends.items() if count <= 1], len(near)
+    while left > 2:
+        left -= len(leaves)
+        within = []
+        for leaf in leaves:
+            for other in near[leaf]:
+                open_ends[other] -= 1
+                if open_ends[other] == 1:
+                    within.append(other)
+        leaves = within
+    return min(leaves)
 
 
 class Apart(NamedTuple):

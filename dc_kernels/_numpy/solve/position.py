@@ -17,7 +17,8 @@ def position_kernels(variant: str) -> Kernels:
     def correct_positions(tid: int, launch: Any, config: Any, model: Any, state: Any, motion: Any, rows: Any) -> None:
         """Add to the displacements of a step what removes a share of each overlap.
 
-        Without joints it is skipped where the step began with no overlap beyond the slop.
+        Without joints it is skipped where the step began with no overlap beyond the slop. Trees of joints follow once,
+        by as much as all sweeps remove.
         """
         w = tid + launch.world_offset
         if state.flags[w]:
@@ -26,14 +27,16 @@ def position_kernels(variant: str) -> Kernels:
             return
         limit = config.max_correction * model.length_scale[w]
         world = World(w, variant, 0, config, model, motion, rows, None)
-        used = [tree for tree in world.own_trees if rows.tree_used[tree]]
-        trees = [Tree(tree, variant, rows, motion.displacement, places=True) for tree in used]
+        left = motion.displacement.dtype.type(1.0)
         for _ in range(config.position_iterations):
             pushes = (push_row(row, motion.displacement, config.position_factor, limit) for row in world.own_rows)
             pushed = max(pushes, default=0.0)
-            for tree in trees:
-                tree.push(motion.displacement, config.position_factor, limit)
+            left *= 1 - left.dtype.type(config.position_factor)
             if not pushed > 0.0:
                 break
+        for tree in world.own_trees:
+            if rows.tree_used[tree]:
+                own = Tree(tree, variant, rows, motion.displacement, places=True)
+                own.push(motion.displacement, 1 - left, limit)
 
     return {"correct_positions": correct_positions}

@@ -129,9 +129,15 @@ class World:
         return real(config.motion_tolerance) * real(config.slop) * length / motion.step_dt[self.w]
 
     def lacks(self, times: float) -> bool:
-        """Whether a row without bounds lacked more of its speed, as the last sweep came to it, than ``times`` still."""
+        """Whether a row without bounds lacked more of its speed, as the last sweep came to it, than ``times`` still.
+
+        Rows of trees that were solved after it hold exactly.
+        """
         change, still = by_lane(self.rows.change), self.motion.step_dt.dtype.type(times) * self.still
+        solved = (tree for tree in self.own_trees if self.rows.tree_used[tree] == self.iteration.sweeps)
+        exact = {(row.at[0], row.at[2]) for tree in solved for row in self.trees[tree].rows}
         held = (row for row in self.own_rows if row.low < -UNBOUNDED and row.high > UNBOUNDED)
+        held = (row for row in held if (row.at[0], row.at[2]) not in exact)
         return any(not abs(change[row.at][0]) <= still * row.effective_mass[0] for row in held)
 
     def beyond(self, given: Array, fall: Any) -> Any:
@@ -173,7 +179,7 @@ class World:
                 continue
             if unsolved or self.trees[tree].lacks(still, rows):
                 found = found or not used
-                rows.tree_used[tree] = 1
+                rows.tree_used[tree] = sweeps
                 self.trees[tree].solve(rows, self.motion.solved)
         return found
 

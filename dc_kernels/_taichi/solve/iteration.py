@@ -85,7 +85,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         elif change < span.bound:
             done = 1
         elif config.stop == BY_MOTION and sweeps % config.residual_every == 0:
-            done = is_still(span, config, motion, rows)
+            done = is_still(span, sweeps, config, motion, rows)
         if sweeps >= config.max_sweeps:
             done = 1
         return done

@@ -270,18 +270,20 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         return count
 
     @ti.func
-    def lacking(rows: t.Rows, b0, b1, still):
-        """1 where a row without bounds, as joints are held by, lacked more of its speed than ``still`` in the sweep."""
+    def lacking(rows: t.Rows, b0, b1, still, enough):
+        """Rows without bounds, as joints are held by, that lacked more of their speed than ``still`` in the sweep.
+
+        They are counted until there are ``enough``.
+        """
         found = 0
         b = b0
-        while b < b1 and found == 0:
+        while b < b1 and found < enough:
             k = (b * width) & MASK
             # NaN is lacking
             lacks = ti.select(magnitude(rows.change[2 * b]) <= still * rows.column[k + EN], vec8(0.0), vec8(1.0))
             lacks = ti.select(rows.column[k + LO] < -UNBOUNDED, lacks, vec8(0.0))
             lacks = ti.select(rows.column[k + HI] > UNBOUNDED, lacks, vec8(0.0))
-            if total(lacks) > 0.0:
-                found = 1
+            found += ti.cast(total(lacks), ti.i32)
             b += 1
         return found
 

@@ -42,7 +42,7 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
 
         Gaps are those of the narrowphase plus what the displacement changes them by to first order; it ends as soon as
         a sweep pushes nothing. Without joints it is skipped where the step began with no overlap beyond the slop: what
-        an unconverged solve adds is met in the next step.
+        an unconverged solve adds is met in the next step. Trees of joints follow once, by as much as all sweeps remove.
         """
         w = tid + launch.world_offset
         pushed = 0.0
@@ -57,21 +57,21 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
         serial = rows.color_block[w * ENDS + SERIAL_COLOR]
         last = rows.color_block[w * ENDS + COLORS]
         iteration = 0
-        if ti.static(own):
-            if pushed > 0.0:
-                for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
-                    if rows.tree_used[tree] == 1:
-                        factor_tree(tree, 1, motion.displacement, rows)
+        left = 1.0
+        live = pushed > 0.0
         while iteration < config.position_iterations and pushed > 0.0:
             pushed = push_lanes(rows, motion.displacement, first, serial, factor, limit, unknown_floor(config))
             for k in range(serial * LANES, last * LANES):
                 pushed = ti.max(pushed, push_row(k // LANES, k % LANES, rows, motion.displacement, factor, limit))
-            if ti.static(own):
-                for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
-                    if rows.tree_used[tree] == 1:
-                        solve_tree(tree, 1, factor, limit, motion.displacement, rows)
+            left = left * (1.0 - factor)
             iteration += 1
             if is_cut((last - first) * LANES, launch.cut):
                 pushed = 0.0
+        if ti.static(own):
+            if live:
+                for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
+                    if rows.tree_used[tree] > 0:
+                        factor_tree(tree, 1, motion.displacement, rows)
+                        solve_tree(tree, 1, 1.0 - left, limit, motion.displacement, rows)
 
     return {"correct_positions": correct_positions}

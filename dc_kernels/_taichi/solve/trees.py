@@ -60,7 +60,7 @@ def times(numbers: ti.template(), at, v):
 
 @cache
 def tree_functions(dtype: str, variant: str) -> SimpleNamespace:
-    """``factor`` and ``solve`` a tree; whether it ``lacks`` more than ``still`` of a row's speed.
+    """``factor`` and ``solve`` a tree; how many of its rows ``lack`` more than ``still`` of their speed.
 
     ``bodies`` are velocities, or with ``places`` 1 displacements, of which a ``share`` of what is off, up to ``limit``,
     is removed.
@@ -322,6 +322,22 @@ def tree_functions(dtype: str, variant: str) -> SimpleNamespace:
         store(rows.tree_moves, down, push)
 
     @ti.func
+    def move(body, inertia, bodies: ti.template(), rows: t.Rows):
+        """What the impulses on a body change its velocity by; nothing where there is none."""
+        if body >= 0:
+            m = body * TREE_MOVES
+            v = bodies[body]
+            mass = f64(ti.max(v[3], 0.0))
+            bodies[body] = vec4(
+                ti.cast(f64(v[0]) + mass * rows.tree_moves[m + PUSHED], real),
+                ti.cast(f64(v[1]) + mass * rows.tree_moves[m + PUSHED + 1], real),
+                ti.cast(f64(v[2]) + inertia * rows.tree_moves[m + PUSHED + 2], real),
+                v[3],
+            )
+            for n in range(MOVED, TREE_MOVES):
+                rows.tree_moves[m + n] = 0.0
+
+    @ti.func
     def solve(tree, places, share, limit, bodies: ti.template(), rows: t.Rows):
         """The impulses that make all rows of the tree hold at once, and the velocities with them.
 
@@ -334,33 +350,19 @@ def tree_functions(dtype: str, variant: str) -> SimpleNamespace:
         for n in range(last - first):
             descend(last - 1 - n, places, rows)
         for q in range(first, last):
-            for side in range(2):
-                body = rows.tree_parent[q]
-                if side == 1:
-                    body = rows.tree_child[q]
-                if body >= 0:
-                    m = body * TREE_MOVES
-                    v = bodies[body]
-                    mass = f64(ti.max(v[3], 0.0))
-                    inertia = rows.tree_factor[q * TREE_JOINT + INERTIA + side]
-                    bodies[body] = vec4(
-                        ti.cast(f64(v[0]) + mass * rows.tree_moves[m + PUSHED], real),
-                        ti.cast(f64(v[1]) + mass * rows.tree_moves[m + PUSHED + 1], real),
-                        ti.cast(f64(v[2]) + inertia * rows.tree_moves[m + PUSHED + 2], real),
-                        v[3],
-                    )
-                    for n in range(MOVED, TREE_MOVES):
-                        rows.tree_moves[m + n] = 0.0
+            move(rows.tree_child[q], rows.tree_factor[q * TREE_JOINT + INERTIA + 1], bodies, rows)
+        if last > first:  # each body is the child of one joint, but for the root, which is the parent of the last
+            move(rows.tree_parent[last - 1], rows.tree_factor[(last - 1) * TREE_JOINT + INERTIA], bodies, rows)
 
     @ti.func
-    def lacks(tree, still, rows: t.Rows):
-        """1 where a row of the tree lacked more than ``still`` of its speed as the last sweep came to it, else 0."""
+    def lack(tree, still, rows: t.Rows):
+        """Rows of the tree that lacked more than ``still`` of their speed as the last sweep came to them."""
         found = 0
         for q in range(rows.tree_first[tree], rows.tree_first[tree + 1]):
             for i in range(rows.tree_size[q]):
                 k, r, lane = place_of(q, i, rows)
                 if not (ti.abs(rows.change[r][lane]) <= still * rows.column[k + EN][lane]):  # NaN is lacking
-                    found = 1
+                    found += 1
         return found
 
-    return SimpleNamespace(factor=factor, solve=solve, lacks=lacks)
+    return SimpleNamespace(factor=factor, solve=solve, lack=lack)

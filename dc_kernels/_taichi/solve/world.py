@@ -55,10 +55,10 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     lacking = lanes.lacking
     beyond = range_functions(dtype).beyond
     jointed, own = variant in JOINTED, variant == "rows"
-    factor_tree = solve_tree = lacks_of_tree = None
+    factor_tree = solve_tree = lack_of_tree = None
     if own:
         trees = tree_functions(dtype, variant)
-        factor_tree, solve_tree, lacks_of_tree = trees.factor, trees.solve, trees.lacks
+        factor_tree, solve_tree, lack_of_tree = trees.factor, trees.solve, trees.lack
     columns = COLUMNS[variant]
     width = len(columns)
     EN, ET = columns.index("en"), columns.index("et")
@@ -171,22 +171,25 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             open = config.stop != BY_MOTION and not (change < span.bound)
             apart = open
             if not open and (looks or late):  # a look in lanes, which mostly spares those at each tree
-                apart = lacking(rows, span.first, span.last, still) == 1
+                apart = lacking(rows, span.first, span.last, still, 1) > 0
             if apart and (looks or late):
                 for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
                     used = rows.tree_used[tree]
-                    if looks or used == 1:
-                        if open or lacks_of_tree(tree, still, rows) == 1:
+                    if looks or used > 0:
+                        if open or lack_of_tree(tree, still, rows) > 0:
                             if used == 0:
                                 factor_tree(tree, 0, motion.predicted, rows)
-                                rows.tree_used[tree] = 1
                                 found = 1
+                            rows.tree_used[tree] = sweeps
                             solve_tree(tree, 0, 1.0, 1.0, motion.solved, rows)
         return found
 
     @ti.func
-    def is_still(span, config: t.Config, motion: t.Motion, rows: t.Rows):
-        """1 where the last sweep has moved at most one row in MOVING, and none far: see ``SolverConfig.stop``."""
+    def is_still(span, sweeps, config: t.Config, motion: t.Motion, rows: t.Rows):
+        """1 where the last sweep has moved at most one row in MOVING, and none far: see ``SolverConfig.stop``.
+
+        Rows of trees that were solved after it hold exactly, whatever they had lacked.
+        """
         share, floor = config.motion_share, unknown_floor(config)
         least = 0.0
         if config.motion_mean > 0.0:
@@ -195,7 +198,12 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         done = ti.cast(count <= 0, ti.i32)
         if ti.static(own):
             if done == 1:
-                done = 1 - lacking(rows, span.first, span.last, APART * span.still)
+                solved = 0
+                still = APART * span.still
+                for tree in range(rows.tree_start[span.world], rows.tree_start[span.world + 1]):
+                    if rows.tree_used[tree] == sweeps:
+                        solved += lack_of_tree(tree, still, rows)
+                done = ti.cast(lacking(rows, span.first, span.last, still, solved + 1) <= solved, ti.i32)
         return done
 
     @ti.func

@@ -134,7 +134,12 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @wp.func_native(code("lacking", UNBOUNDED=UNBOUNDED))
     def lacking(
-        columns: wp.array(dtype=real), change: wp.array(dtype=real), b0: wp.int32, b1: wp.int32, still: real
+        columns: wp.array(dtype=real),
+        change: wp.array(dtype=real),
+        b0: wp.int32,
+        b1: wp.int32,
+        still: real,
+        enough: wp.int32,
     ) -> wp.int32: ...
 
     sizes = {"LANES": LANES, "SEATS": SEATS, "SUMMED": SUMMED, "MOST_SUMS": MOST_SUMS}

@@ -40,7 +40,7 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
 
         Gaps are those of the narrowphase plus what the displacement changes them by to first order; it ends as soon as
         a sweep pushes nothing. Without joints it is skipped where the step began with no overlap beyond the slop: what
-        an unconverged solve adds is met in the next step.
+        an unconverged solve adds is met in the next step. Trees of joints follow once, by as much as all sweeps remove.
         """
         w = wp.tid() + launch.world_offset
         if state.flags[w] != 0:
@@ -54,10 +54,7 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
         last = rows.color_block[w * ENDS + N_COLORS]
         iteration = int(0)
         pushed = real(1.0)
-        if wp.static(own):
-            for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
-                if rows.tree_used[tree] == 1:
-                    factor_tree(tree, 1, motion.displacement, rows)
+        left = real(1.0)
         while iteration < config.position_iterations and pushed > real(0.0):
             first = rows.color_block[w * ENDS]
             pushed = real(0.0)
@@ -75,12 +72,14 @@ def position_kernels(dtype: str, variant: str) -> dict[str, Any]:
                 first = serial
             for k in range(first * N_LANES, last * N_LANES):
                 pushed = wp.max(pushed, push_row(k / N_LANES, k % N_LANES, rows, motion.displacement, factor, limit))
-            if wp.static(own):
-                for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
-                    if rows.tree_used[tree] == 1:
-                        solve_tree(tree, 1, factor, limit, motion.displacement, rows)
+            left = left * (real(1.0) - factor)
             iteration += 1
             if is_set(launch.cut) == 1:
                 break
+        if wp.static(own):
+            for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
+                if rows.tree_used[tree] > 0:
+                    factor_tree(tree, 1, motion.displacement, rows)
+                    solve_tree(tree, 1, real(1.0) - left, limit, motion.displacement, rows)
 
     return {"correct_positions": correct_positions}

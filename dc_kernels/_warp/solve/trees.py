@@ -18,7 +18,7 @@ from dc_kernels.solve.joints import TREE_JOINT, TREE_MOVES
 
 @cache
 def tree_functions(dtype: str, variant: str) -> SimpleNamespace:
-    """``factor`` and ``solve`` a tree; whether it ``lacks`` more than ``still`` of a row's speed.
+    """``factor`` and ``solve`` a tree; how many of its rows ``lack`` more than ``still`` of their speed.
 
     ``bodies`` are velocities, or with ``places`` 1 displacements, of which a ``share`` of what is off, up to ``limit``,
     is removed.
@@ -39,7 +39,7 @@ def tree_functions(dtype: str, variant: str) -> SimpleNamespace:
         rows: t.Rows,
     ): ...
 
-    @wp.func_native(native_code("solve/tree_lacks.h", dtype=dtype, **row_macros(variant)))
-    def lacks(tree: wp.int32, still: t.real, rows: t.Rows) -> wp.int32: ...
+    @wp.func_native(native_code("solve/tree_lack.h", dtype=dtype, **row_macros(variant)))
+    def lack(tree: wp.int32, still: t.real, enough: wp.int32, rows: t.Rows) -> wp.int32: ...
 
-    return SimpleNamespace(factor=factor, solve=solve, lacks=lacks)
+    return SimpleNamespace(factor=factor, solve=solve, lack=lack)

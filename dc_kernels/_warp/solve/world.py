@@ -48,7 +48,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     one, TOO_FAR, TOO_MUCH = real(1.0), real(FAR), real(APART)
     if own:
         trees = tree_functions(dtype, variant)
-        factor_tree, solve_tree, lacks_of_tree = trees.factor, trees.solve, trees.lacks
+        factor_tree, solve_tree, lack_of_tree = trees.factor, trees.solve, trees.lack
     tiny = real(1e-30)
     never = real(-1e18)  # no change is as small
     columns = COLUMNS[variant]
@@ -221,16 +221,19 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         return total
 
     @wp.func(module=module)
-    def lacks(span: Span, times: real, rows: t.Rows):
-        """1 where a row without bounds lacked more of its speed, as the last sweep came to it, than ``times`` still."""
+    def lack(span: Span, times: real, enough: int, rows: t.Rows):
+        """Rows without bounds that lacked more of their speed, as the last sweep came to them, than ``times`` still.
+
+        They are counted until there are ``enough``.
+        """
         count = int(0)
         still = times * span.still
         if has_lanes() == 1:
-            count = lacking_lanes(rows.column, rows.change, span.first, span.last, still)
+            count = lacking_lanes(rows.column, rows.change, span.first, span.last, still, enough)
         else:
             for k in range(span.first * N_LANES, span.last * N_LANES):
-                if count == 0:
-                    count = lacking_row(k / N_LANES, k % N_LANES, rows, still)
+                if count < enough:
+                    count += lacking_row(k / N_LANES, k % N_LANES, rows, still)
         return count
 
     @wp.func(module=module)
@@ -251,22 +254,25 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         open = config.stop != BY_MOTION and not (change < span.bound)
         if not (looks or late):
             return found
-        if not open and lacks(span, times, rows) == 0:
+        if not open and lack(span, times, 1, rows) == 0:
             return found  # a look in lanes, which mostly spares those at each tree
         for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
             used = rows.tree_used[tree]
-            if looks or (late and used == 1):
-                if open or lacks_of_tree(tree, still, rows) == 1:
+            if looks or (late and used > 0):
+                if open or lack_of_tree(tree, still, 1, rows) == 1:
                     if used == 0:
                         factor_tree(tree, 0, motion.predicted, rows)
-                        rows.tree_used[tree] = 1
                         found = 1
+                    rows.tree_used[tree] = sweeps
                     solve_tree(tree, 0, one, one, motion.solved, rows)
         return found
 
     @wp.func(module=module)
-    def is_still(span: Span, config: t.Config, motion: t.Motion, rows: t.Rows):
-        """1 where the last sweep has moved at most one row in MOVING, and none far: see ``SolverConfig.stop``."""
+    def is_still(span: Span, sweeps: int, config: t.Config, motion: t.Motion, rows: t.Rows):
+        """1 where the last sweep has moved at most one row in MOVING, and none far: see ``SolverConfig.stop``.
+
+        Rows of trees that were solved after it hold exactly, whatever they had lacked.
+        """
         share = config.motion_share
         least = real(0.0)
         if config.motion_mean > least:
@@ -292,7 +298,12 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         done = wp.where(count <= 0, 1, 0)
         if wp.static(own):
             if done == 1:
-                done = 1 - lacks(span, TOO_MUCH, rows)
+                solved = int(0)
+                still = TOO_MUCH * span.still
+                for tree in range(rows.tree_start[span.world], rows.tree_start[span.world + 1]):
+                    if rows.tree_used[tree] == sweeps:
+                        solved += lack_of_tree(tree, still, span.high, rows)
+                done = wp.where(lack(span, TOO_MUCH, solved + 1, rows) <= solved, 1, 0)
         return done
 
     return SimpleNamespace(

@@ -21,3 +21,22 @@ auto kept_of = [&](int t) { return (Kept*)(rows.tree_factor.data + (size_t)t * J
 // Six numbers of a body's mobility (xx, yy, ww, xy, xw, yw), three of what it moves by, three of the impulse on it.
 auto moves_of = [&](int body) { return rows.tree_moves.data + (size_t)body * MOVES; };
 auto dot = [&](const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; };
+// What is done to a joint is compiled for each number of rows.
+struct One {
+    enum { ROWS = 1 };
+};
+struct Two {
+    enum { ROWS = 2 };
+};
+struct Three {
+    enum { ROWS = 3 };
+};
+auto by_size = [&](int t, auto pass) {
+    const int size = rows.tree_size.data[t];
+    if (size == 2)
+        pass(t, Two());
+    else if (size == 3)
+        pass(t, Three());
+    else
+        pass(t, One());
+};

@@ -29,6 +29,67 @@ auto times = [&](const double* m, const double* v, double* to) {
     to[1] = m[3] * v[0] + m[1] * v[1] + m[5] * v[2];
     to[2] = m[4] * v[0] + m[5] * v[1] + m[2] * v[2];
 };
+auto eliminate = [&](int t, auto n) {
+    const int size = decltype(n)::ROWS, parent = rows.tree_parent.data[t], child = rows.tree_child.data[t];
+    double* const w_parent = moves_of(parent);
+    Kept& kept = *kept_of(t);
+    double at_parent[size][3] = {}, at_child[size][3] = {}, wp_[size][3] = {}, wc[size][3] = {}, d[size][size] = {};
+    double own[size] = {};
+    for (int i = 0; i < size; ++i) {
+        const Real* const column = column_of(t, i);
+        const bool second = ends[slots[rows.tree_row.data[t] + i]] != parent;
+        kept.soft[i] = 0;
+        if (!counts(column)) continue;
+        jacobian(column, second, at_parent[i]);
+        times(w_parent, at_parent[i], wp_[i]);
+        if (child >= 0) {
+            jacobian(column, !second, at_child[i]);
+            times(moves_of(child), at_child[i], wc[i]);
+        }
+        own[i] = 1 / (double)column[AT_en];
+        d[i][i] = kept.soft[i] = column[AT_soft];
+    }
+    for (int i = 0; i < size; ++i)
+        for (int k = 0; k < size; ++k) {
+            d[i][k] += dot(at_parent[i], wp_[k]);
+            d[i][k] += dot(at_child[i], wc[k]);
+        }
+    // the inverse by Gauss-Jordan steps; rows without a pivot of their own are left out
+    bool solved[size] = {};
+    for (int p = 0; p < size; ++p) {
+        const double pivot = d[p][p];
+        solved[p] = pivot > LEAST * own[p] && own[p] > 0;
+        if (!solved[p]) continue;
+        for (int i = 0; i < size; ++i)
+            for (int k = 0; k < size; ++k)
+                if (i != p && k != p) d[i][k] -= d[i][p] * d[p][k] / pivot;
+        for (int i = 0; i < size; ++i)
+            if (i != p) {
+                d[i][p] /= pivot;
+                d[p][i] /= pivot;
+            }
+        d[p][p] = -1 / pivot;
+    }
+    for (int i = 0; i < size; ++i)
+        for (int k = 0; k < size; ++k) kept.inverse[3 * i + k] = solved[i] && solved[k] ? -d[i][k] : 0;
+    for (int i = 0; i < size; ++i) {
+        double g[3] = {};
+        const double* const v = wp_[i];
+        for (int n = 0; n < 3; ++n)
+            for (int k = 0; k < size; ++k) g[n] += wp_[k][n] * kept.inverse[3 * k + i];
+        w_parent[0] -= g[0] * v[0];
+        w_parent[1] -= g[1] * v[1];
+        w_parent[2] -= g[2] * v[2];
+        w_parent[3] -= (g[0] * v[1] + g[1] * v[0]) / 2;
+        w_parent[4] -= (g[0] * v[2] + g[2] * v[0]) / 2;
+        w_parent[5] -= (g[1] * v[2] + g[2] * v[1]) / 2;
+        for (int n = 0; n < 3; ++n) {
+            kept.gain[3 * i + n] = g[n];
+            kept.parent[3 * i + n] = at_parent[i][n];
+            kept.child[3 * i + n] = at_child[i][n];
+        }
+    }
+};
 bool factored = places != 0;
 for (int t = t0; t < t1; ++t) {
     const int size = rows.tree_size.data[t], parent = rows.tree_parent.data[t], child = rows.tree_child.data[t];
@@ -50,7 +111,6 @@ for (int t = t0; t < t1; ++t) {
 if (!factored) {
     for (int t = t0; t < t1; ++t) {
         Kept& kept = *kept_of(t);
-        for (int i = 0; i < 9; ++i) kept.inverse[i] = kept.gain[i] = kept.parent[i] = kept.child[i] = 0;
         const int slot = slots[rows.tree_row.data[t]];
         for (int side = 0; side < 2; ++side) {
             const int body = side == 0 ? rows.tree_parent.data[t] : rows.tree_child.data[t];
@@ -62,60 +122,5 @@ if (!factored) {
             m[2] = kept.inertia[side] = column_of(t, 0)[ends[slot] == body ? AT_iA : AT_iB];
         }
     }
-    for (int t = t0; t < t1; ++t) {
-        const int size = rows.tree_size.data[t], parent = rows.tree_parent.data[t], child = rows.tree_child.data[t];
-        double* const w_parent = moves_of(parent);
-        Kept& kept = *kept_of(t);
-        double wp_[SIZE][3] = {}, wc[SIZE][3] = {}, d[SIZE][SIZE] = {}, own[SIZE] = {};
-        for (int i = 0; i < size; ++i) {
-            const Real* const column = column_of(t, i);
-            const bool second = ends[slots[rows.tree_row.data[t] + i]] != parent;
-            kept.soft[i] = 0;
-            if (!counts(column)) continue;
-            jacobian(column, second, kept.parent + 3 * i);
-            times(w_parent, kept.parent + 3 * i, wp_[i]);
-            if (child >= 0) {
-                jacobian(column, !second, kept.child + 3 * i);
-                times(moves_of(child), kept.child + 3 * i, wc[i]);
-            }
-            own[i] = 1 / (double)column[AT_en];
-            kept.soft[i] = column[AT_soft];
-            d[i][i] = kept.soft[i];
-        }
-        for (int i = 0; i < size; ++i)
-            for (int k = 0; k < size; ++k) {
-                d[i][k] += dot(kept.parent + 3 * i, wp_[k]);
-                d[i][k] += dot(kept.child + 3 * i, wc[k]);
-            }
-        // the inverse by Gauss-Jordan steps; rows without a pivot of their own are left out
-        bool solved[SIZE] = {};
-        for (int p = 0; p < size; ++p) {
-            const double pivot = d[p][p];
-            solved[p] = pivot > LEAST * own[p] && own[p] > 0;
-            if (!solved[p]) continue;
-            for (int i = 0; i < size; ++i)
-                for (int k = 0; k < size; ++k)
-                    if (i != p && k != p) d[i][k] -= d[i][p] * d[p][k] / pivot;
-            for (int i = 0; i < size; ++i)
-                if (i != p) {
-                    d[i][p] /= pivot;
-                    d[p][i] /= pivot;
-                }
-            d[p][p] = -1 / pivot;
-        }
-        for (int i = 0; i < size; ++i)
-            for (int k = 0; k < size; ++k) kept.inverse[3 * i + k] = solved[i] && solved[k] ? -d[i][k] : 0;
-        for (int i = 0; i < size; ++i) {
-            double* const g = kept.gain + 3 * i;
-            const double* const v = wp_[i];
-            for (int n = 0; n < 3; ++n)
-                for (int k = 0; k < size; ++k) g[n] += wp_[k][n] * kept.inverse[3 * k + i];
-            w_parent[0] -= g[0] * v[0];
-            w_parent[1] -= g[1] * v[1];
-            w_parent[2] -= g[2] * v[2];
-            w_parent[3] -= (g[0] * v[1] + g[1] * v[0]) / 2;
-            w_parent[4] -= (g[0] * v[2] + g[2] * v[0]) / 2;
-            w_parent[5] -= (g[1] * v[2] + g[2] * v[1]) / 2;
-        }
-    }
+    for (int t = t0; t < t1; ++t) by_size(t, eliminate);
 }

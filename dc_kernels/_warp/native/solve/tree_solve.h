@@ -4,15 +4,6 @@
 Real* const impulse = rows.impulse.data;
 Real* const change = rows.change.data;
 const double most = places ? (double)limit : 1e300;
-struct One {
-    enum { ROWS = 1 };
-};
-struct Two {
-    enum { ROWS = 2 };
-};
-struct Three {
-    enum { ROWS = 3 };
-};
 auto clipped = [&](double off) { return off < -most ? -most : (off > most ? most : off); };
 auto up = [&](int t, auto n) {
     const Kept& kept = *kept_of(t);
@@ -59,27 +50,18 @@ auto down = [&](int t, auto n) {
         }
     }
 };
-auto by_size = [&](int t, auto pass) {
-    const int size = rows.tree_size.data[t];
-    if (size == 2)
-        pass(t, Two());
-    else if (size == 3)
-        pass(t, Three());
-    else
-        pass(t, One());
-};
 for (int t = t0; t < t1; ++t) by_size(t, up);
 for (int t = t1 - 1; t >= t0; --t) by_size(t, down);
-for (int t = t0; t < t1; ++t) {
-    for (int side = 0; side < 2; ++side) {
-        const int body = side == 0 ? rows.tree_parent.data[t] : rows.tree_child.data[t];
-        if (body < 0) continue;
-        double* const m = moves_of(body);
-        Real* const v = velocity + 4 * (size_t)body;
-        const double mass = v[3] > 0 ? v[3] : 0;
-        v[0] = (Real)(v[0] + mass * m[9]);
-        v[1] = (Real)(v[1] + mass * m[10]);
-        v[2] = (Real)(v[2] + kept_of(t)->inertia[side] * m[11]);
-        for (int n = 6; n < MOVES; ++n) m[n] = 0;
-    }
-}
+// each body is the child of one joint, but for the root, which is the parent of the last
+auto move = [&](int body, double inertia) {
+    double* const m = moves_of(body);
+    Real* const v = velocity + 4 * (size_t)body;
+    const double mass = v[3] > 0 ? v[3] : 0;
+    v[0] = (Real)(v[0] + mass * m[9]);
+    v[1] = (Real)(v[1] + mass * m[10]);
+    v[2] = (Real)(v[2] + inertia * m[11]);
+    for (int n = 6; n < MOVES; ++n) m[n] = 0;
+};
+for (int t = t0; t < t1; ++t)
+    if (rows.tree_child.data[t] >= 0) move(rows.tree_child.data[t], kept_of(t)->inertia[1]);
+if (t1 > t0) move(rows.tree_parent.data[t1 - 1], kept_of(t1 - 1)->inertia[0]);
