@@ -16,6 +16,19 @@ for (int b = first; b < last; ++b) {
     const Vector vn = normal_speed(row, A, B);
     const Vector ln = within(block, ln0 - (omega * load(block + AT_en)) * (vn + bias(block, ln0)));
     const Vector dn = ln - ln0;
+    Real* const moved = change.data + (size_t)b * 2 * LANES;
+#if OWN
+    if (!(__builtin_reduce_max(load(block + AT_et)) > 0)) {  // joints alone have no tangent to wait for
+        apply_normal(row, A, B, dn);
+        store(x, ln);
+        store(moved, dn);
+        store(moved + LANES, zero);
+        most = larger(most, magnitude(dn));
+        store_bodies(index, A);
+        store_bodies(index + LANES, B);
+        continue;
+    }
+#endif
 #if DISCS
     // a disc's normal impulse has no tangential effect: its tangent need not wait for it (8 % of a small world's sweep)
     const Vector vt = tangent_speed(row, A, B);
@@ -29,7 +42,6 @@ for (int b = first; b < last; ++b) {
     apply_tangent(row, A, B, dt);
     store(x, ln);
     store(x + LANES, lt);
-    Real* const moved = change.data + (size_t)b * 2 * LANES;
     store(moved, dn);
     store(moved + LANES, dt);
     most = larger(most, larger(magnitude(dn), magnitude(dt)));

@@ -6,14 +6,14 @@
 const double LEAST = 1e-9;  // a pivot below this share of its row's own mass is that of a row that others hold already
 const Real* const columns = rows.column.data;
 const int* const ends = rows.body.data;
-auto column_of = [&](int t, int i) {
-    const int slot = slots[rows.tree_row.data[t] + i];
+auto column_of = [=](int t, int i) {
+    const int slot = slots[row_of[t] + i];
     return columns + (size_t)(slot / (2 * LANES)) * COLUMNS * LANES + slot % (2 * LANES);
 };
 // Whether a row is solved: not if nothing can move along it, nor in the position phase where that leaves it alone.
-auto counts = [&](const Real* column) { return column[AT_en] > 0 && !(places && column[AT_held] == 0); };
+auto counts = [=](const Real* column) { return column[AT_en] > 0 && !(places && column[AT_held] == 0); };
 // The Jacobian of a row at one of its bodies.
-auto jacobian = [&](const Real* column, bool second, double* to) {
+auto jacobian = [=](const Real* column, bool second, double* to) {
     if (second) {
         to[0] = column[AT_nx];
         to[1] = column[AT_ny];
@@ -24,20 +24,20 @@ auto jacobian = [&](const Real* column, bool second, double* to) {
     to[1] = -(double)column[AT_ay];
     to[2] = -(double)column[AT_rAn];
 };
-auto times = [&](const double* m, const double* v, double* to) {
+auto times = [=](const double* m, const double* v, double* to) {
     to[0] = m[0] * v[0] + m[3] * v[1] + m[4] * v[2];
     to[1] = m[3] * v[0] + m[1] * v[1] + m[5] * v[2];
     to[2] = m[4] * v[0] + m[5] * v[1] + m[2] * v[2];
 };
-auto eliminate = [&](int t, auto n) {
-    const int size = decltype(n)::ROWS, parent = rows.tree_parent.data[t], child = rows.tree_child.data[t];
+auto eliminate = [=](int t, auto n) {
+    const int size = decltype(n)::ROWS, parent = parent_of[t], child = child_of[t];
     double* const w_parent = moves_of(parent);
     Kept& kept = *kept_of(t);
     double at_parent[size][3] = {}, at_child[size][3] = {}, wp_[size][3] = {}, wc[size][3] = {}, d[size][size] = {};
     double own[size] = {};
     for (int i = 0; i < size; ++i) {
         const Real* const column = column_of(t, i);
-        const bool second = ends[slots[rows.tree_row.data[t] + i]] != parent;
+        const bool second = ends[slots[row_of[t] + i]] != parent;
         kept.soft[i] = 0;
         if (!counts(column)) continue;
         jacobian(column, second, at_parent[i]);
@@ -90,37 +90,41 @@ auto eliminate = [&](int t, auto n) {
         }
     }
 };
-bool factored = places != 0;
-for (int t = t0; t < t1; ++t) {
-    const int size = rows.tree_size.data[t], parent = rows.tree_parent.data[t], child = rows.tree_child.data[t];
-    Kept& kept = *kept_of(t);
-    for (int i = 0; i < size; ++i) {
-        const Real* const column = column_of(t, i);
-        const int slot = slots[rows.tree_row.data[t] + i];
-        if (places && ((column[AT_en] > 0 && column[AT_held] == 0) || kept.soft[i] != 0)) factored = false;
-        kept.off[i] = column[places ? AT_gap : AT_bias];
-        if (child < 0) {
-            const bool second = ends[slot] == parent;
-            const Real* const v = velocity + 4 * (size_t)ends[slot + (second ? LANES : 0)];
-            double along[3];
-            jacobian(column, second, along);
-            kept.off[i] += along[0] * v[0] + along[1] * v[1] + along[2] * v[2];
-        }
-    }
-}
-if (!factored) {
+// not inlined: the code around it would then be too large to be, and copy its groups at each sweep (1 us a step)
+auto factor = [=]() __attribute__((noinline)) {
+    bool factored = places != 0;
     for (int t = t0; t < t1; ++t) {
+        const int size = size_of[t], parent = parent_of[t], child = child_of[t];
         Kept& kept = *kept_of(t);
-        const int slot = slots[rows.tree_row.data[t]];
-        for (int side = 0; side < 2; ++side) {
-            const int body = side == 0 ? rows.tree_parent.data[t] : rows.tree_child.data[t];
-            if (body < 0) continue;
-            double* const m = moves_of(body);
-            const double mass = velocity[4 * (size_t)body + 3] > 0 ? velocity[4 * (size_t)body + 3] : 0;
-            for (int i = 0; i < MOVES; ++i) m[i] = 0;
-            m[0] = m[1] = mass;
-            m[2] = kept.inertia[side] = column_of(t, 0)[ends[slot] == body ? AT_iA : AT_iB];
+        for (int i = 0; i < size; ++i) {
+            const Real* const column = column_of(t, i);
+            const int slot = slots[row_of[t] + i];
+            if (places && ((column[AT_en] > 0 && column[AT_held] == 0) || kept.soft[i] != 0)) factored = false;
+            kept.off[i] = column[places ? AT_gap : AT_bias];
+            if (child < 0) {
+                const bool second = ends[slot] == parent;
+                const Real* const v = velocity + 4 * (size_t)ends[slot + (second ? LANES : 0)];
+                double along[3];
+                jacobian(column, second, along);
+                kept.off[i] += along[0] * v[0] + along[1] * v[1] + along[2] * v[2];
+            }
         }
     }
-    for (int t = t0; t < t1; ++t) by_size(t, eliminate);
-}
+    if (!factored) {
+        for (int t = t0; t < t1; ++t) {
+            Kept& kept = *kept_of(t);
+            const int slot = slots[row_of[t]];
+            for (int side = 0; side < 2; ++side) {
+                const int body = side == 0 ? parent_of[t] : child_of[t];
+                if (body < 0) continue;
+                double* const m = moves_of(body);
+                const double mass = velocity[4 * (size_t)body + 3] > 0 ? velocity[4 * (size_t)body + 3] : 0;
+                for (int i = 0; i < MOVES; ++i) m[i] = 0;
+                m[0] = m[1] = mass;
+                m[2] = kept.inertia[side] = column_of(t, 0)[ends[slot] == body ? AT_iA : AT_iB];
+            }
+        }
+        for (int t = t0; t < t1; ++t) by_size(t, eliminate);
+    }
+};
+factor();

@@ -3,12 +3,13 @@
 // Parameters: tree, places, share, limit, bodies, rows. Stands behind tree.h, after tree_factor.h has run.
 Real* const impulse = rows.impulse.data;
 Real* const change = rows.change.data;
+double* const all_wanted = rows.tree_wanted.data;
 const double most = places ? (double)limit : 1e300;
-auto clipped = [&](double off) { return off < -most ? -most : (off > most ? most : off); };
-auto up = [&](int t, auto n) {
+auto clipped = [=](double off) { return off < -most ? -most : (off > most ? most : off); };
+auto up = [=](int t, auto n) {
     const Kept& kept = *kept_of(t);
-    const int size = decltype(n)::ROWS, parent = rows.tree_parent.data[t], child = rows.tree_child.data[t];
-    const int* const slot = slots + rows.tree_row.data[t];
+    const int size = decltype(n)::ROWS, parent = parent_of[t], child = child_of[t];
+    const int* const slot = slots + row_of[t];
     double* const at_parent = moves_of(parent) + 6;
     double vp[3], vc[3] = {}, moved[3] = {}, s[SIZE];
     for (int k = 0; k < 3; ++k) vp[k] = velocity[4 * (size_t)parent + k];
@@ -23,7 +24,7 @@ auto up = [&](int t, auto n) {
         const double off = clipped(share * (((kept.off[i] + given) + dot(jp, vp)) + dot(jc, vc)));
         s[i] = -((off + dot(jp, at_parent)) + dot(jc, moved));
     }
-    double* const wanted = rows.tree_wanted.data + (size_t)t * SIZE;
+    double* const wanted = all_wanted + (size_t)t * SIZE;
     for (int i = 0; i < size; ++i) {
         double sum = 0;
         for (int k = 0; k < size; ++k) sum += kept.inverse[3 * i + k] * s[k];
@@ -32,12 +33,12 @@ auto up = [&](int t, auto n) {
     for (int i = 0; i < size; ++i)
         for (int k = 0; k < 3; ++k) at_parent[k] += kept.gain[3 * i + k] * s[i];
 };
-auto down = [&](int t, auto n) {
+auto down = [=](int t, auto n) {
     const Kept& kept = *kept_of(t);
-    const int size = decltype(n)::ROWS, child = rows.tree_child.data[t];
-    const int* const slot = slots + rows.tree_row.data[t];
-    const double* const wanted = rows.tree_wanted.data + (size_t)t * SIZE;
-    double* const on_parent = moves_of(rows.tree_parent.data[t]) + 9;
+    const int size = decltype(n)::ROWS, child = child_of[t];
+    const int* const slot = slots + row_of[t];
+    const double* const wanted = all_wanted + (size_t)t * SIZE;
+    double* const on_parent = moves_of(parent_of[t]) + 9;
     double x[SIZE];
     for (int i = 0; i < size; ++i) x[i] = wanted[i] - dot(kept.gain + 3 * i, on_parent);
     for (int i = 0; i < size; ++i) {
@@ -50,10 +51,8 @@ auto down = [&](int t, auto n) {
         }
     }
 };
-for (int t = t0; t < t1; ++t) by_size(t, up);
-for (int t = t1 - 1; t >= t0; --t) by_size(t, down);
 // each body is the child of one joint, but for the root, which is the parent of the last
-auto move = [&](int body, double inertia) {
+auto move = [=](int body, double inertia) {
     double* const m = moves_of(body);
     Real* const v = velocity + 4 * (size_t)body;
     const double mass = v[3] > 0 ? v[3] : 0;
@@ -62,6 +61,12 @@ auto move = [&](int body, double inertia) {
     v[2] = (Real)(v[2] + inertia * m[11]);
     for (int n = 6; n < MOVES; ++n) m[n] = 0;
 };
-for (int t = t0; t < t1; ++t)
-    if (rows.tree_child.data[t] >= 0) move(rows.tree_child.data[t], kept_of(t)->inertia[1]);
-if (t1 > t0) move(rows.tree_parent.data[t1 - 1], kept_of(t1 - 1)->inertia[0]);
+// not inlined: the code around it would then be too large to be, and copy its groups at each sweep (1 us a step)
+auto solve = [=]() __attribute__((noinline)) {
+    for (int t = t0; t < t1; ++t) by_size(t, up);
+    for (int t = t1 - 1; t >= t0; --t) by_size(t, down);
+    for (int t = t0; t < t1; ++t)
+        if (child_of[t] >= 0) move(child_of[t], kept_of(t)->inertia[1]);
+    if (t1 > t0) move(parent_of[t1 - 1], kept_of(t1 - 1)->inertia[0]);
+};
+solve();
