@@ -14,7 +14,7 @@ from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.native import native_code
 from dc_kernels._warp.solve.constraints.contact import contact_rows
 from dc_kernels._warp.solve.constraints.distance import distance_row
-from dc_kernels._warp.solve.constraints.jacobian import jacobian_row
+from dc_kernels._warp.solve.constraints.jacobian import jacobian_rows
 from dc_kernels._warp.solve.constraints.rolling import KEY_BITS, rolling_rows
 from dc_kernels._warp.solve.lanes import row_macros
 from dc_kernels._warp.solve.ranges import ranges_code
@@ -43,7 +43,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     width = wp.constant(len(COLUMNS[variant]) * LANES)
     make_contact_rows = contact_rows(dtype, variant)
     make_distance_row = distance_row(dtype, variant)
-    make_jacobian_row = jacobian_row(dtype, variant)
+    if own:
+        make_jacobian_rows = jacobian_rows(dtype, variant)
     rolling = rolling_rows(dtype, variant)
     resistance_of, make_rolling_row = rolling.resistance_of, rolling.make_rolling_row
 
@@ -145,10 +146,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 rows.joint_slot[j] = place(w, joints.joint_color[j], jacobi, between(row), rows)
                 scale += row.square
         if wp.static(own):
-            for k in range(rows.row_start[w], rows.row_start[w + 1]):
-                row = make_jacobian_row(k, model, motion, rows)
-                rows.row_slot[k] = place(w, rows.row_color[k], jacobi, row, rows)
-                scale += row.square
+            scale = make_jacobian_rows(w, wp.where(jacobi, 1, 0), scale, model, motion, rows)
         if wp.static(surfaced):
             for c in range(start, end):
                 resistance = resistance_of(c, w, model, contacts)
