@@ -115,9 +115,8 @@ def wrong_in_simulation(sim: Any) -> list[str]:
         slots = slice(int(start[w]), int(start[w] + n))
         check("keys not in order", np.diff(cache.numpy("key")[slots]) > 0)
         check("keys negative", cache.numpy("key")[slots] >= 0)
-        impulse = cache.numpy("impulse")[slots]
-        check("impulse not finite", np.isfinite(impulse))
-        check("impulse that pulls", impulse[:, 0] >= 0)
+        # any finite one: the next solve starts from it, and a sweep puts it on its cone
+        check("impulse not finite", np.isfinite(cache.numpy("impulse")[slots]))
         check("color", (cache.numpy("color")[slots] >= -1) & (cache.numpy("color")[slots] < 64))
         check("age", cache.numpy("age")[slots] >= 0)
     return wrong

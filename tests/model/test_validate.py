@@ -352,3 +352,41 @@ def test_parts_meet(count, backend):
             with pytest.raises(BrokenRule, match=rf"model\.{name}\[{i}\] is"):
                 check_model(model, backend=backend)
             model[name][i] = kept
+
+
+def rows_of_shapes():
+    """A model of boxes, segments, pentagons and discs in rows: compiled code looks at four that are alike at once."""
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    ground = builder.add_body(type=dc.BodyType.STATIC)
+    builder.add_chain(ground, [(k, 0.1 * (k % 2)) for k in range(7)])
+    for k in range(6):
+        builder.add_box(ground, 0.5, 0.3, center=(k, 2.0), angle=0.1 * k)
+    for k in range(5):
+        builder.add_polygon(ground, [(x + k, y + 5.0) for x, y in PENTAGON])
+    builder.add_disc(ground, 0.5)
+    builder.add_capsule(ground, (0.0, 0.0), (1.0, 0.0), 0.2)
+    return builder.finalize(backend="numpy")[0].views()
+
+
+def test_every_vertex_and_normal_is_finite_and_fits_its_shape(backend):
+    model = {name: values.copy() for name, values in rows_of_shapes().items()}
+    check_model(model, backend=backend)
+    assert glance.Glance(backend, np.float32).shapes(model) == (backend == "warp")
+    for name in ("vertices", "vertex_normals"):
+        for i in range(len(model[name])):
+            for number in (np.nan, np.inf):
+                kept = model[name][i, 1]
+                model[name][i, 1] = number
+                with pytest.raises(BrokenRule, match=rf"model\.{name}\[{i}, 1\] is {number}; it must be finite"):
+                    check_model(model, backend=backend)
+                model[name][i, 1] = kept
+    start, held = model["vertex_start"], np.flatnonzero(model["shape_type"] != dc.ShapeType.DISC)
+    for shape in held:
+        for name, k, off in (("vertices", 0, 0.05), ("vertex_normals", 1, 0.1), ("shape_extent", 0, 0.05)):
+            i = start[shape] + k if name != "shape_extent" else shape
+            kept = model[name][i].copy()
+            model[name][i] += off
+            with pytest.raises(BrokenRule):
+                check_model(model, backend=backend)
+            model[name][i] = kept

@@ -58,7 +58,7 @@ class Glance:
         held = {name: np.ascontiguousarray(values) for name, values in arrays.items() if values.size >= LEAST}
         if not held or not self._looks(LEAST):
             return set()
-        limits = {name: self._limits(values.dtype, table[name].rule) for name, values in held.items()}
+        limits = {name: _limits(self._dtype, values.dtype, table[name].rule) for name, values in held.items()}
         names = [name for name, found in limits.items() if found]
         if not names:
             return set()
@@ -105,15 +105,6 @@ class Glance:
 
         return not recording()
 
-    def _limits(self, dtype: np.dtype, rule: Rule | None) -> tuple[Element, float, float] | None:
-        """What the elements of an array are, and the least and largest number that keeps to a rule; None: unknown."""
-        if isinstance(rule, Unit) and dtype == self._dtype:
-            return (Element.UNITS, *_range(dtype, Number(1.0 - UNIT_TOLERANCE, 1.0 + UNIT_TOLERANCE)))
-        if isinstance(rule, Code) and sorted(rule.values) == list(range(len(rule.values))):
-            rule = Number(0, len(rule.values) - 1)
-        kind = {self._dtype: Element.NUMBERS, np.dtype(np.int32): Element.INTEGERS}.get(dtype)
-        return (kind, *_range(dtype, rule)) if isinstance(rule, Number) and not rule.zero and kind is not None else None
-
     def _launch(self, name: str, fields: int = 1, /, **values: np.ndarray) -> np.ndarray:
         """Launch a kernel; what it finds wrong."""
         arrays = {key: np.ascontiguousarray(array) for key, array in values.items()}
@@ -127,6 +118,23 @@ def _calls(backend: str, dtype: str, name: str) -> Any:
     from dc_kernels.runtime.launches import Calls
 
     return Calls(make_kernels(backend, "model.validate.glance", dtype)[f"look_at_{name}"])
+
+
+@functools.cache
+def _limits(real: np.dtype, dtype: np.dtype, rule: Rule | None) -> tuple[Element, float, float] | None:
+    """What the elements of an array are, and the least and largest number that keeps to a rule; None: unknown.
+
+    Args:
+        real: scalar of the model.
+        dtype: of the array.
+        rule: of its field.
+    """
+    if isinstance(rule, Unit) and dtype == real:
+        return (Element.UNITS, *_range(dtype, Number(1.0 - UNIT_TOLERANCE, 1.0 + UNIT_TOLERANCE)))
+    if isinstance(rule, Code) and sorted(rule.values) == list(range(len(rule.values))):
+        rule = Number(0, len(rule.values) - 1)
+    kind = {real: Element.NUMBERS, np.dtype(np.int32): Element.INTEGERS}.get(dtype)
+    return (kind, *_range(dtype, rule)) if isinstance(rule, Number) and not rule.zero and kind is not None else None
 
 
 def _range(dtype: np.dtype, rule: Number) -> tuple[float, float]:

@@ -162,11 +162,14 @@ def check_joints(joints: Arrays, model: Arrays, label: str = "joints.") -> None:
     a, b = joints["joint_body_a"], joints["joint_body_b"]
     if len(a) != model["joint_start"][-1]:
         raise BrokenRule(label.rstrip("./"), f"has {len(a)}; it must be the model's {model['joint_start'][-1]}")
+    start = joints["joint_row_start"]
+    check_start(f"{label}joint_row_start", start, len(joints["joint_impulse"]))
+    if not len(a):
+        return
     layout = Layout(model)
     for name, values in joints.items():
         check_field(f"{label}{name}", JOINTS[name], values, layout)
-    start, rows = joints["joint_row_start"], count_rows(joints["joint_kind"], joints["joint_parts"])
-    check_start(f"{label}joint_row_start", start, len(joints["joint_impulse"]))
+    rows = count_rows(joints["joint_kind"], joints["joint_parts"])
     refuse(f"{label}joint_row_start", start[1:], np.diff(start) != rows, "where the rows of joint_parts end", 1)
     _check_parts(joints, label)
     refuse(f"{label}joint_body_b", b, a == b, "another body than body A")
