@@ -47,6 +47,29 @@ NETWORK = field_table(
     ("columns", "launch", "int32", "1", "of the grid's nodes"),
 )
 
+STEP_NETWORK = field_table(
+    ("weight", "number", "real", "1", "of all layers, in the order in which they are read (``step_layers.pack``)"),
+    ("width", "scale", "int32", "1", "channels of the trunk at each scale"),
+    ("scratch", "shard,number", "real", "1", "maps of a world at work, for each thread"),
+    ("near", "launch", "int32", "1", "channels that a body reads of the trunk"),
+    ("kept", "launch", "int32", "1", "numbers that a contact keeps from round to round"),
+    ("wide", "launch", "int32", "1", "width of the layer of a round"),
+    ("rounds", "launch", "int32", "1", "rounds along the contacts"),
+    ("spacing", "launch", "real", "m", "of the grid"),
+    ("origin_x", "launch", "real", "m", "lower left node of the grid"),
+    ("origin_y", "launch", "real", "m", "lower left node of the grid"),
+    ("rows", "launch", "int32", "1", "of the grid's nodes"),
+    ("columns", "launch", "int32", "1", "of the grid's nodes"),
+)
+ASKING = field_table(
+    ("asked", "world", "int32", "1", "1: the network makes its velocities"),
+    ("shard", "world", "int32", "1", "row of scratch of the thread that begins with the world"),
+    ("wall", "world,grid row,grid column", "real", "1", "1 at the nodes that static shapes cover"),
+    ("body_work", "body,body column", "real", "1", "what stays of a body (columns BodyWork)"),
+    ("contact_work", "contact,contact column", "real", "1", "what stays of a contact (columns ContactWork)"),
+    ("velocity", "body", "vec3", "m/s", "velocities and spins [rad/s] that the network makes"),
+)
+
 # of each world: where its calls stand in the solve under way, and counts over all solves
 CALLS = field_table(
     ("asking", "world", "int32", "1", "1 while calls are made for it"),
@@ -82,3 +105,9 @@ class Reading(ArrayGroup):
     """What is read of a solve in flight (``READING``)."""
 
     table = READING
+
+
+class Asking(ArrayGroup):
+    """The worlds that a network steps, and what it works with (``ASKING``)."""
+
+    table = ASKING

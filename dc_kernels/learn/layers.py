@@ -71,43 +71,61 @@ def blocks(outputs: int) -> Iterator[slice]:
         first += width
 
 
-def pack(layers: Layers) -> np.ndarray:
-    """Return all weights in the order in which the kernels read them, float64."""
-    parts: list[np.ndarray] = []
+class Packing:
+    """Weights that are put one behind the other in the order in which kernels read them."""
 
-    def add(bias: np.ndarray, *inputs: np.ndarray) -> None:
+    def __init__(self) -> None:
+        self.parts: list[np.ndarray] = []
+
+    def add(self, bias: np.ndarray, *inputs: np.ndarray) -> None:
         """Add a layer; inputs are (..., outputs), read one after the other."""
         for block in blocks(len(bias)):
             for values in (bias, *inputs):
                 wide = np.zeros((*values.shape[:-1], padded(len(bias))))
                 wide[..., : len(bias)] = values
-                parts.append(wide[..., block].ravel())
+                self.parts.append(wide[..., block].ravel())
 
-    for weight, bias in layers.down:
-        add(bias, weight.transpose(2, 3, 1, 0))
-    for (weight, bias), channels in reversed(list(zip(layers.up, layers.widths))):
-        fine, coarse = weight[:, :channels], weight[:, channels:]
-        add(bias, fine.transpose(2, 3, 1, 0), np.einsum("pay,qbx,oiyx->pqabio", SUMS, SUMS, coarse))
+    def add_trunk(self, down: Sequence[Layer], up: Sequence[Layer]) -> None:
+        """Add the convolutions of each scale, and those back, from the finest each."""
+        for weight, bias in down:
+            self.add(bias, weight.transpose(2, 3, 1, 0))
+        for (weight, bias), (_, skip) in reversed(list(zip(up, down))):
+            fine, coarse = weight[:, : len(skip)], weight[:, len(skip) :]
+            self.add(bias, fine.transpose(2, 3, 1, 0), np.einsum("pay,qbx,oiyx->pqabio", SUMS, SUMS, coarse))
+
+    def all(self) -> np.ndarray:
+        """Return all weights, float64."""
+        return np.concatenate(self.parts)
+
+
+def pack(layers: Layers) -> np.ndarray:
+    """Return all weights in the order in which the kernels read them, float64."""
+    packing = Packing()
+    packing.add_trunk(layers.down, layers.up)
     (near, near_bias), (own, own_bias) = layers.near, layers.own
     wide = np.zeros((len(layers.places), padded(near.shape[1]), len(own_bias)))
     for place, weight in zip(wide, layers.places):
         place[: near.shape[1]] = (weight.astype(float) @ near).T
     bias = own_bias + sum(weight.astype(float) @ near_bias for weight in layers.places)
-    add(bias, np.concatenate([*wide, own.T]))
+    packing.add(bias, np.concatenate([*wide, own.T]))
     for weight, bias in (*layers.hidden, layers.last):
-        add(bias, weight.T)
-    return np.concatenate(parts)
+        packing.add(bias, weight.T)
+    return packing.all()
 
 
-def scratch_size(layers: Layers, rows: int, columns: int) -> int:
-    """Return the numbers of a world's image, maps and head at work; raises ``ValueError`` for too many scales."""
-    widths = layers.widths
+def trunk_size(widths: Sequence[int], channels: int, rows: int, columns: int) -> int:
+    """Return the numbers of the maps of a trunk at work on an image; raises ``ValueError`` for too many scales."""
     if len(widths) > MOST_SCALES:
         raise ValueError(f"the trunk has {len(widths)} scales; there may be {MOST_SCALES}")
     sizes = [(rows, columns)]
     for _ in widths[1:]:
         sizes.append(((sizes[-1][0] + 1) // 2, (sizes[-1][1] + 1) // 2))
-    maps = [(sizes[0], len(IMAGE)), *zip(sizes, widths), *zip(sizes[1:], widths[:-1]), *zip(sizes[:-1], widths[:-1])]
-    total = sum((y + 2) * (x + 2) * padded(channels) for (y, x), channels in maps)
-    inputs = padded(3 * padded(widths[0]) + len(LOCAL))
+    maps = [(sizes[0], channels), *zip(sizes, widths), *zip(sizes[1:], widths[:-1]), *zip(sizes[:-1], widths[:-1])]
+    return sum((y + 2) * (x + 2) * padded(channels) for (y, x), channels in maps)
+
+
+def scratch_size(layers: Layers, rows: int, columns: int) -> int:
+    """Return the numbers of a world's image, maps and head at work; raises ``ValueError`` for too many scales."""
+    total = trunk_size(layers.widths, len(IMAGE), rows, columns)
+    inputs = padded(3 * padded(layers.widths[0]) + len(LOCAL))
     return total + CHUNK * (inputs + 2 * max(map(padded, (*layers.hidden_widths, len(OUTPUT)))))

@@ -20,6 +20,7 @@ from dc_kernels.runtime.optional import require
 from pipeline.networks.models import Channels
 from pipeline.networks.registry import register
 from pipeline.networks.trunk import Trunk
+from pipeline.networks.weights import as_arrays, runs_as_written
 
 torch = require("torch", "pipeline")
 nn = torch.nn
@@ -97,23 +98,20 @@ class ContactNet(Trunk):
     def in_lanes(self, accelerated: bool) -> Layers | None:
         """Return the weights for kernels, for a solver that extrapolates by itself or not.
 
-        None: a class that has another ``trunk`` or ``head`` runs by torch.
+        None: with another ``trunk`` or ``head``, or hooks, torch answers.
         """
-        if type(self).trunk is not ContactNet.trunk or type(self).head is not ContactNet.head:
+        if not runs_as_written(self, ContactNet, "trunk", "head"):
             return None
 
-        def of(layer: Any) -> tuple[Any, Any]:
-            return layer.weight.detach().numpy(), layer.bias.detach().numpy()
-
         gain = float(self.gain[int(accelerated)])
-        weight, bias = of(self.last)
+        weight, bias = as_arrays(self.last)
         return Layers(
-            down=[of(layer) for layer in self.down],
-            up=[of(layer) for layer in self.up],
-            near=tuple(part.reshape(len(part), -1) if part.ndim > 1 else part for part in of(self.near)),
-            own=of(self.own),
+            down=[as_arrays(layer) for layer in self.down],
+            up=[as_arrays(layer) for layer in self.up],
+            near=tuple(part.reshape(len(part), -1) if part.ndim > 1 else part for part in as_arrays(self.near)),
+            own=as_arrays(self.own),
             places=[layer.weight.detach().numpy() for layer in self.places],
-            hidden=[of(layer) for layer in self.layers],
+            hidden=[as_arrays(layer) for layer in self.layers],
             last=(gain * weight, gain * bias),
             share=SHARE,
         )

@@ -16,6 +16,7 @@ from dc_kernels.learn.in_flight import SolveReader, What
 from dc_kernels.learn.layers import MOST_SCALES
 from dc_kernels.learn.network import NetworkInLanes
 from dc_kernels.runtime.optional import require
+from pipeline.networks.weights import Watch
 from pipeline.starts.start import Clock
 
 
@@ -69,18 +70,12 @@ class InLanes:
         self.model = model
         self.reads: What = "steps" if model is None else "features"
         self._accelerated = reader.sim.config.acceleration != "none"
-        self._tensors = [] if model is None else [*model.parameters(), *model.buffers()]
-        self._versions = self._seen()
+        self._watch = Watch(model)
         self.lanes = NetworkInLanes(reader, None if model is None else model.in_lanes(self._accelerated))
-
-    def _seen(self) -> tuple[int, ...]:
-        """Return what torch counts the changes of each tensor by."""
-        return tuple(tensor._version for tensor in self._tensors)
 
     def refresh(self) -> None:
         """Take the weights anew where they have changed."""
-        if (versions := self._seen()) != self._versions:
-            self._versions = versions
+        if self._watch.changed():
             self.lanes.load(self.model.in_lanes(self._accelerated))
 
     def __call__(self, *, begin: bool) -> np.ndarray:

@@ -12,23 +12,22 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 from dc_kernels.grid.grid import Grid
+from dc_kernels.learn.step_channels import ANSWER, CHANNELS, LEAST_GIVE, MOTION
+from dc_kernels.learn.step_layers import StepLayers
 from dc_kernels.model.settings import Limits, Positive, Settings
 from dc_kernels.runtime.optional import require
 from dc_kernels.torch_ops.transfer import gather_torch
 from pipeline.networks.models import Channels
 from pipeline.networks.registry import register
 from pipeline.networks.trunk import Trunk
-from pipeline.stepper.view import CHANNELS, ContactFrame, StepView
+from pipeline.networks.weights import as_arrays, runs_as_written
+from pipeline.stepper.view import ContactFrame, StepView
 
 torch = require("torch", "pipeline")
 nn = torch.nn
 F = torch.nn.functional
 Module: Any = nn.Module  # a name that mypy takes as a base
 
-MOTION = 10
-"""Numbers that say how a contact moves and what it carries [1]."""
-ANSWER = 4
-"""Numbers of an answer: shares of a step that closes the contact and ends its slip, and two free parts [1]."""
 LEAK = 0.1
 """Share of the gradient that passes where the friction cone cuts an impulse off [1]."""
 
@@ -90,7 +89,7 @@ class StepNet(Trunk):
     def head(self, view: StepView, frame: ContactFrame, seen: Any, moving: Any) -> tuple[Any, Any]:
         """Go along the contacts; ``seen`` is what bodies read of the image, (N, near)."""
         a, b, count = view.body_a, view.body_b, len(view.way)
-        give, slip_give = (give.clamp(min=1e-12) for give in frame.give)
+        give, slip_give = (give.clamp(min=LEAST_GIVE) for give in frame.give)
         around = torch.cat([seen[a], seen[b]], dim=1)
         share = torch.stack([view.inv_mass[a] / give, view.inv_mass[b] / give, view.friction], dim=1)
         normal = tangent = torch.zeros_like(view.gap)
@@ -112,6 +111,22 @@ class StepNet(Trunk):
             way = frame.pushed(view.way, normal, tangent)
             hidden = F.relu(answer[:, ANSWER:])
         return way, torch.stack([normal, tangent], dim=1)
+
+    def in_lanes(self) -> StepLayers | None:
+        """Return the weights for kernels.
+
+        None: with another ``forward``, ``trunk`` or ``head``, or hooks, torch answers.
+        """
+        if not runs_as_written(self, StepNet, "forward", "trunk", "head"):
+            return None
+        weight, bias = as_arrays(self.near)
+        return StepLayers(
+            down=[as_arrays(layer) for layer in self.down],
+            up=[as_arrays(layer) for layer in self.up],
+            near=(weight.reshape(len(weight), -1), bias),
+            first=as_arrays(self.first),
+            rounds=[(as_arrays(cell[0]), as_arrays(cell[-1])) for cell in self.rounds],
+        )
 
 
 def on_cone(normal: Any, tangent: Any, friction: Any) -> tuple[Any, Any]:

@@ -20,14 +20,18 @@ from typing import Any
 import numpy as np
 
 import dc_kernels as dc
+from dc_kernels.learn.layers import MOST_SCALES
+from dc_kernels.learn.step_channels import CHANNELS
+from dc_kernels.learn.step_network import StepNetworkInLanes
 from dc_kernels.measure import contact_slots
 from dc_kernels.model.enums import BodyType
 from dc_kernels.runtime.optional import require
+from pipeline.networks.weights import Watch
 from pipeline.starts.learned import grid_of
 from pipeline.starts.start import Clock, Report, Started
 from pipeline.stepper.answer import answer, reads_views
 from pipeline.stepper.choice import StepperOptions
-from pipeline.stepper.view import CHANNELS, StepReader
+from pipeline.stepper.view import StepReader
 
 torch = require("torch", "pipeline")
 
@@ -63,6 +67,8 @@ class NetworkStepper:
         self.sim, self.options = sim, options or StepperOptions()
         self.model = model.eval()
         self.reader = StepReader(sim, _grid(sim, model, manifest))
+        self._lanes = _in_lanes(self.reader, self.model)
+        self._watch = Watch(self.model)
         self.clock = Clock(dict.fromkeys(PARTS, 0.0))
         self.counts = dict.fromkeys(COUNTS, 0)
         body_model = sim.model
@@ -96,7 +102,7 @@ class NetworkStepper:
         predicted = sim.motion.numpy("predicted")
         bodies = len(self._world)
         before = solved[:bodies, :3].copy()
-        velocity = self._ask(None if len(asked) == len(count) else asked, before)
+        velocity = self._ask(asked, before)
         sound = self._sound(velocity, asked)
         if not sound.all():
             own = ~sound[self._world]
@@ -122,21 +128,30 @@ class NetworkStepper:
         if not sound.all() and project != "tolerance":
             self._fall_back(sound, cached)
 
-    def _ask(self, worlds: np.ndarray | None, before: np.ndarray) -> np.ndarray:
+    def _ask(self, asked: np.ndarray, before: np.ndarray) -> np.ndarray:
         """Return the network's velocities of all bodies, (N, 3), and write its impulses, if it answers any.
 
         Those of worlds that it is not asked for are ``before``.
         """
+        if self._lanes is not None:
+            with self.clock.part("network"):
+                if self._watch.changed():
+                    self._lanes.load(self.model.in_lanes())
+                chosen = np.zeros(self.sim.model.world_count, bool)
+                chosen[asked] = True
+                found = self._lanes(chosen)
+                return np.where(chosen[self._world, None], found, before)
+        worlds = None if len(asked) == self.sim.model.world_count else asked
         with self.clock.part("features"):
             view = self.reader.read(worlds)
         with self.clock.part("network"), torch.inference_mode():
-            found = answer(self.model, view, self.reader.grid)
-            way = (found.way * view.speed).numpy()
+            answered = answer(self.model, view, self.reader.grid)
+            way = (answered.way * view.speed).numpy()
         velocity = before.copy()
         velocity[self.reader.rows(worlds)] = way
-        if found.impulse is not None:
+        if answered.impulse is not None:
             speed = view.speed[view.body_start[:-1].long(), 0].repeat_interleave(view.contact_start.diff())
-            self.reader.write_impulses(worlds, (found.impulse * speed[:, None]).numpy())
+            self.reader.write_impulses(worlds, (answered.impulse * speed[:, None]).numpy())
         return velocity
 
     def _sound(self, velocity: np.ndarray, asked: np.ndarray) -> np.ndarray:
@@ -202,6 +217,14 @@ class NetworkStepper:
         if project == "tolerance":
             return "then the solver to its tolerance"
         return f"then up to {project} sweeps of the solver" if project else "no sweep of the solver"
+
+
+def _in_lanes(reader: StepReader, model: Any) -> StepNetworkInLanes | None:
+    """Return what answers in lanes; None: torch does, as the network is no StepNet, or the backend has no lanes."""
+    found = model.in_lanes() if hasattr(model, "in_lanes") and reads_views(model) else None
+    if found is None or reader.sim.backend != "warp" or len(found.widths) > MOST_SCALES:
+        return None
+    return StepNetworkInLanes(reader.sim, reader.grid, reader.walls[:, 0], found)
 
 
 def _grid(sim: dc.Simulation, model: Any, manifest: Mapping[str, Any]) -> dc.Grid:

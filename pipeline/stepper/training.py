@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from dc_kernels.learn.step_channels import CHANNELS
 from dc_kernels.runtime.optional import require
 from pipeline.data.dataset import Split, describe
 from pipeline.data.generate import generate
@@ -35,7 +36,7 @@ from pipeline.stepper.answer import OUTPUTS, answer, errors, image_of, reads_vie
 from pipeline.stepper.motions import Motion, read_motions
 from pipeline.stepper.options import StepperTrainOptions
 from pipeline.stepper.replay import Replay
-from pipeline.stepper.view import CHANNELS, StepReader, StepView
+from pipeline.stepper.view import StepReader, StepView
 from pipeline.training.log import Log
 from pipeline.training.optimizer import check_loss, clip_gradients, make_optimizer, make_schedule
 from pipeline.training.preparation import check_network, configuration, make_grid

@@ -14,6 +14,7 @@ import numpy as np
 
 import dc_kernels as dc
 from dc_kernels.grid.area import wall_nodes
+from dc_kernels.learn.step_channels import BINS, FLOATING
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.room import rows_of
 from dc_kernels.runtime.memory import check_memory
@@ -23,18 +24,8 @@ from pipeline.training.losses import direction_bins
 
 torch = require("torch", "pipeline")
 
-BINS = 4
-"""Parts of the half circle of normal directions that the contacts' channels are kept apart in [1]."""
-BODY_CHANNELS = ("mass", "way_x", "way_y", "turn", "force_x", "force_y")
-"""Bodies in the image: mass over the world's mean, predicted way and turn, and what forces add to the way [unit]."""
-CONTACT_CHANNELS = ("contacts", "gap", "closing", "sliding")
-"""Contacts in the image, of each bin of directions: how many, gap, overlap that the way would make, slip [unit]."""
-CHANNELS = (*BODY_CHANNELS, *(f"{name}/{b}" for b in range(BINS) for name in CONTACT_CHANNELS), "wall")
-"""Channels of the image in order."""
 SPLAT = dc.Stencil("bspline")
 """Weights of the nodes that bodies and contacts reach."""
-FLOATING = 1e-3
-"""Unit of length where there is no gravity [typical diameters]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +91,7 @@ class StepView:
         return replace(self, way=way)
 
     def image(self, frame: ContactFrame, grid: dc.Grid) -> Any:
-        """Return the image of bodies, contacts and walls, (B, len(CHANNELS), rows, columns), differentiable by ways."""
+        """Return the image (``step_channels.CHANNELS``), (B, channels, rows, columns), differentiable by the ways."""
         moving = self.dynamic
         bodies = torch.cat([self.mass[:, None], self.way * moving, self.force * moving], dim=1).contiguous()
         closing, sliding = frame.relative(self.way)
@@ -180,6 +171,7 @@ class StepReader:
     Attributes:
         sim: the simulation.
         grid: where the nodes of the image lie.
+        walls: 1 at the nodes that static shapes cover, (W, 1, rows, columns).
     """
 
     def __init__(self, sim: dc.Simulation, grid: dc.Grid) -> None:
@@ -207,7 +199,7 @@ class StepReader:
         walls = np.zeros((model.world_count, 1, *grid.shape), np.float32)
         of_world, row, column = wall_nodes(model, sim.state, grid)
         walls[of_world, 0, row, column] = 1.0
-        self._walls = walls
+        self.walls = walls
 
     def _masses(self, rows: Any, body_start: np.ndarray) -> dict[str, np.ndarray]:
         """Return what the model says of the masses of bodies now, by name of a view's field."""
@@ -269,6 +261,6 @@ class StepReader:
             **taken,
             "gap": gap.astype(np.float32),
             "contact_start": np.concatenate([[0], np.cumsum(counts)]).astype(np.int32),
-            "walls": self._walls if worlds is None else self._walls[worlds],
+            "walls": self.walls if worlds is None else self.walls[worlds],
         }
         return StepView(**{name: torch.from_numpy(values) for name, values in arrays.items()})

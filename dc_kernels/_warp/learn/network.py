@@ -12,7 +12,15 @@ from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT, Answer, Output
 from dc_kernels.learn.groups import NETWORK, READING
 from dc_kernels.learn.layers import CHUNK, LANES, MOST_SCALES
 
-HEADERS = ("prelude.h", "grid/axis.h", "learn/layers.h", "learn/trunk.h", "learn/head.h")
+HEADERS = (
+    "prelude.h",
+    "grid/axis.h",
+    "learn/layers.h",
+    "learn/maps.h",
+    "learn/image.h",
+    "learn/trunk.h",
+    "learn/head.h",
+)
 
 
 @cache

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import dc_kernels as dc
+from dc_kernels.learn.step_channels import CHANNELS
 from pipeline.cli import main
 from pipeline.networks import models
 from pipeline.networks.checkpoint import load_checkpoint, save_checkpoint
@@ -21,7 +22,6 @@ from pipeline.starts.registry import maker
 from pipeline.stepper.choice import StepperOptions
 from pipeline.stepper.registry import PRETRAINED, solve_maker
 from pipeline.stepper.solve import NetworkStepper
-from pipeline.stepper.view import CHANNELS
 
 CONFIG = dc.SolverConfig.preset("accurate")
 STEPPER = {"stepper": {"dt": [0.01], "grid": None}}

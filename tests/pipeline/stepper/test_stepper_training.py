@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import dc_kernels as dc
+from dc_kernels.learn.step_channels import CHANNELS
 from dc_kernels.measure import contact_slots
 from pipeline.data.dataset import describe
 from pipeline.networks import models
@@ -23,7 +24,7 @@ from pipeline.stepper.motions import read_motions
 from pipeline.stepper.options import StepperTrainOptions
 from pipeline.stepper.replay import Replay
 from pipeline.stepper.training import StepperTraining, describe_stepper_training, train_stepper
-from pipeline.stepper.view import CHANNELS, StepReader
+from pipeline.stepper.view import StepReader
 
 SMALL = (("rounds", "2"), ("hidden", "4"), ("width", "8"), ("channels", "[4, 4]"), ("near", "2"))
 

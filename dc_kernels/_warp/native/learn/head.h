@@ -21,20 +21,8 @@ for (int from = begin; from < end; from += CHUNK) {
         Real* const row = given + (size_t)i * input_pitch;
         for (int p = 0; p < 3; ++p) {
             const Real* const place = places[p] + 2 * (size_t)(from + i);
-            Real u = (place[0] - origin_x) * per_spacing, v = (place[1] - origin_y) * per_spacing;
-            const bool valid = u - u == 0 && v - v == 0;
-            u = clip(valid ? u : 0, 0, image_columns - 1);
-            v = clip(valid ? v : 0, 0, image_rows - 1);
-            const int x = u < image_columns - 2 ? (int)u : image_columns - 2;
-            const int y = v < image_rows - 2 ? (int)v : image_rows - 2;
-            const Real tx = u - x, ty = v - y, whole = valid ? 1 : 0;
-            const Real* const q = trunk.at + (size_t)y * trunk.row_pitch + x * trunk.pitch;
-            for (int c = 0; c < trunk.pitch; c += LANES) {
-                const Vector low = load(q + c) * ((1 - tx) * (1 - ty)) + load(q + c + trunk.pitch) * (tx * (1 - ty));
-                const Real* const r = q + c + trunk.row_pitch;
-                const Vector high = load(r) * ((1 - tx) * ty) + load(r + trunk.pitch) * (tx * ty);
-                store(row + p * trunk.pitch + c, (low + high) * whole);
-            }
+            gather(trunk, (place[0] - origin_x) * per_spacing, (place[1] - origin_y) * per_spacing,
+                   row + p * trunk.pitch);
         }
         const Real* const own = reading.local.data + (size_t)(from + i) * LOCAL;
         for (int c = 0; c < LOCAL; ++c) row[3 * trunk.pitch + c] = own[c];
@@ -45,20 +33,7 @@ for (int from = begin; from < end; from += CHUNK) {
     const int layers = network.hidden.shape[0];
     for (int l = 0; l <= layers; ++l) {
         const int width = l < layers ? network.hidden.data[l] : OUTPUT;
-        each_block(width, [&](int vectors, int first) {
-            Source source;
-            source.from = now;
-            source.weight = weight + vectors * LANES;
-            source.step = pitch;
-            source.channels = channels;
-            source.places = 1;
-            source.place[0] = 0;
-            // contacts that are not there fill the last block
-            const int wide = vectors == 2 ? 6 : 8;
-            sum_row(vectors, (count + wide - 1) / wide * wide, &source, 1, weight, next + first, hidden_pitch,
-                    l < layers ? (Real)0 : no_least);
-            weight += (1 + channels) * vectors * LANES;
-        });
+        layer(count, now, pitch, channels, width, next, hidden_pitch, l < layers ? (Real)0 : no_least);
         channels = width;
         pitch = hidden_pitch;
         now = next;

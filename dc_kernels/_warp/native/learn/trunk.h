@@ -1,67 +1,9 @@
-// Image and trunk of a ContactNet of the k-th world read, in scratch memory: contacts are splatted by a cubic B-spline
-// with all channels of a node side by side; each scale is a convolution of 3 x 3 of the mean of 2 x 2 nodes of the one
-// before; on the way back a convolution reads the finer scale beside the coarser one, which is repeated 2 x 2 times. Of
-// that a pixel sees 2 x 2 nodes, whose weights are sums of the 3 x 3, nine sets of them: by whether row and column are
-// even, odd, or even and the last.
-// Macros: CHANNELS, SCALES. Parameters: k, slot, network, reading. Behind prelude.h, grid/axis.h and learn/layers.h.
+// Trunk of a network, on its image: each scale is a convolution of 3 x 3 of the mean of 2 x 2 nodes of the one before;
+// on the way back a convolution reads the finer scale beside the coarser one, which is repeated 2 x 2 times. Of that a
+// pixel sees 2 x 2 nodes, whose weights are sums of the 3 x 3, nine sets of them: by whether row and column are even,
+// odd, or even and the last. Macros: CHANNELS, SCALES. Parameters: network. Behind learn/maps.h.
 #if !defined(__CUDA_ARCH__)
 const int scales = network.width.shape[0];
-struct Map {
-    Real* at;  // of pixel (0, 0)
-    int rows, columns, pitch, row_pitch;
-};
-Real* memory = network.scratch.data + (size_t)slot * network.scratch.shape[1];
-auto map_of = [&](int rows, int columns, int channels) {
-    const int pitch = padded(channels), row_pitch = (columns + 2) * pitch;
-    const Map map = {memory + row_pitch + pitch, rows, columns, pitch, row_pitch};
-    memory += (size_t)(rows + 2) * row_pitch;
-    return map;
-};
-const int image_rows = network.rows, image_columns = network.columns;
-const Map image = map_of(image_rows, image_columns, CHANNELS);
-const Real* weight = network.weight.data;
-
-const int begin = reading.packed_start.data[k], end = reading.packed_start.data[k + 1];
-const Real origin_x = ((const Real*)reading.grid_origin.data)[2 * k];
-const Real origin_y = ((const Real*)reading.grid_origin.data)[2 * k + 1];
-const Real per_spacing = 1 / network.spacing;
-const int image_vectors = image.pitch / LANES;
-for (int y = 0; y < image_rows; ++y) {
-    Real* const row = image.at + (size_t)y * image.row_pitch;
-    for (int i = 0; i < image_columns * image.pitch; i += LANES) *(Vector*)(row + i) = zero;
-}
-for (int m = begin; m < end; ++m) {
-    const Real* const place = (const Real*)reading.place.data + 2 * (size_t)m;
-    const Real u = (place[0] - origin_x) * per_spacing, v = (place[1] - origin_y) * per_spacing;
-    if (!(u - u == 0 && v - v == 0)) continue;
-    Real wx[4], wy[4], slope[4];
-    int column, columns, row, rows;
-    spline(u, image_columns, column, columns, wx, slope);
-    spline(v, image_rows, row, rows, wy, slope);
-    Vector value[CHANNELS / LANES + 1];
-    const Real* const own = reading.image_value.data + (size_t)m * CHANNELS;
-#pragma unroll
-    for (int i = 0; i < CHANNELS / LANES; ++i) value[i] = load(own + i * LANES);
-    value[CHANNELS / LANES] = zero;
-#pragma unroll
-    for (int c = CHANNELS / LANES * LANES; c < CHANNELS; ++c) value[CHANNELS / LANES][c % LANES] = own[c];
-    for (int j = 0; j < rows; ++j) {
-        Real* to = image.at + (size_t)(row + j) * image.row_pitch + column * image.pitch;
-        for (int i = 0; i < columns; ++i, to += image.pitch)
-#pragma unroll
-            for (int n = 0; n < (CHANNELS + LANES - 1) / LANES; ++n)
-                *(Vector*)(to + n * LANES) += value[n] * (wx[i] * wy[j]);
-    }
-}
-
-// `bias`, then weights: one block of outputs after the other, two vectors wide where there are two
-auto each_block = [&](int channels, auto run) {
-    for (int v = 0; v < padded(channels) / LANES;) {
-        const int vectors = (v + 1) * LANES < channels ? 2 : 1;
-        run(vectors, v * LANES);
-        v += vectors;
-    }
-};
 auto around = [&](Source& source, const Map& map) {
     source.places = 9;
     for (int t = 0; t < 9; ++t) source.place[t] = (t / 3 - 1) * map.row_pitch + (t % 3 - 1) * map.pitch;
