@@ -150,15 +150,16 @@ def test_a_method_that_grows_without_end_is_left_with_the_bits_of_warp() -> None
     [{}, {"method": "jacobi", "acceleration": "none"}, {"acceleration": "nncg", "stop": "residual", "tolerance": 0.0}],
 )
 def test_rows_of_a_callers_own_jacobians_have_the_bits_of_warp(settings: dict[str, Any]) -> None:
+    """In float64, whose kernels ``solve/test_own_rows.py`` compiles too."""
     draw = np.random.default_rng(3)
     contacts, own, count = 60, 50, 30
     pairs = draw.permuted(np.tile(np.arange(count, dtype=np.int32), (contacts + own + 5, 1)), axis=1)[:, :2]
     a, b = np.ascontiguousarray(pairs.T)
-    normal = draw.normal(size=(contacts, 2)).astype(np.float32)
+    normal = draw.normal(size=(contacts, 2))
     normal /= np.linalg.norm(normal, axis=1)[:, None]
 
     def real(*shape: int) -> np.ndarray:
-        return draw.normal(size=shape).astype(np.float32)
+        return draw.normal(size=shape)
 
     rows = {
         "row_body_a": a[contacts : contacts + own].copy(),
@@ -166,9 +167,9 @@ def test_rows_of_a_callers_own_jacobians_have_the_bits_of_warp(settings: dict[st
         "row_jacobian_a": real(own, 3),
         "row_jacobian_b": real(own, 3),
         "row_bias": real(own),
-        "row_lower": np.where(np.arange(own) % 3, -abs(real(own)), -np.inf).astype(np.float32),
-        "row_upper": np.where(np.arange(own) % 2, abs(real(own)), np.inf).astype(np.float32),
-        "row_softness": np.where(np.arange(own) % 5, 0.0, 0.3).astype(np.float32),
+        "row_lower": np.where(np.arange(own) % 3, -abs(real(own)), -np.inf),
+        "row_upper": np.where(np.arange(own) % 2, abs(real(own)), np.inf),
+        "row_softness": np.where(np.arange(own) % 5, 0.0, 0.3),
         "row_impulse": real(own),
     }
     joints = {
@@ -176,7 +177,7 @@ def test_rows_of_a_callers_own_jacobians_have_the_bits_of_warp(settings: dict[st
         "joint_body_b": b[contacts + own :].copy(),
         "joint_anchor_a": real(5, 2),
         "joint_anchor_b": real(5, 2),
-        "joint_length": abs(real(5)) + np.float32(0.1),
+        "joint_length": abs(real(5)) + 0.1,
     }
     solver = dc.ContactSolver(
         body_a=a[:contacts].copy(),
@@ -187,8 +188,8 @@ def test_rows_of_a_callers_own_jacobians_have_the_bits_of_warp(settings: dict[st
         arm_a=real(contacts, 2),
         arm_b=real(contacts, 2),
         friction=0.5,
-        inv_mass=np.where(np.arange(count) < 3, 0.0, 1.0).astype(np.float32),
-        inv_inertia=np.where(np.arange(count) < 3, 0.0, 2.0).astype(np.float32),
+        inv_mass=np.where(np.arange(count) < 3, 0.0, 1.0),
+        inv_inertia=np.where(np.arange(count) < 3, 0.0, 2.0),
         position=real(count, 2),
         angle=real(count),
         velocity=real(count, 2),
@@ -202,7 +203,7 @@ def test_rows_of_a_callers_own_jacobians_have_the_bits_of_warp(settings: dict[st
     twin = object.__new__(Twin)
     twin.sim, twin.kernels = solver, {}  # type: ignore[assignment]
     for file in ("solve.pack", "solve.schedules"):
-        twin.kernels |= make_kernels("taichi", file, "float32", "rows")
+        twin.kernels |= make_kernels("taichi", file, "float64", "rows")
     for name in ("pack_rows", "solve_world", "unpack_impulses"):
         twin.run(name)
     assert solver.stats.numpy("sweeps")[0] > 9
