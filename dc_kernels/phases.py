@@ -73,6 +73,8 @@ class Phases:
 
         # only collide runs out of room; to look costs a GPU copies for which the host waits
         watch = self._watch if "collide" in phases else self._watch._replace(stop_at=0, used=())
+        if not together:
+            watch = watch._replace(clock=())
         sweeps = 0
         if "solve" in phases:
             sweeps = (changed or {}).get("max_sweeps", self._config.max_sweeps)

@@ -204,7 +204,9 @@ class Simulation(Driven):
         self._flags = self.state.numpy("flags")
         used = (self.pairs.near_count, self.contacts.contact_count, self.rows.block_needed)
         sleep = [self.sleepers.array(name) for name in ("sleeping", "dormant", "waited")] if config.sleep else []
-        self._watch = Watch(self.state.flags, int(CAPACITY_FLAGS), used, tuple(sleep))
+        noting = self.overlaps.sizes["world"] or self.touches.sizes["world"]
+        clock = (self.state.time, self.motion.step_dt) if config.sleep and not noting else ()
+        self._watch = Watch(self.state.flags, int(CAPACITY_FLAGS), used, tuple(sleep), clock)
 
     @property
     def values(self) -> Mapping[str, Any]:

@@ -111,6 +111,15 @@ class Watch(NamedTuple):
     """How much of each kind of room a world uses."""
     sleep: tuple[Any, ...] = ()
     """``sleeping``, ``dormant`` and ``waited`` of sleepers, by which launches are left out; empty without sleep."""
+    clock: tuple[Any, ...] = ()
+    """Time and time step of each world, where nothing else goes on in rounds of whole steps in which nothing is awake
+    but in the first; empty where something does."""
+
+    @property
+    def addresses(self) -> np.ndarray:
+        """Those of ``sleep`` and ``clock``, as ``_warp/runtime/sequences.py`` takes them."""
+        width = [self.clock[1].strides[0]] if self.clock else []
+        return np.array([*(array.ptr for array in (*self.sleep, *self.clock)), *width], np.uint64)
 
 
 class Rounds:
@@ -170,7 +179,7 @@ class Rounds:
                 "stop_at": watch.stop_at,
                 "flags": watch.flags,
                 "used": np.array([array.ptr for array in watch.used], np.uint64),
-                "sleep": np.array([array.ptr for array in watch.sleep], np.uint64),
+                "sleep": watch.addresses,
                 "peak": peak,
                 "halt": halt,
                 "done": self._done,

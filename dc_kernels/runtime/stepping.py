@@ -18,6 +18,7 @@ from dc_kernels.runtime.threads import in_main_thread, run_apart, run_helped, ru
 SHARDS_PER_THREAD = 2  # who is done first takes on what is left
 CHUNK = 10  # rounds that a thread takes of a shard at a time: 250 at once leaves one idle at the end for 3 %
 AT_ONCE = 20_000  # bodies times rounds between two looks for an interrupt: 10 to 40 ms
+IDLE_AT_ONCE = 2_000_000  # worlds times rounds in which nothing is awake: 1 to 50 ms
 SWEPT = 10_000_000  # bodies times sweeps between two looks, if no solve converges: 0.1 to 0.6 s
 APART = 4  # looks that a shard may be ahead of another: what an interrupt leaves to be leveled takes that long
 GRACE = 0.5  # that an interrupted round has to end by itself, before its sweeps are cut short [s]
@@ -250,8 +251,8 @@ class Shards:
                     whole.helped.took((time.perf_counter() - begun) / max(done, 1))
                 self.left = [longest] * n
                 if self._is_idle():
-                    # what is written between two calls was seen in the first round, and a world takes 0.5 us
-                    at_once = max(at_once, AT_ONCE // sum(count for _, count in self.ranges))
+                    # what is written between two calls was seen in the first round, which takes 100 ns a world
+                    at_once = max(at_once, IDLE_AT_ONCE // sum(count for _, count in self.ranges))
             self.halted = bool(whole.halt[0])
             return
         else:

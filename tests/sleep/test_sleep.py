@@ -465,6 +465,30 @@ def test_launches_that_are_left_out_would_have_done_nothing(at_rest):
             assert np.array_equal(*(sim.sleepers.numpy(name) for sim in sims)), name
 
 
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_steps_in_which_nobody_is_awake_are_those_of_one_call_each(dtype):
+    """Only time goes on, and not that of a world that has stopped; what is written afterwards is seen."""
+    sims = [simulation(3, dtype=dtype) for _ in range(2)]
+    for sim in sims:
+        sim.sleep()
+        sim.step(DT)
+        sim.state.assign("flags", [0, int(dc.Flag.NONFINITE), 0])
+    for steps in (50, 20):
+        sims[0].run(steps, DT)
+        for _ in range(steps):
+            sims[1].step(DT)
+        assert state_bits(sims[0]) == state_bits(sims[1])
+        for name in ("time", "flags"):
+            assert np.array_equal(*(sim.state.numpy(name) for sim in sims)), name
+        assert np.array_equal(*(sim.stats.numpy("sweeps") for sim in sims))
+        for sim in sims:
+            shot(sim, 0)
+    time = sims[0].state.numpy("time")
+    assert time[1] == pytest.approx(DT)
+    assert time[[0, 2]] == pytest.approx(71 * DT, rel=1e-6)
+    assert sims[0].stats.numpy("sweeps")[0] > 0
+
+
 def test_a_user_lets_a_scene_begin_asleep():
     sim = simulation()
     sim.sleep()

@@ -16,6 +16,8 @@ from dc_kernels.sleep.sleepers import LOOK_EVERY
 
 LAUNCH = wp.constant(4)  # numbers of a launch
 AWAKE = wp.constant(int(Activity.AWAKE))
+ASLEEP = wp.constant(int(Activity.ASLEEP))
+CLOCKED = wp.constant(6)  # numbers of ``sleep`` with those of time
 
 
 @wp.func_native(
@@ -28,6 +30,16 @@ def launch_all(
     shard: wp.vec2i,
     sleep: wp.array(dtype=wp.uint64),
     active: wp.int32,
+) -> wp.int32: ...
+
+
+@wp.func_native(native_code("runtime/pass_time.h", dtype="float32"))
+def pass_time(
+    rounds: wp.int32,
+    shard: wp.vec2i,
+    flags: wp.array(dtype=wp.int32),
+    sleep: wp.array(dtype=wp.uint64),
+    halt: wp.array(dtype=wp.int32),
 ) -> wp.int32: ...
 
 
@@ -98,13 +110,17 @@ def kernels() -> dict[str, Any]:
         world and their number. The first ``once`` launches are made in the first round only.
         ``used`` holds the address of an int32 for each world, for several kinds of room; ``peak`` is raised to the most
         that a world used of each kind after any round, and ``done`` by the rounds taken. ``sleep`` holds the addresses
-        of ``sleeping``, ``dormant`` and ``waited`` of sleepers, or nothing.
+        of ``sleeping``, ``dormant`` and ``waited`` of sleepers, or nothing; behind them those of ``time`` and
+        ``step_dt``, and the bytes of a number of the latter, where rounds in which nothing is awake do nothing else.
         """
         first = shard[0]
         worlds = shard[1]
         active = int(-1)
         taken = int(0)
         while taken < rounds and read_shared(halt) == 0:
+            if active == ASLEEP and sleep.shape[0] == CLOCKED:
+                taken += pass_time(rounds - taken, shard, flags, sleep, halt)
+                continue
             if active == AWAKE:
                 active = launch_all(launches, count, launches.shape[0] // LAUNCH, shard, sleep, active)
             else:

@@ -1,6 +1,7 @@
 // Launches one after the other, but for those that lack what they need (Activity) in the worlds of a shard. ASLEEP and
 // AWAKE are looked for where they may have changed, RESTED when a launch needs it: those before it decide.
-// Parameters: launches, begin, end, shard, sleep, active. Returns what is active; -1 where it may have changed.
+// Parameters: launches, begin, end, shard, sleep, active. Returns what is active; -1 where it may have changed, but not
+// where nothing is awake.
 #if !defined(__CUDA_ARCH__)
 struct Launch {
     void (*kernel)(void*, void*);
@@ -10,7 +11,7 @@ struct Launch {
 };
 const Launch* const launch = (const Launch*)launches.data;
 const int last = shard[0] + shard[1];
-int found = active, asleep = active < 0;
+int found = active, asleep = active < 0, rested = 0;
 for (int i = begin; i < end; ++i) {
     const int needs = (int)launch[i].needs;
     if (needs & RESTED) {
@@ -18,7 +19,7 @@ for (int i = begin; i < end; ++i) {
         int w = shard[0];
         while (w < last && waited[w] <= EVERY) ++w;
         if (w == last) continue;
-        asleep = 1;
+        rested = 1;
     } else if (needs != 0) {
         if (found < 0) {
             const int *const sleeping = (const int*)sleep.data[0], *const dormant = (const int*)sleep.data[1];
@@ -33,7 +34,7 @@ for (int i = begin; i < end; ++i) {
     }
     launch[i].kernel(launch[i].bounds, launch[i].arguments);
 }
-return asleep ? -1 : found;
+return rested || (asleep && found & AWAKE) ? -1 : found;
 #else
 return -1;
 #endif
