@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from dc_kernels.model.arrays import ArrayGroup, Model, uniform
+import numpy as np
+
+from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.config import CONFIG, SolverConfig
 from dc_kernels.model.fields import LAUNCH
 from dc_kernels.runtime.backends import Launch, bind, kernel_file, on_numpy
@@ -14,6 +16,11 @@ from dc_kernels.solve.integrate import PADDING
 from dc_kernels.solve.iteration import NEVER
 
 UNIFORM = ("uniform_friction", "uniform_restitution")
+
+
+def uniform(values: np.ndarray) -> float:
+    """The value that all have in common, -1 if they differ."""
+    return float(values[0]) if len(values) and (values == values[0]).all() else -1.0
 
 
 class Binding:

@@ -123,7 +123,7 @@ class Simulation(Driven):
         joints = self.joints
         model.fixed = joints.fixed = True
         self.model, self.state, self.built = model, state, state.copy()
-        self._segments = segments_of_worlds(model.views(), joints.numpy("joint_row_start"))
+        self._segments = segments_of_worlds(model.numpy, joints.numpy("joint_row_start"))
         self.dtype, self.device, self.backend = model.dtype, model.device, model.backend
         self.schedule, self.on_overflow = options.schedule, options.on_overflow
         threads = options.threads if self.device == "cpu" else 1

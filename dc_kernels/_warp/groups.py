@@ -10,10 +10,11 @@ import warp as wp
 
 from dc_kernels._warp.common import scalar_types
 from dc_kernels.model.config import CONFIG
-from dc_kernels.model.dtypes import FLOATS, aligned_zeros, float_name, numpy_spec, struct_dtype
+from dc_kernels.model.dtypes import FLOATS, PLANS, Plan, aligned_zeros, float_name, numpy_spec, struct_dtype
 from dc_kernels.model.fields import CONTACTS, ITERATION, LAUNCH, ROW, SPAN, Field
 from dc_kernels.model.groups import GROUPS
 from dc_kernels.runtime.building import building
+from dc_kernels.runtime.launches import shared_array
 
 # what the narrowphase finds of a contact; the rest is matched with the step before
 _FOUND = ("key", "body_a", "body_b", "normal", "arm_a", "arm_b", "gap", "friction", "restitution")
@@ -126,8 +127,13 @@ def group(name: str, dtype: str, table: Mapping[str, Field], values: Mapping[str
         values: numbers, ``wp.array``, or numpy arrays, which are used where they lie.
     """
     struct = struct_type(name, dtype, table)()
+    native, attributes = struct.__ctype__(), vars(struct)
     for key, value in values.items():
-        setattr(struct, key, _shared(value, table[key]) if isinstance(value, np.ndarray) else value)
+        if isinstance(value, float | int):  # as Warp does, in a fifth of the time
+            setattr(native, key, value)
+            attributes[key] = value
+        else:
+            setattr(struct, key, _shared(value, table[key]) if isinstance(value, np.ndarray) else value)
     return struct
 
 
@@ -144,18 +150,67 @@ def _shared(array: np.ndarray, field: Field) -> wp.array:
     return shared
 
 
+class _Template(NamedTuple):
+    """A group's struct whose arrays lie nowhere yet."""
+
+    native: bytes  # as kernels take it
+    where: list[int]  # words of it that hold the addresses, field after field
+    struct: Any  # class of it
+
+
+_templates: dict[tuple[int, Plan], _Template] = {}
+
+
+def _template(struct: Any, arrays: Any) -> _Template:
+    """The struct of a group with arrays of these sizes: those of equal worlds differ in nothing but addresses."""
+    plan = arrays.plan()
+    key = id(struct), plan
+    if key not in _templates:
+        if len(_templates) >= PLANS:
+            _templates.clear()
+        blank, where = struct(), []
+        for field in arrays.table:
+            array = getattr(arrays, field).__ctype__()
+            setattr(blank.__ctype__(), field, type(array).from_buffer_copy(array))
+            getattr(blank.__ctype__(), field).data = 0
+            where.append((getattr(struct.ctype, field).offset + type(array).data.offset) // 8)
+        kept = type(struct.key, (_Filled, struct.instance_type), {})
+        _templates[key] = _Template(bytes(blank.__ctype__()), where, kept)
+    return _templates[key]
+
+
+class _Filled:
+    """A struct of arrays of the CPU's memory, which are made for Warp when Python asks for them; kernels need none."""
+
+    _memory: dict[str, np.ndarray]
+    _types: Mapping[str, Any]
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self.__dict__.get("_memory", ()):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        memory = self._memory[name]
+        address = memory.__array_interface__["data"][0]
+        return self.__dict__.setdefault(name, shared_array(memory, self._types[name], address))
+
+
 def array_group(arrays: Any, name: str) -> Any:
     """The arrays of a ``model.arrays.ArrayGroup`` as kernels take them (see ``group``)."""
-    struct = struct_type(name, float_name(arrays.dtype), arrays.table)()
-    native, attributes = struct.__ctype__(), vars(struct)
-    for field in arrays.table:
-        array = arrays.array(field)
-        if arrays.own(field):  # of the type that the struct has: Warp's checks would take most of the time
-            setattr(native, field, array.__ctype__())
-            attributes[field] = array
-        else:
-            setattr(struct, field, array)
-    return struct
+    struct = struct_type(name, float_name(arrays.dtype), arrays.table)
+    if arrays.device != "cpu":
+        made = struct()
+        for field in arrays.table:
+            setattr(made, field, arrays.array(field))
+        return made
+    template, (memory, address) = _template(struct, arrays), arrays.owned()
+    native = struct.ctype.from_buffer_copy(template.native)
+    np.frombuffer(native, np.uint64)[template.where] = [address.get(field, 0) for field in arrays.table]
+    made = object.__new__(template.struct)
+    made.__dict__.update(_ctype=native, _memory=memory, _types=field_types(arrays.table, arrays.dtype))
+    if len(memory) < len(arrays.table):
+        for field in arrays.table:
+            if field not in memory:
+                setattr(made, field, arrays.array(field))
+    return made
 
 
 def element_array(name: str, dtype: str, table: Mapping[str, Field]) -> tuple[Any, np.ndarray]:

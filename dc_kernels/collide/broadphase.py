@@ -63,8 +63,8 @@ class CandidatePairs:
         sizes = {"world": len(shapes), "world+1": len(shapes) + 1, "shape": int(shapes.sum())}
         sizes |= {"pair": self.room.total, "bucket": int(buckets.sum())}
         self.pairs = Pairs(sizes, dtype, device, backend)
-        self.pairs.assign("bucket_start", starts(buckets))
-        self.pairs.assign("start", self.room.starts())
+        self.pairs.fill("bucket_start", starts(buckets))
+        self.pairs.fill("start", self.room.starts())
 
     @classmethod
     def of_model(cls, model: Model, pairs_per_shape: float) -> CandidatePairs:

@@ -54,7 +54,7 @@ class FoundContacts:
         """
         self.room = Room("contacts", Flag.CONTACT_OVERFLOW, slots)
         self.contacts = Contacts({**sizes, "contact": self.room.total}, dtype, device, backend)
-        self.contacts.assign("contact_start", self.room.starts())
+        self.contacts.fill("contact_start", self.room.starts())
 
     @property
     def used(self) -> np.ndarray:

@@ -41,7 +41,7 @@ class Switches(ArrayGroup):
 def has_ways(model: Fielded) -> bool:
     """Whether a shape is one-way, or a segment of a one-sided chain."""
     role = model.numpy("shape_role")
-    return bool(np.isin(role, (ShapeRole.ONE_WAY, ShapeRole.ONE_SIDED)).any())
+    return len(role) > 0 and bool(np.isin(role, (ShapeRole.ONE_WAY, ShapeRole.ONE_SIDED)).any())
 
 
 def switch_kernels(model: Fielded, config: SolverConfig) -> tuple[str, ...]:

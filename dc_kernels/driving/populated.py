@@ -178,7 +178,7 @@ class Populated(Phases):
 
     def take_layout(self, moves: Moves) -> None:
         """Go on with groups that were laid out anew; other stages are made for them."""
-        self._segments = segments_of_worlds(self.model.views(), self.joints.numpy("joint_row_start"))
+        self._segments = segments_of_worlds(self.model.numpy, self.joints.numpy("joint_row_start"))
         self._choose_kernels(self._config)
         before = self.storage
         self.storage = Storage(
@@ -197,7 +197,7 @@ class Populated(Phases):
 
     def take_joints(self, moves: Moves) -> None:
         """Go on with joints that were laid out anew, and solver rows for them."""
-        self._segments = segments_of_worlds(self.model.views(), self.joints.numpy("joint_row_start"))
+        self._segments = segments_of_worlds(self.model.numpy, self.joints.numpy("joint_row_start"))
         self._choose_kernels(self._config)
         self.storage.link(moves, self.variant, self._config)
         self._binding.kernels = self.kernels

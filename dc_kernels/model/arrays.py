@@ -14,7 +14,7 @@ from weakref import WeakSet
 import numpy as np
 
 from dc_kernels.model.checks import check_values
-from dc_kernels.model.dtypes import elements, float_dtype, float_name, many_zeros, numpy_spec
+from dc_kernels.model.dtypes import Plan, elements, float_dtype, float_name, plan_of
 from dc_kernels.model.fields import CONTACTS, MODEL, STATE, TRAITS, Field
 from dc_kernels.model.rules import Number, Unit
 from dc_kernels.model.settings import UnknownName, counted, shown
@@ -76,11 +76,6 @@ def kernel_vectors(array: np.ndarray, backend: str) -> Any:
     return wp.array(array, dtype=dtype, shape=(len(array),), device="cpu", copy=False)
 
 
-def uniform(values: np.ndarray) -> float:
-    """The value that all have in common, -1 if they differ."""
-    return float(values[0]) if len(values) and (values == values[0]).all() else -1.0
-
-
 class Fielded(Protocol):
     """What has fields as numpy arrays: a group of arrays, or what is to be written to one."""
 
@@ -121,8 +116,8 @@ class ArrayGroup:
         """The simulations that do."""
         self._memory: dict[str, np.ndarray] = {}  # what was allocated on the CPU, as numpy sees it
         self._arrays: dict[str, Any] = {}  # what kernels take of it
-        self._check_room(self.table)
-        self._allocate(self.table)
+        self._address: dict[str, int] = {}  # where it lies
+        self._allocate(self._planned())
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Set what is no field; kernels would go on with the array that a field had.
@@ -139,48 +134,67 @@ class ArrayGroup:
         object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
-        """The array of a field, as the backend's kernels take it; all are made when the first is asked for."""
-        memory = self.__dict__.get("_memory", {})
-        if name not in memory:
+        """The array of a field, as the backend's kernels take it, made when it is first asked for."""
+        memory = self.__dict__.get("_memory", {}).get(name)
+        if memory is None:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         made = memory
         if not on_numpy(self.backend):
-            from dc_kernels.runtime.launches import shared_arrays
+            from dc_kernels.runtime.launches import shared_array
 
-            made = shared_arrays(memory, kernel_file(self.backend, "groups").field_types(self.table, self.dtype))
-        for field, array in made.items():
-            # the same for all threads that ask at once
-            self._arrays[field] = self.__dict__.setdefault(field, array)
-        return self._arrays[name]
+            types = kernel_file(self.backend, "groups").field_types(self.table, self.dtype)
+            made = shared_array(memory, types[name], self._address[name])
+        # the same for all threads that ask at once
+        self._arrays[name] = made = self.__dict__.setdefault(name, made)
+        return made
 
-    def _allocate(self, names: Iterable[str]) -> None:
-        """Make zeroed arrays for some fields; none are left of those before."""
-        found = elements(self.table, self.dtype)
-        shapes = {name: tuple(self.sizes[axis] for axis in found[name].axes) for name in names}
+    def _allocate(self, plan: Plan) -> None:
+        """Make the zeroed arrays of a plan; none are left of those before."""
         if not on_numpy(self.backend):
             start_warp()
         if self.device != "cpu":
             import warp as wp
 
             types = kernel_file(self.backend, "groups").field_types(self.table, self.dtype)
-            for name, shape in shapes.items():
-                self.share(name, wp.zeros(shape, dtype=types[name], device=self.device))
+            found = elements(self.table, self.dtype)
+            for name, shape in plan.shapes.items():
+                axes = shape[: len(found[name].axes)]
+                self.share(name, wp.zeros(axes, dtype=types[name], device=self.device))
             return
-        wanted = [((*shape, *found[name].shape), found[name].scalar) for name, shape in shapes.items()]
-        for name, array in zip(shapes, many_zeros(wanted)):
-            self.__dict__.pop(name, None)
+        memory, address = plan.zeros()
+        for name in self.__dict__.keys() & memory.keys():
+            del self.__dict__[name]
             self._arrays.pop(name, None)
-            named = found[name].scalar.names and on_numpy(self.backend)
-            self._memory[name] = array.view(np.recarray) if named else array
+        self._memory.update(memory)
+        self._address.update(address)
 
     def share(self, name: str, array: Any) -> None:
         """Let a field lie in another array, laid out as its own; launches bound before keep the old one."""
         self._memory.pop(name, None)
+        self._address.pop(name, None)
         self.__dict__[name] = array
 
     def own(self, name: str) -> bool:
         """Whether a field has the array on the CPU that was allocated for it, and no other."""
         return name in self._memory and self.__dict__.get(name) is self._arrays.get(name)
+
+    def owned(self) -> tuple[dict[str, np.ndarray], dict[str, int]]:
+        """The arrays that ``own`` tells of, as numpy sees them, and their addresses, by name."""
+        strange = [name for name in self.__dict__.keys() & self._memory.keys() if not self.own(name)]
+        memory, address = dict(self._memory), dict(self._address)
+        for name in strange:
+            del memory[name], address[name]
+        return memory, address
+
+    def plan(self) -> Plan:
+        """How the arrays lie in memory; that of groups of equal sizes is one object."""
+        return plan_of(self.table, self.dtype, self.sizes)
+
+    def content(self, most: int) -> list[bytes] | None:
+        """The bytes of each array; None where one lies elsewhere than allocated, or they are more than ``most``."""
+        if self.plan().bytes > most or not all(map(self.own, self.table)):
+            return None
+        return [array.tobytes() for array in self._memory.values()]
 
     def copy(self) -> Self:
         """A group of its own memory with the values of this one, which no simulation uses yet."""
@@ -203,14 +217,13 @@ class ArrayGroup:
         values = {name: self.memory(name) for name in self.table}
         return type(self), self.sizes, float_name(self.dtype), self.device, self.backend, values
 
-    def _check_room(self, names: Iterable[str]) -> None:
-        """Raise a MemoryError, naming the largest array, for arrays that do not fit into the free memory."""
-        found = elements(self.table, self.dtype)
-        taken = {name: found[name].width * math.prod(self.sizes[axis] for axis in found[name].axes) for name in names}
-        if taken and self.device == "cpu":
-            largest = max(taken, key=taken.__getitem__)
-            sizes = ", ".join(f"{axis} {self.sizes[axis]}" for axis in self.table[largest].axes)
-            check_memory(f"{type(self).__name__}.{largest} ({sizes}) with what goes with it", sum(taken.values()))
+    def _planned(self, names: Iterable[str] | None = None) -> Plan:
+        """How some fields, None: all, are to lie; a MemoryError, naming the largest array, where there is no room."""
+        plan = plan_of(self.table, self.dtype, self.sizes, None if names is None else tuple(names))
+        if plan.largest is not None and self.device == "cpu":
+            sizes = ", ".join(f"{axis} {self.sizes[axis]}" for axis in self.table[plan.largest].axes)
+            check_memory(f"{type(self).__name__}.{plan.largest} ({sizes}) with what goes with it", plan.bytes)
+        return plan
 
     def reallocate(self, names: Iterable[str], **sizes: int) -> None:
         """Replace arrays by zeroed ones of other sizes; views taken before are stale.
@@ -219,16 +232,15 @@ class ArrayGroup:
             names: fields to allocate anew.
             sizes: new elements on the axes by their names.
         """
-        names = list(names)
         before = dict(self.sizes)
         self.sizes.update(sizes)
         try:
-            self._check_room(names)
+            plan = self._planned(names)
         except MemoryError:
             self.sizes = before
             raise
         self.version += 1
-        self._allocate(names)
+        self._allocate(plan)
 
     def renew(self, **sizes: int) -> dict[str, Any]:
         """Allocate every array anew; those whose axes keep their sizes keep their values.
@@ -338,51 +350,16 @@ class ArrayGroup:
         else:
             getattr(self, name).assign(values)
 
-    def check(self, label: str) -> None:
-        """Raise ValueError, naming the field, for an array that a kernel must not see, whatever it holds.
-
-        That is one of another type, dtype, shape, device or memory layout than is allocated.
-        """
-        for name, field in self.table.items():
-            if self.own(name):
-                continue
-            array = getattr(self, name)
-            scalar, shape = numpy_spec(field, self.dtype)
-            count = self.sizes[field.per]
-            found: tuple[Any, ...] = (
-                type(array).__name__,
-                getattr(array, "dtype", None),
-                getattr(array, "shape", None),
-            )
-            if on_numpy(self.backend):
-                wanted: tuple[Any, ...] = ("ndarray", scalar, (count, *shape))
-                whole = isinstance(array, np.ndarray) and array.flags.c_contiguous
-            else:
-                import warp as wp
-
-                dtype = kernel_file(self.backend, "groups").field_type(field, float_name(self.dtype))
-                if found[0] == "array" and wp.types.types_equal(found[1], dtype):
-                    found = (found[0], dtype, found[2])  # Warp makes equal vector types anew
-                found += (str(getattr(array, "device", None)),)
-                wanted = ("array", dtype, (count,), self.device)
-                whole = getattr(array, "is_contiguous", False)
-            if found != wanted:
-                raise ValueError(f"{label}.{name} is {found}; it must be {wanted}")
-            if not whole:
-                raise ValueError(f"{label}.{name} has strides {array.strides}; it must be contiguous")
-
     def nbytes(self) -> int:
         """Bytes of all arrays."""
-        return sum(self.nbytes_by_axis().values())
+        return self.plan().bytes
 
     def nbytes_by_axis(self) -> dict[str, int]:
         """Bytes by the axis that the arrays run along."""
         total: dict[str, int] = {}
-        for field in self.table.values():
-            scalar, shape = numpy_spec(field, self.dtype)
-            width = scalar.itemsize * int(np.prod(shape, dtype=np.int64))
-            count = int(np.prod([self.sizes[axis] for axis in field.axes], dtype=np.int64))
-            total[field.per] = total.get(field.per, 0) + width * count
+        for name, one in elements(self.table, self.dtype).items():
+            per = self.table[name].per
+            total[per] = total.get(per, 0) + one.width * math.prod(self.sizes[axis] for axis in one.axes)
         return total
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dc_kernels.model.arrays import ArrayGroup
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.fields import JOINTS, KEY_SHAPE_BITS
@@ -18,6 +19,8 @@ from dc_kernels.model.shapes import edge_normals, mass_properties
 
 CELL_FACTOR = 1.3
 """The finest cell holds the smallest box of a dynamic shape with this to spare: a box then meets few cells [1]."""
+
+TOGETHER = 2**12  # numbers of an array that is looked at in one piece with others
 
 # columns of the tables of bodies (NaN mass or inertia: from the shapes) and shapes
 X, Y, ANGLE, VX, VY, SPIN, TYPE, MASS, INERTIA = range(9)
@@ -132,6 +135,37 @@ def as_scalar(fields: dict[str, np.ndarray], real: np.dtype) -> dict[str, np.nda
             name: value.astype(real) if value.dtype.kind == "f" and name != "origin" else value
             for name, value in fields.items()
         }
+
+
+def write(group: ArrayGroup, fields: dict[str, np.ndarray]) -> None:
+    """Write fields into a group that was just made, in its scalar type.
+
+    Raises:
+        ValueError: naming the field and the first bad index, see ``ArrayGroup.assign``.
+    """
+    names = [name for name in group.table if name in fields]  # the others begin as zero
+    if group.device != "cpu" or not _written(group, {name: fields[name] for name in names}):
+        cast = as_scalar({name: fields[name] for name in names}, group.dtype)
+        for name in names:
+            group.assign(name, cast[name])
+
+
+def _written(group: ArrayGroup, fields: dict[str, np.ndarray]) -> bool:
+    """Write fields on the CPU; whether a glance at all of them shows that every number fits."""
+    small, right = [np.zeros(1, group.dtype)], True
+    with np.errstate(over="ignore", invalid="ignore"):
+        for name, values in fields.items():
+            memory = group.memory(name)
+            if memory.shape != values.shape:
+                return False
+            memory[...] = values
+            if memory.dtype.kind != "f":
+                right &= memory.dtype == values.dtype or bool((memory == values).all())
+            elif memory.dtype != group.dtype or memory.size > TOGETHER:
+                right &= bool(np.isfinite(memory.sum()))
+            else:
+                small.append(memory.reshape(-1))
+        return right and bool(np.isfinite(np.concatenate(small).sum()))
 
 
 class Geometry:

@@ -32,8 +32,8 @@ from dc_kernels.model.assemble import (
     World,
     X,
     Y,
-    as_scalar,
     assemble,
+    write,
 )
 from dc_kernels.model.checks import (
     ALL_BITS,
@@ -346,7 +346,6 @@ class ModelBuilder(JointBuilder):
         if not self._worlds:
             raise ValueError("the builder has no world: call add_world first")
         fields = self._fields()
-        cast = as_scalar(fields, real)
         world, body, shape = len(self._worlds), self._bodies.count, self._shapes.count
         rows = int(fields["joint_row_start"][-1])
         sizes = {"world": world, "world+1": world + 1, "body": body, "body+1": body + 1}
@@ -358,10 +357,8 @@ class ModelBuilder(JointBuilder):
             Joints({"joint": self._joints.count, "joint row": rows}, real, device, backend),
         )
         for group in groups:
-            for name in group.table:
-                if name in cast:  # the others begin as zero
-                    group.assign(name, cast[name])
-        check_scene(*groups)  # what was right in float64 may have underflowed
+            write(group, fields)
+        check_scene(*groups, again=True)  # what was right in float64 may have underflowed
         return groups
 
     def _fields(self) -> dict[str, np.ndarray]:

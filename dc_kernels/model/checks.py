@@ -276,18 +276,18 @@ def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype
     array = numeric(name, values, f"numbers of shape {shape}", "buif")
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; it must be {shape}")
-    bad, limit = np.zeros((0, array.ndim), np.int64), f"a {dtype.name}"
+    bad = limit = None
     with np.errstate(over="ignore", invalid="ignore"):
         kept = np.ascontiguousarray(array, dtype=dtype)
         if dtype.kind != "f":
             if array.dtype != dtype:
-                bad = np.argwhere(kept.reshape(shape) != array)
+                bad, limit = np.argwhere(kept.reshape(shape) != array), f"a {dtype.name}"
         elif finite and not np.isfinite(kept.sum()):  # looking at each takes several times as long
             bad, limit = np.argwhere(~np.isfinite(array)), "finite"
             if not len(bad):
                 bad = np.argwhere(~np.isfinite(kept.reshape(shape)))
                 limit = f"within {np.finfo(dtype).max:g} of zero, as {dtype}"
-    if len(bad):
+    if bad is not None and len(bad):
         index = tuple(int(i) for i in bad[0])
         place = f"[{', '.join(map(str, index))}]" if index else ""
         raise ValueError(f"{name}{place} is {array[index]}; it must be {limit}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,10 +30,10 @@ class Segments(NamedTuple):
         return cls(start, int(count[0]) if (count == count[0]).all() else None)
 
 
-def segments_of_worlds(model: Mapping[str, np.ndarray], row_start: np.ndarray) -> dict[str, Segments]:
-    """Elements of each world by axis, from the arrays of a model and the first row of each of its joints."""
-    start = {axis: model[f"{axis}_start"] for axis in ("body", "shape", "joint")}
-    start["vertex"] = model["vertex_start"][start["shape"]]
+def segments_of_worlds(array_of: Callable[[str], np.ndarray], row_start: np.ndarray) -> dict[str, Segments]:
+    """Elements of each world by axis, from the arrays of a model by name and the first row of each of its joints."""
+    start = {axis: array_of(f"{axis}_start") for axis in ("body", "shape", "joint")}
+    start["vertex"] = array_of("vertex_start")[start["shape"]]
     start["joint row"] = row_start[start["joint"]]
     return {axis: Segments.of(first) for axis, first in start.items()}
 

@@ -30,33 +30,29 @@ def descriptor(pointer: int, shape: tuple[int, ...], element: Any) -> Any:
     return result
 
 
-def shared_arrays(memory: Mapping[str, np.ndarray], elements: Mapping[str, Any]) -> dict[str, Any]:
-    """Warp arrays in the memory of contiguous numpy arrays, which they keep alive, by name.
+def shared_array(memory: np.ndarray, element: Any, address: int) -> Any:
+    """A Warp array in the memory of a contiguous numpy array, which it keeps alive.
 
     Args:
-        memory: on the CPU, by name.
-        elements: their types for Warp, by name; those of a vector take an axis of the memory.
+        memory: on the CPU.
+        element: its type for Warp; one of a vector takes an axis of the memory.
+        address: of the memory.
     """
-    made, known = {}, wp.__version__.startswith(PACKED)
-    for name, array in memory.items():
-        element = elements[name]
-        dimensions = array.ndim - hasattr(element, "_shape_")
-        shape = array.shape[:dimensions]
-        if not known:
-            made[name] = wp.array(array, dtype=element, shape=shape, device="cpu", copy=False)
-            continue
-        # as Warp's constructor makes it, in a tenth of the time: a simulation has a hundred arrays
-        attributes = _attributes(element, dimensions).copy()
-        template = attributes["ctype"]
-        native = type(template).from_buffer_copy(template)
-        native.data = pointer = array.__array_interface__["data"][0]
-        strides = array.strides[:dimensions]
-        for axis in range(dimensions):
-            native.shape[axis], native.strides[axis] = shape[axis], strides[axis]
-        attributes.update(ctype=native, ptr=pointer, shape=shape, strides=strides, _ref=array)
-        attributes.update(size=math.prod(shape), capacity=array.nbytes)
-        made[name] = object.__new__(wp.array)
-        made[name].__dict__ = attributes
+    dimensions = memory.ndim - hasattr(element, "_shape_")
+    shape, strides = memory.shape[:dimensions], memory.strides[:dimensions]
+    if not wp.__version__.startswith(PACKED):
+        return wp.array(memory, dtype=element, shape=shape, device="cpu", copy=False)
+    # as Warp's constructor makes it, in a tenth of the time: a simulation has a hundred arrays
+    attributes = _attributes(element, dimensions).copy()
+    template = attributes["ctype"]
+    native = type(template).from_buffer_copy(template)
+    native.data = address
+    for axis in range(dimensions):
+        native.shape[axis], native.strides[axis] = shape[axis], strides[axis]
+    attributes.update(ctype=native, ptr=address, shape=shape, strides=strides, _ref=memory)
+    attributes.update(size=math.prod(shape), capacity=memory.nbytes)
+    made = object.__new__(wp.array)
+    made.__dict__ = attributes
     return made
 
 

@@ -38,7 +38,7 @@ class Integrator:
         bodies = model.body_count + PADDING * shards
         sizes = {**model.sizes, "body+1": bodies, "body sum": bodies if method == "jacobi" else 1}
         motion = Motion(sizes, model.dtype, model.device, model.backend)
-        motion.assign("weight", weight)
+        motion.fill("weight", weight)
         self.adopt(motion)
 
     def adopt(self, motion: Motion) -> None:

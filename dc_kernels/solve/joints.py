@@ -31,6 +31,8 @@ LASTING = 0.99 * UNBOUNDED
 def are_rods(joints: Fielded) -> bool:
     """Whether all joints are rods that never break and let their bodies collide, which are packed as they are made."""
     kind, parts = joints.numpy("joint_kind"), joints.numpy("joint_parts")
+    if not len(kind):
+        return True
     rigid = (kind == JointKind.DISTANCE) & (parts == JointPart.HOLD) & (joints.numpy("joint_frequency") == 0)
     lasting = joints.numpy("joint_break_force") >= LASTING
     plain = lasting & (joints.numpy("joint_broken") == 0) & (joints.numpy("joint_collides") == 1)

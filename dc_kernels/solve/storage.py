@@ -112,7 +112,7 @@ class SolverStorage:
         sizes.update(self._row_sizes(sizes, config))
         self.rows = Rows(sizes, model.dtype, model.device, model.backend)
         self.stats = SolveStats(sizes, model.dtype, model.device, model.backend)
-        self.rows.assign("block_start", self.room.starts())
+        self.rows.fill("block_start", self.room.starts())
         self._lay_out(rods, own_rows)
 
     def plant(self, forest: Forest, bodies: int) -> None:

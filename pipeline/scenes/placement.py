@@ -25,7 +25,9 @@ Sampler = Callable[[int, int], np.ndarray]
 seen ``first`` since its last fresh start, (count, 2) [m]."""
 
 
-def place_discs(samplers: Sequence[Sampler], count: int, distance: float, size: tuple[float, float]) -> np.ndarray:
+def place_discs(
+    samplers: Sequence[Sampler], count: int, distance: float, size: tuple[float, float], *, ahead: int = 1
+) -> np.ndarray:
     """Place discs by random sequential addition: a candidate is kept if it overlaps none that was kept before.
 
     Candidates of all worlds are held to the discs placed before, then those of a world to each other; the result is
@@ -36,6 +38,8 @@ def place_discs(samplers: Sequence[Sampler], count: int, distance: float, size: 
         count: discs in each world.
         distance: least distance of two centres [m].
         size: width and height of the region of the centres [m], which begins at (0, 0).
+        ahead: blocks of candidates that are taken together from the second draw on: few large draws are faster, but
+            end with candidates that nobody needs, which are gone for whoever draws from the stream of a world later.
 
     Returns:
         Centres (worlds, count, 2) [m], in the order they were placed.
@@ -60,8 +64,9 @@ def place_discs(samplers: Sequence[Sampler], count: int, distance: float, size: 
             left[active] = count
             for w in active.tolist():
                 centres[w] = []
-        points = [samplers[w](tried % (TRIED * block), block) for w in active.tolist()]
-        tried += block
+        drawn = min(ahead * block if tried else block, TRIED * block - tried % (TRIED * block))
+        points = [samplers[w](tried % (TRIED * block), drawn) for w in active.tolist()]
+        tried += drawn
         for w, found in cells.add(active, np.concatenate(points)):
             centres[w].append(found[: left[w]])
             left[w] -= len(centres[w][-1])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,10 @@ _SHAPES = (
 )
 _SCENE = ("body_start", "shape_start", "shape_body", "body_type")
 _CONTACTS = ("key", "body_a", "body_b", "color")
+
+_Bounds = tuple[tuple[str, ...], np.ndarray, np.ndarray]  # names of arrays, least and largest of all their elements
+_bounds: dict[tuple[Any, ...], tuple[Mapping[str, Field], list[_Bounds]]] = {}
+KEPT = 64  # of them: for worlds that are made again and again
 
 
 class Glance:
@@ -55,20 +59,35 @@ class Glance:
             arrays: by name.
             table: their fields.
         """
+        kept = self._together({name: values for name, values in arrays.items() if values.size < LEAST}, table)
         held = {name: np.ascontiguousarray(values) for name, values in arrays.items() if values.size >= LEAST}
         if not held or not self._looks(LEAST):
-            return set()
+            return kept
         limits = {name: _limits(self._dtype, values.dtype, table[name].rule) for name, values in held.items()}
         names = [name for name, found in limits.items() if found]
         if not names:
-            return set()
+            return kept
         kind, low, high = (np.array(column) for column in zip(*(limits[name] for name in names)))
         address = np.array([held[name].ctypes.data for name in names], np.uint64)
         count = np.array([held[name].size for name in names]) // np.where(kind == Element.UNITS, 2, 1)
         wrong = self._launch(
             "fields", len(names), kind=kind.astype(np.int32), low=low, high=high, address=address, count=count
         )
-        return {name for name, bad in zip(names, wrong) if not bad}
+        return kept | {name for name, bad in zip(names, wrong) if not bad}
+
+    def _together(self, arrays: Arrays, table: Mapping[str, Field]) -> set[str]:
+        """The names of small arrays of which NumPy shows in one piece that their elements keep to their rules."""
+        key = id(table), self._dtype, tuple((name, values.dtype, values.size) for name, values in arrays.items())
+        if key not in _bounds:
+            if len(_bounds) >= KEPT:
+                _bounds.clear()
+            _bounds[key] = table, list(_bounds_of(arrays, table, self._dtype))  # the table is kept, as is its id
+        kept: set[str] = set()
+        for names, least, most in _bounds[key][1]:
+            whole = np.concatenate([arrays[name].reshape(-1) for name in names])
+            if ((whole >= least) & (whole <= most)).all():
+                kept.update(names)
+        return kept
 
     def bodies(self, model: Arrays) -> bool:
         """Whether masses fit types and inverses, and shapes bodies of their world; offsets and types must be right."""
@@ -111,6 +130,18 @@ class Glance:
         wrong = np.ones(fields, np.int32)
         _calls(self._backend, self._dtype.name, name)({**arrays, "wrong": wrong}, 1, 1)
         return wrong
+
+
+def _bounds_of(arrays: Arrays, table: Mapping[str, Field], real: np.dtype) -> Iterator[_Bounds]:
+    """The limits of the elements of arrays whose rules look at each alone, for each dtype."""
+    found: dict[np.dtype, list[tuple[str, int, float, float]]] = {}
+    for name, values in arrays.items():
+        limits = _limits(real, values.dtype, table[name].rule)
+        if limits is not None and limits[0] != Element.UNITS:
+            found.setdefault(values.dtype, []).append((name, values.size, *limits[1:]))
+    for dtype, group in found.items():
+        names, sizes, low, high = zip(*group)
+        yield names, np.array(low, dtype).repeat(sizes), np.array(high, dtype).repeat(sizes)
 
 
 @functools.cache

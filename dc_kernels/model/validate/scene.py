@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import weakref
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup, Model, State
+from dc_kernels.model.dtypes import float_name, numpy_spec
 from dc_kernels.model.enums import BodyType, JointKind, JointPart, ShapeRole, ShapeType
 from dc_kernels.model.fields import JOINTS, KEY_SHAPE_BITS, MODEL, STATE, TRAITS
 from dc_kernels.model.joints.groups import HELD, OPTIONAL, Joints, count_rows
@@ -13,13 +17,34 @@ from dc_kernels.model.settings import WrongType, checker
 from dc_kernels.model.validate.arrays import Layout, check_field, check_start, parts_of, sane
 from dc_kernels.model.validate.geometry import check_geometry
 from dc_kernels.model.validate.glance import Arrays
+from dc_kernels.runtime.backends import kernel_file, on_numpy
 
 CORNERS = ("vertices", "vertex_normals")
+KEPT = 2**18  # most bytes of a group that are remembered
 _model, _state, _joints = checker(Model), checker(State), checker(Joints)
 
 
-def check_scene(model: Model, state: State | None, joints: Joints | None) -> tuple[State, Joints]:
+class _Known(NamedTuple):
+    """What was found right beside a model."""
+
+    state: weakref.ref[State]
+    joints: weakref.ref[Joints]
+    content: list[list[bytes] | None]
+
+
+_known: weakref.WeakKeyDictionary[Model, _Known] = weakref.WeakKeyDictionary()
+
+
+def check_scene(
+    model: Model, state: State | None, joints: Joints | None, *, again: bool = False
+) -> tuple[State, Joints]:
     """Hold a model, its state and joints to each other, to their memory as kernels need it, and to their rules.
+
+    Args:
+        model: of the scene.
+        state: of the scene.
+        joints: of the scene; None for none.
+        again: remember what small arrays hold, as the same are soon to be checked again: then it is compared.
 
     Returns:
         The state, and the joints, of which there are none for None.
@@ -46,13 +71,52 @@ def check_scene(model: Model, state: State | None, joints: Joints | None) -> tup
             raise ValueError(
                 f"state has {state.sizes[axis]} on axis {axis!r}; it must be the model's {model.sizes[axis]}"
             )
+    known = _Known(weakref.ref(state), weakref.ref(joints), [group.content(KEPT) for group in groups.values()])
+    if None not in known.content and _known.pop(model, None) == known:
+        return state, joints
     for name, group in groups.items():
-        group.check(name)
+        _check_memory(group, name)
     arrays = {name: group.views() for name, group in groups.items()}
     check_model(arrays["model"], backend=model.backend)
     check_state(arrays["state"], arrays["model"], backend=model.backend)
     check_joints(arrays["joints"], arrays["model"])
+    if again and None not in known.content:
+        _known[model] = known
     return state, joints
+
+
+def _check_memory(group: ArrayGroup, label: str) -> None:
+    """Raise ValueError, naming the field, for an array that a kernel must not see, whatever it holds.
+
+    That is one of another type, dtype, shape, device or memory layout than is allocated.
+    """
+    for name, field in group.table.items():
+        if group.own(name):
+            continue
+        array = getattr(group, name)
+        scalar, shape = numpy_spec(field, group.dtype)
+        count = group.sizes[field.per]
+        found: tuple[Any, ...] = (
+            type(array).__name__,
+            getattr(array, "dtype", None),
+            getattr(array, "shape", None),
+        )
+        if on_numpy(group.backend):
+            wanted: tuple[Any, ...] = ("ndarray", scalar, (count, *shape))
+            whole = isinstance(array, np.ndarray) and array.flags.c_contiguous
+        else:
+            import warp as wp
+
+            dtype = kernel_file(group.backend, "groups").field_type(field, float_name(group.dtype))
+            if found[0] == "array" and wp.types.types_equal(found[1], dtype):
+                found = (found[0], dtype, found[2])  # Warp makes equal vector types anew
+            found += (str(getattr(array, "device", None)),)
+            wanted = ("array", dtype, (count,), group.device)
+            whole = getattr(array, "is_contiguous", False)
+        if found != wanted:
+            raise ValueError(f"{label}.{name} is {found}; it must be {wanted}")
+        if not whole:
+            raise ValueError(f"{label}.{name} has strides {array.strides}; it must be contiguous")
 
 
 def check_model(model: Arrays, label: str = "model.", backend: str = "numpy") -> None:
@@ -167,8 +231,10 @@ def check_joints(joints: Arrays, model: Arrays, label: str = "joints.") -> None:
     if not len(a):
         return
     layout = Layout(model)
+    kept = layout.glance.keeping(joints, JOINTS)
     for name, values in joints.items():
-        check_field(f"{label}{name}", JOINTS[name], values, layout)
+        if name not in kept:
+            check_field(f"{label}{name}", JOINTS[name], values, layout)
     rows = count_rows(joints["joint_kind"], joints["joint_parts"])
     refuse(f"{label}joint_row_start", start[1:], np.diff(start) != rows, "where the rows of joint_parts end", 1)
     _check_parts(joints, label)

@@ -51,8 +51,8 @@ def test_discs_begin_apart_and_inside_the_box(name, bodies, dtype):
         assert (centres + 0.5 < high).all()
 
 
-@given(st.integers(0, 2**32), st.integers(1, 60), st.integers(1, 3))
-def test_placement_is_that_of_the_sequential_loop(seed, count, worlds):
+@given(st.integers(0, 2**32), st.integers(1, 60), st.integers(1, 3), st.integers(1, 4))
+def test_placement_is_that_of_the_sequential_loop(seed, count, worlds, ahead):
     """One candidate after the other, kept if it is far enough from all kept before."""
     size = (0.9 * np.sqrt(count) + 1.0, 0.8 * np.sqrt(count) + 2.0)
 
@@ -60,7 +60,7 @@ def test_placement_is_that_of_the_sequential_loop(seed, count, worlds):
         stream = np.random.default_rng(seed + world)
         return lambda first, number: stream.random((number, 2)) * size
 
-    placed = place_discs([sampler(world) for world in range(worlds)], count, 0.7, size)
+    placed = place_discs([sampler(world) for world in range(worlds)], count, 0.7, size, ahead=ahead)
     for world in range(worlds):
         kept: list[np.ndarray] = []
         candidates = sampler(world)
