@@ -49,6 +49,7 @@ class Integrator:
         self._only: Any = memoryview(self._step_dt) if len(self._step_dt) == 1 else None  # type: ignore[arg-type]
         self._on_cpu = motion.device == "cpu"
         self._checked: float | None = None  # the last time step that was found right
+        self._checked_each: tuple[np.dtype, tuple[int, ...], bytes] | None = None  # those of each world that were
 
     def weigh(self, model: Model) -> None:
         """Weigh the typical bodies of a model that has changed."""
@@ -70,9 +71,10 @@ class Integrator:
             else:
                 self._only[0] = dt
             return
-        if not isinstance(dt, float) or dt != self._checked:
+        each = (dt.dtype, dt.shape, dt.tobytes()) if type(dt) is np.ndarray else None
+        if (each is None or each != self._checked_each) and (not isinstance(dt, float) or dt != self._checked):
             check_time_step(dt, len(self._step_dt), self.motion.dtype)
-            self._checked = dt if isinstance(dt, float) else None
+            self._checked, self._checked_each = dt if isinstance(dt, float) else None, each
         if recording():
             if np.ndim(dt):
                 refuse_recording("a time step of each world", "a graph holds one of all")

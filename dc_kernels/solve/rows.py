@@ -55,8 +55,8 @@ def read_column(columns: np.ndarray, variant: str, name: str, slot: np.ndarray) 
         slot: places in ``rows.impulse``, as ``rows.slot`` and ``rows.joint_slot`` hold them, (n,).
     """
     names = COLUMNS[variant]
-    block, lane = np.divmod(slot, 2 * LANES)
-    return columns[(block * len(names) + names.index(name)) * LANES + lane]
+    # a block has two numbers a lane in ``rows.impulse``, and as many in each column
+    return columns.take((slot // (2 * LANES) * (len(names) - 2) + names.index(name)) * LANES + slot)
 
 
 def only_centred_discs(model: Fielded) -> bool:

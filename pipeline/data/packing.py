@@ -78,15 +78,21 @@ def check_compression(compression: str) -> Compression:
 
 
 _CHECKSUM = 4  # bytes
+_PIECE = 2**18  # words whose weighted sum float64 holds exactly
+_WEIGHTS = np.arange(_PIECE, 0.0, -1.0)
 
 
 def fletcher32(data: bytes) -> bytes:
     """Return the checksum that HDF5 appends to a chunk: sums modulo 65535 of 16-bit words and of their partial sums."""
-    words = np.frombuffer(data if len(data) % 2 == 0 else data + b"\0", ">u2").astype(np.uint64)
-    first = int(words.sum())
-    second = int(np.dot(words, np.arange(len(words), 0, -1, dtype=np.uint64)))
-    # the sums are folded, not divided: a multiple of 65535 is 65535, only 0 is 0
-    first, second = ((total - 1) % 65535 + 1 if total else 0 for total in (first, second))
+    words = np.frombuffer(data if len(data) % 2 == 0 else data + b"\0", "<u2")
+    first = second = 0
+    for begin in range(0, len(words), _PIECE):
+        piece = words[begin : begin + _PIECE].astype(np.float64)  # whose sums are exact
+        second += len(piece) * first + int(np.einsum("i,i", piece, _WEIGHTS[_PIECE - len(piece) :]))  # no BLAS threads
+        first += int(piece.sum())
+    # the words are big-endian: to swap bytes is to multiply by 256 modulo 65535; the sums are folded, not divided: a
+    # multiple of 65535 is 65535, only 0 is 0
+    first, second = ((256 * total - 1) % 65535 + 1 if total else 0 for total in (first, second))
     return (second << 16 | first).to_bytes(_CHECKSUM, "little")
 
 

@@ -217,9 +217,11 @@ class Recorder:
         """Keep what the position phase of the step added to the way that the solved velocities go."""
         motion, bodies = self.sim.motion, np.diff(self.sim.model.numpy("body_start"))
         count = int(bodies.sum())
-        way = motion.numpy("solved")[:count, :3] * np.repeat(dt, bodies)[:, None]
-        correction = motion.numpy("displacement")[:count, :3] - way
-        correction[np.repeat(self.sim.state.numpy("flags") != 0, bodies)] = 0.0
+        way = motion.numpy("solved")[:count, :3] * dt.repeat(bodies)[:, None]
+        correction = np.subtract(motion.numpy("displacement")[:count, :3], way, out=way)
+        stopped = self.sim.state.numpy("flags") != 0
+        if stopped.any():
+            correction[stopped.repeat(bodies)] = 0.0
         self._keep("motion/position_correction", correction[:, :2])
         self._keep("motion/angle_correction", correction[:, 2])
 
