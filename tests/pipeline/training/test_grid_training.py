@@ -6,6 +6,7 @@ import json
 import math
 import os
 import signal
+import socket
 import subprocess
 import sys
 from dataclasses import replace
@@ -282,10 +283,24 @@ def test_two_processes_train_as_one(data, tmp_path, undrawn):
     out.mkdir()
     script = tmp_path / "ranks.py"
     script.write_text(RANKS.replace("SETTINGS", repr(settings)))
-    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", str(script)]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-    run = subprocess.run([*command, str(data), str(out)], env=environment, capture_output=True, text=True, timeout=120)
-    assert run.returncode == 0, run.stderr
+    # what torchrun sets, without its own import of torch: contactnet/test_contact_training.py has torchrun itself
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), "WORLD_SIZE": "2"}
+    environment |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+    command = [sys.executable, str(script), str(data), str(out)]
+    ranks = [
+        subprocess.Popen(command, env={**environment, "RANK": rank}, stderr=subprocess.PIPE, text=True) for rank in "01"
+    ]
+    try:
+        for rank in ranks:
+            _, err = rank.communicate(timeout=120)
+            assert rank.returncode == 0, err
+    finally:
+        for rank in ranks:
+            rank.kill()
+            rank.wait()
     first, second = (safetensors.torch.load_file(out / f"rank{rank}.safetensors") for rank in range(2))
     for name, tensor in first.items():
         assert torch.equal(tensor, second[name]), name
