@@ -144,8 +144,8 @@ def test_what_is_urgent_is_interrupted_late_and_nothing_else():
     with pytest.raises(KeyboardInterrupt), interruptible() as stop, stop.urgent():
         began = time.perf_counter()
         signal.raise_signal(signal.SIGINT)
-        time.sleep(10.0)
-    assert PATIENCE <= time.perf_counter() - began < 5.0
+        time.sleep(60.0)
+    assert PATIENCE <= time.perf_counter() - began < 30.0  # well before it would end by itself, on a busy machine too
     with pytest.raises(KeyboardInterrupt), interruptible():
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)  # a second Ctrl-C
