@@ -89,16 +89,31 @@ def test_all_files_of_kernels_are_looked_at():
     assert found >= CPU_ONLY
 
 
+@pytest.fixture(scope="module")
+def stores_of(tmp_path_factory):
+    """What ``stores`` finds in a Warp module, which is compiled once: several files may have their kernels in one."""
+    for parameters in variants():  # then the modules are whole
+        file, name, options = parameters.values
+        make_kernels("warp", file, *options, factory=name)
+    found = {}
+
+    def look(module):
+        if module.name not in found:
+            folder = tmp_path_factory.mktemp("ptx")
+            wp.compile_aot_module(module, arch=ARCHITECTURE, use_ptx=True, module_dir=str(folder))
+            (path,) = folder.glob("*.ptx")
+            found[module.name] = stores(path.read_text())
+        return found[module.name]
+
+    return look
+
+
 @pytest.mark.parametrize(("file", "name", "options"), list(variants()))
-def test_kernels_compile_for_a_gpu(tmp_path, file, name, options):
-    table = make_kernels("warp", file, *options, factory=name)
-    for module in {kernel.module for kernel in table.values()}:
-        wp.compile_aot_module(module, arch=ARCHITECTURE, use_ptx=True, module_dir=str(tmp_path))
-    written = {}
-    for path in tmp_path.glob("*.ptx"):
-        written |= stores(path.read_text())
+def test_kernels_compile_for_a_gpu(stores_of, file, name, options):
     idle = set()
+    table = make_kernels("warp", file, *options, factory=name)
     for key, kernel in table.items():
+        written = stores_of(kernel.module)
         mangled = kernel.get_mangled_name()
         assert mangled in written, f"{key} is not in the PTX"
         if not written[mangled]:
