@@ -271,7 +271,7 @@ ROWS = field_table(
         "added to a body's own where joints pull (solve/joints.py)",
     ),
     ("row_color", "own row", "int32", "1", "colour in the constraint graph", COLOR),
-    ("row_slot", "own row", "int32", "1", "where the row's impulse lies in rows.impulse"),
+    ("row_slot", "own row", "int32", "1", "where the row's impulse lies in rows.impulse, -1 if it can only be 0"),
     ("row_impulse", "own row", "real", "N s", "along the row's Jacobians"),
     ("tree_start", "world+1", "int32", "1", "first tree of joints of each world, which are solved directly"),
     ("tree_first", "tree+1", "int32", "1", "first joint of each tree"),

@@ -18,6 +18,10 @@ STIFFNESS = 4.0
 SMALL_TURN = 0.2
 """Turn in a step from which rows no longer make up for what it adds, to second order, as that misleads [rad]."""
 
+NEAR_LIMIT = 0.25
+"""A limit is left out of a step that is further away than this, and than twice what the joint moves in it
+[rad, length_scale]."""
+
 LOOP_SHARE = 10
 """Joints that a component has at least for each that closes a loop in it, for the others to be solved as a tree [1]."""
 

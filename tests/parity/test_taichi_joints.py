@@ -64,7 +64,7 @@ def test_joints_of_all_kinds_have_the_bits_of_warp() -> None:
         linked(builder)
         sims.append(dc.Simulation(*builder.finalize("float32", backend=backend)))
     warp, taichi = sims
-    for steps in (1, 8, 90):
+    for steps in (1, 8, 110):
         for sim in sims:
             sim.run(steps, DT)
         for name in ("state", "joints"):

@@ -183,6 +183,29 @@ def test_limits_hold_what_moves_into_them():
     assert dc.joint_reactions(sim).force[2] == pytest.approx([0, 0.04 * G], rel=1e-6)
 
 
+def test_a_limit_has_a_row_only_near_its_ends():
+    """A rod that turns by 0.3 rad a step has none in the middle of its range, and stops at its end nevertheless."""
+    for backend in ("warp", "numpy"):
+        builder = dc.ModelBuilder()
+        builder.add_world(gravity=(0.0, 0.0), length_scale=1.0)
+        rod = wall_and_rod(builder, lower=-3.0, upper=2.0)
+        sim = dc.Simulation(*builder.finalize(backend=backend))
+        sim.step(DT)
+        assert sim.rows.numpy("row_slot").tolist()[2] == -1 < min(sim.rows.numpy("row_slot").tolist()[:2])
+        spin, center = sim.state.numpy("angular_velocity").copy(), sim.state.numpy("velocity").copy()
+        spin[rod], center[rod] = 18.0, (9.0, 0.0)
+        sim.state.assign("angular_velocity", spin)
+        sim.state.assign("velocity", center)
+        angles, near = [], []
+        for _ in range(12):
+            sim.step(DT)
+            angles.append(float(sim.state.numpy("angle")[rod]))
+            near.append(sim.rows.numpy("row_slot")[2] >= 0)
+        assert not near[0] and near[-1]
+        assert max(angles) < 2.02
+        assert angles[-1] == pytest.approx(2.0, abs=0.02)
+
+
 def test_a_spring_swings_with_its_frequency_and_damping():
     """X = exp(-z w t) cos(w sqrt(1 - z^2) t) + ..., to the first order of implicit Euler."""
     builder = dc.ModelBuilder()

@@ -40,6 +40,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
         own_contacts = np.arange(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
         own_joints = np.arange(rows.line_start[w], rows.line_start[w + 1])
         own_rows = np.arange(rows.row_start[w], rows.row_start[w + 1])
+        rows.row_slot[own_rows] = -1
+        own_rows = own_rows[(rows.row_lower[own_rows] != 0) | (rows.row_upper[own_rows] != 0)]
         colors = [contacts.color[own_contacts], joints.joint_color[own_joints], rows.row_color[own_rows]]
         colors = np.concatenate(colors)
         highest = colors.max(initial=-1) + 1
@@ -112,5 +114,6 @@ def kernels(dtype: str, variant: str) -> Kernels:
         own = slice(rows.row_start[w], rows.row_start[w + 1])
         awake = rows.row_held[own] >= 0
         rows.row_impulse[own] = np.where(awake, rows.impulse[rows.row_slot[own]], rows.row_impulse[own])
+        rows.row_impulse[own][rows.row_slot[own] < 0] = 0.0
 
     return {"pack_rows": pack_rows, "unpack_impulses": unpack_impulses}

@@ -216,7 +216,8 @@ class World:
         rows.impulse[rows.slot[own] + LANES] = contacts.impulse[own, 1] * moves[:, columns.index("et")]
         own = slice(self.rows.line_start[w], self.rows.line_start[w + 1])
         rows.impulse[rows.joint_slot[own]] = joints.joint_impulse[own]
-        own = slice(rows.row_start[w], rows.row_start[w + 1])
+        own = np.arange(rows.row_start[w], rows.row_start[w + 1])
+        own = own[rows.row_slot[own] >= 0]  # else it can carry nothing
         block, lane = np.divmod(rows.row_slot[own], 2 * LANES)
         moves = by_lane(rows.column, len(columns))[block, columns.index("en"), lane] > 0
         rows.impulse[rows.row_slot[own]] = rows.row_impulse[own] * moves

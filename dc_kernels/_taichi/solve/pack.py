@@ -84,9 +84,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             used = ti.max(used, color + 1)
         if ti.static(own):
             for k in range(rows.row_start[w], rows.row_start[w + 1]):
-                color = rows.row_color[k]
-                rows.color_fill[count + color] = rows.color_fill[count + color] + 1
-                used = ti.max(used, color + 1)
+                if rows.row_lower[k] != 0.0 or rows.row_upper[k] != 0.0:  # else it can carry nothing, and has no row
+                    color = rows.row_color[k]
+                    rows.color_fill[count + color] = rows.color_fill[count + color] + 1
+                    used = ti.max(used, color + 1)
         first = rows.block_start[w]
         ends = w * (COLORS + 1)
         block = first
@@ -237,9 +238,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                         scale += joint_row.square
                 if ti.static(own):
                     for k in range(rows.row_start[w], rows.row_start[w + 1]):
-                        own_row = make_jacobian_row(k, model, motion, rows)
-                        rows.row_slot[k] = place(w, rows.row_color[k], jacobi, own_row, rows)
-                        scale += own_row.square
+                        rows.row_slot[k] = -1
+                        if rows.row_lower[k] != 0.0 or rows.row_upper[k] != 0.0:
+                            own_row = make_jacobian_row(k, model, motion, rows)
+                            rows.row_slot[k] = place(w, rows.row_color[k], jacobi, own_row, rows)
+                            scale += own_row.square
                 rows.scale[w] = ti.sqrt(scale)
                 rows.deepest[w] = least
                 stats.colors[w] = used
@@ -270,7 +273,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             if ti.static(own):
                 for k in range(rows.row_start[w], rows.row_start[w + 1]):
                     i = rows.row_slot[k]
-                    if rows.row_held[k] >= 0.0:
+                    if i < 0:
+                        rows.row_impulse[k] = 0.0
+                    elif rows.row_held[k] >= 0.0:
                         rows.row_impulse[k] = rows.impulse[i // LANES][i % LANES]
 
     return {"pack_rows": pack_rows, "unpack_impulses": unpack_impulses}

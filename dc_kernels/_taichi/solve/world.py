@@ -147,8 +147,9 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         if ti.static(own):
             for k in range(rows.row_start[w], rows.row_start[w + 1]):
                 i = rows.row_slot[k]
-                if rows.column[i // (2 * LANES) * width + EN][i % LANES] > 0.0:
-                    rows.impulse[i // LANES][i % LANES] = rows.row_impulse[k]
+                if i >= 0:  # else it can carry nothing, and has no row
+                    if rows.column[i // (2 * LANES) * width + EN][i % LANES] > 0.0:
+                        rows.impulse[i // LANES][i % LANES] = rows.row_impulse[k]
             for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):
                 rows.tree_used[tree] = 0
 

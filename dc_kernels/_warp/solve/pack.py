@@ -187,7 +187,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 joints.joint_impulse[j] = rows.impulse[rows.joint_slot[j]]
         if wp.static(own):
             for k in range(rows.row_start[w], rows.row_start[w + 1]):
-                if rows.row_held[k] >= real(0.0):
+                if rows.row_slot[k] < 0:
+                    rows.row_impulse[k] = real(0.0)
+                elif rows.row_held[k] >= real(0.0):
                     rows.row_impulse[k] = rows.impulse[rows.row_slot[k]]
 
     return {"pack_rows": pack_rows, "unpack_impulses": unpack_impulses}

@@ -190,8 +190,9 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         if wp.static(own):
             for k in range(rows.row_start[w], rows.row_start[w + 1]):
                 i = rows.row_slot[k]
-                if rows.column[i / (2 * N_LANES) * width + i % N_LANES + EN] > real(0.0):
-                    rows.impulse[i] = rows.row_impulse[k]
+                if i >= 0:  # else it can carry nothing, and has no row
+                    if rows.column[i / (2 * N_LANES) * width + i % N_LANES + EN] > real(0.0):
+                        rows.impulse[i] = rows.row_impulse[k]
         if wp.static(surfaced):
             rolling = rows.color_block[w * ENDS + ROLLING]
             forget_rolling(rows.column, rows.limit_slot, rows.impulse, rolling, span.last)

@@ -14,7 +14,7 @@ from dc_kernels._numpy.common import Array, dot, rotate, rotation
 from dc_kernels._numpy.solve.row import effective_mass
 from dc_kernels.model.config import POSITION_CORRECTIONS
 from dc_kernels.model.fields import UNBOUNDED
-from dc_kernels.solve.joints import SMALL_TURN
+from dc_kernels.solve.joints import NEAR_LIMIT, SMALL_TURN
 
 BAUMGARTE = POSITION_CORRECTIONS["baumgarte"]
 X, Y = np.array([1.0, 0.0]), np.array([0.0, 1.0])
@@ -136,7 +136,10 @@ class Ends:
         self.write(along, -speed, low, upper * self.dt if upper < UNBOUNDED else np.inf)
 
     def limit(self, along: Along, lower: Any, upper: Any) -> None:
-        """A range, of which the nearer end counts; what is within it may move up to it in the step."""
+        """A range, of which the nearer end counts; what is within it may move up to it in the step.
+
+        Far from both ends the row can carry nothing, so that it is not packed.
+        """
         room, sign = min((along.off - lower, 1), (upper - along.off, -1), key=lambda end: end[0])
         if upper - lower <= self.config.slop * self.size:  # both ends are one
             self.write(along, 0.0, gap=sign * room, held=1)
@@ -145,4 +148,7 @@ class Ends:
         if self.config.position_correction == BAUMGARTE and room < 0:
             bias = max(self.config.position_factor * room, -self.most) / self.dt
         low, high = (0.0, np.inf) if sign > 0 else (-np.inf, 0.0)
+        way = self.dt * (np.abs(self.speed).sum() + self.size * (abs(self.wa) + abs(self.wb)))
+        if room > NEAR_LIMIT * self.size + 2 * way:
+            low, high = 0.0, 0.0
         self.write(along, sign * bias, low, high, gap=sign * room, held=1)

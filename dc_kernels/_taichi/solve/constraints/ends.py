@@ -12,7 +12,7 @@ from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels.model.config import POSITION_CORRECTIONS
 from dc_kernels.model.fields import UNBOUNDED
-from dc_kernels.solve.joints import SMALL_TURN
+from dc_kernels.solve.joints import NEAR_LIMIT, SMALL_TURN
 
 BAUMGARTE = POSITION_CORRECTIONS["baumgarte"]
 INFINITY = float("inf")
@@ -176,7 +176,10 @@ def end_functions(dtype: str) -> SimpleNamespace:
 
     @ti.func
     def limit(k, e, along, lower, upper, config: t.Config, rows: t.Rows):
-        """A range, of which the nearer end counts; what is within it may move up to it in the step."""
+        """A range, of which the nearer end counts; what is within it may move up to it in the step.
+
+        Far from both ends the row can carry nothing, so that it is not packed.
+        """
         above = along.off - lower
         below = upper - along.off
         sign = real(1.0)
@@ -194,6 +197,10 @@ def end_functions(dtype: str) -> SimpleNamespace:
             low = -INFINITY
             high = INFINITY
             bias = 0.0
+        way = e.dt * (ti.abs(e.speed[0]) + ti.abs(e.speed[1]) + e.size * (ti.abs(e.wa) + ti.abs(e.wb)))
+        if room > NEAR_LIMIT * e.size + 2.0 * way:
+            low = 0.0
+            high = 0.0
         write(k, e, along, sign * bias, low, high, 0.0, gap, 1.0, rows)
 
     return SimpleNamespace(

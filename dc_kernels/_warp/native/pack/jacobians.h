@@ -1,6 +1,7 @@
 // Rows of a caller's own Jacobians and of joints, world w's: what a row holds is said in solve/constraints/jacobian.py.
-// Returns scale plus the squared impulses that would stop each of them alone [(N s)^2], row after row.
-// Parameters: w, jacobi, scale, model, motion, rows. Macros: those of solve/row.h, COLORS.
+// One whose impulse can only be 0 has no row, and a negative slot. Returns scale plus the squared impulses that would
+// stop each of them alone [(N s)^2], row after row. Parameters: w, jacobi, scale, model, motion, rows. Macros: those of
+// solve/row.h, COLORS.
 #if !defined(__CUDA_ARCH__)
 #pragma clang fp contract(off)
 #endif
@@ -20,6 +21,10 @@ int *const slot = rows.row_slot.data, *const ends = rows.body.data, *const body_
 Real* const columns = rows.column.data;
 const int k1 = rows.row_start.data[w + 1];
 for (int k = rows.row_start.data[w]; k < k1; ++k) {
+    if (lowers[k] == 0 && uppers[k] == 0) {
+        slot[k] = -1;
+        continue;
+    }
     const int a = bodies_a[k], b = bodies_b[k];
     const unsigned row = filled[color[k]]++, block = first[color[k]] + row / LANES, lane = row % LANES;
     const size_t at = (size_t)block * 2 * LANES + lane;

@@ -13,7 +13,8 @@ for (int c = i0; c < i1; ++c) ++of[c & 1][color[c]];
 for (int j = rows.line_start.data[w]; j < rows.line_start.data[w + 1]; ++j) ++of[0][joints.joint_color.data[j]];
 #endif
 #if OWN
-for (int k = rows.row_start.data[w]; k < rows.row_start.data[w + 1]; ++k) ++of[0][rows.row_color.data[k]];
+for (int k = rows.row_start.data[w]; k < rows.row_start.data[w + 1]; ++k)
+    of[0][rows.row_color.data[k]] += rows.row_lower.data[k] != 0 || rows.row_upper.data[k] != 0;
 #endif
 int* const fill = rows.color_fill.data + (size_t)w * COLORS;
 int* const ends = rows.color_block.data + (size_t)w * (COLORS + 1);

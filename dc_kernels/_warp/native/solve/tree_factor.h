@@ -7,7 +7,7 @@ const double LEAST = 1e-9;  // a pivot below this share of its row's own mass is
 const Real* const columns = rows.column.data;
 const int* const ends = rows.body.data;
 auto column_of = [=](int t, int i) {
-    const int slot = slots[row_of[t] + i];
+    const unsigned slot = slots[row_of[t] + i];
     return columns + (size_t)(slot / (2 * LANES)) * COLUMNS * LANES + slot % (2 * LANES);
 };
 // Whether a row is solved: not if nothing can move along it, nor in the position phase where that leaves it alone.

@@ -3,7 +3,7 @@
 int count = 0;
 for (int t = rows.tree_first.data[tree]; t < rows.tree_first.data[tree + 1]; ++t) {
     for (int i = 0; i < rows.tree_size.data[t]; ++i) {
-        const int slot = rows.row_slot.data[rows.tree_row.data[t] + i];
+        const unsigned slot = rows.row_slot.data[rows.tree_row.data[t] + i];
         const size_t at = (size_t)(slot / (2 * LANES)) * COLUMNS * LANES + slot % (2 * LANES);
         const REAL change = rows.change.data[slot];
         // NaN is lacking

@@ -13,7 +13,7 @@ from dc_kernels._warp.common import cross, kernel_module, rotate
 from dc_kernels._warp.groups import group_types
 from dc_kernels.model.config import POSITION_CORRECTIONS
 from dc_kernels.model.fields import UNBOUNDED
-from dc_kernels.solve.joints import SMALL_TURN
+from dc_kernels.solve.joints import NEAR_LIMIT, SMALL_TURN
 
 BAUMGARTE = wp.constant(POSITION_CORRECTIONS["baumgarte"])
 
@@ -33,7 +33,7 @@ def end_functions(dtype: str) -> SimpleNamespace:
     infinity, minus_infinity = real(float("inf")), real(float("-inf"))
     two_pi = real(6.283185307179586)
     nothing = real(UNBOUNDED)
-    small_turn = real(SMALL_TURN)
+    small_turn, near = real(SMALL_TURN), real(NEAR_LIMIT)
 
     class Ends:
         """Where the ends of a joint are, and what their bodies do before the step's forces."""
@@ -204,7 +204,10 @@ def end_functions(dtype: str) -> SimpleNamespace:
 
     @wp.func(module=module)
     def limit(k: int, e: Ends, along: Along, lower: real, upper: real, config: t.Config, rows: t.Rows):
-        """A range, of which the nearer end counts; what is within it may move up to it in the step."""
+        """A range, of which the nearer end counts; what is within it may move up to it in the step.
+
+        Far from both ends the row can carry nothing, so that it is not packed.
+        """
         above = along.off - lower
         below = upper - along.off
         sign = real(1.0)
@@ -222,6 +225,10 @@ def end_functions(dtype: str) -> SimpleNamespace:
             low = minus_infinity
             high = infinity
             bias = real(0.0)
+        way = e.dt * (wp.abs(e.speed[0]) + wp.abs(e.speed[1]) + e.size * (wp.abs(e.wa) + wp.abs(e.wb)))
+        if room > near * e.size + real(2.0) * way:
+            low = real(0.0)
+            high = real(0.0)
         write(k, e, along, sign * bias, low, high, real(0.0), gap, real(1.0), rows)
 
     return SimpleNamespace(
