@@ -11,6 +11,7 @@ import contextlib
 import functools
 import importlib
 import io
+import itertools
 import json
 import os
 import pkgutil
@@ -50,19 +51,21 @@ MARK = "\x1e"  # begins the lines that are answers: libraries print what they li
 SETTINGS = 4  # processes that the settings are shared among
 
 
+def together(*parts: Callable[[], Iterator[Target]]) -> Callable[[], Iterator[Target]]:
+    """All targets of several functions."""
+    return lambda: itertools.chain.from_iterable(part() for part in parts)
+
+
 TARGETS: dict[str, Callable[[], Iterator[Target]]] = {
-    "builder": builder_targets,
+    "builder": together(builder_targets, joint_targets),
     "simulation": simulation_targets,
     "grid": grid_targets,
     "points": point_targets,
     "delassus": delassus_targets,
     "stages": stage_targets,
     "solver": solver_targets,
-    "driving": driving_targets,
-    "joints": joint_targets,
-    "population": population_targets,
-    "events": event_targets,
-    "queries": query_targets,
+    "driving": together(driving_targets, event_targets),
+    "population": together(population_targets, query_targets),
     "torch": torch_targets,
     "pipeline": pipeline_targets,
 }

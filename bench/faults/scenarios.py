@@ -200,6 +200,37 @@ def one_simulation(rng: np.random.Generator) -> None:
 
 
 @scenario
+def comings(rng: np.random.Generator) -> None:
+    """One thread steps a simulation, others add to it and remove: those in the way are refused, nothing is lost."""
+    sim, there = scene(contacts_per_body=0.3), list(range(2))
+    lock = threading.Lock()
+
+    def step() -> bool:
+        for _ in range(80):
+            with contextlib.suppress(RuntimeError):
+                sim.step(0.01)
+        return True
+
+    def change() -> bool:
+        for _ in range(30):
+            with lock, contextlib.suppress(RuntimeError):
+                more = sim.additions(int(rng.integers(3)))
+                more.add_disc(more.add_body((float(rng.uniform(1.0, 8.0)), 8.0)), 0.3)
+                there.extend(sim.add(more).bodies.tolist())
+                sim.remove(bodies=there[-2])
+                del there[-2]
+        return True
+
+    assert at_once([step, change, change], 3) == [True] * 3
+    places = sim.index(bodies=there)
+    assert np.isfinite(sim.state.numpy("position")[places]).all() and len(set(places.tolist())) == len(there)
+    other = sim.clone()
+    sim.run(20, 0.01)
+    other.run(20, 0.01)
+    assert bits(sim) == bits(other)
+
+
+@scenario
 def records(rng: np.random.Generator) -> None:
     """A thread records a graph of steps and splats while another runs both."""
     sims, wanted, out = [scene(), scene()], splat(), np.zeros((2, 2, 31, 33))

@@ -17,6 +17,7 @@ NAMES = (
     "makers",
     "shards",
     "one_simulation",
+    "comings",
     "records",
     "refused_records",
     "forks",

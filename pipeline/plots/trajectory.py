@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.model.rules import FINITE
+from dc_kernels.model.rules import FINITE, refuse
 from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.runtime.hdf5 import reading
 from dc_kernels.runtime.optional import require
@@ -88,12 +88,14 @@ def animate(trajectory: Path, target: Path, world: int = 0, rate: float = 25.0, 
     with reading(trajectory) as file:
         shapes = WorldShapes.of(read_model(file), world)
         time = file["record/time"][...]
+        check_rule("record/time", time, FINITE)
+        refuse("record/time", time[1:], ~(np.diff(time) > 0), "later than the one before it", 1)
         every = max(1, round(1.0 / (rate * float(np.diff(time[:2])[0])))) if len(time) > 1 else 1
         records = {len(file[f"record/{name}"]) for name in ("time", "position", "angle")}
         if records != {len(time)} or not len(time):
             raise ValueError(f"record/ has {len(time)} times; there must be as many positions and angles, one at least")
         position, angle = (file[f"record/{name}"][::every, shapes.bodies] for name in ("position", "angle"))
-        for name, values in (("time", time), ("position", position), ("angle", angle)):
+        for name, values in (("position", position), ("angle", angle)):
             check_rule(f"record/{name}", values, FINITE)
     frames = np.arange(len(angle))
     spacing = float(time[every] - time[0]) if len(time) > every else 1.0 / rate

@@ -67,11 +67,16 @@ class Glance:
         names = [name for name, found in limits.items() if found]
         if not names:
             return kept
-        kind, low, high = (np.array(column) for column in zip(*(limits[name] for name in names)))
-        address = np.array([held[name].ctypes.data for name in names], np.uint64)
-        count = np.array([held[name].size for name in names]) // np.where(kind == Element.UNITS, 2, 1)
+        kinds, lows, highs = zip(*(limits[name] for name in names))
+        numbers = [held[name].size // (2 if kind == Element.UNITS else 1) for name, kind in zip(names, kinds)]
         wrong = self._launch(
-            "fields", len(names), kind=kind.astype(np.int32), low=low, high=high, address=address, count=count
+            "fields",
+            len(names),
+            kind=np.array(kinds, np.int32),
+            low=np.array(lows, np.float64),
+            high=np.array(highs, np.float64),
+            address=np.array([held[name].__array_interface__["data"][0] for name in names], np.uint64),
+            count=np.array(numbers, np.int64),
         )
         return kept | {name for name, bad in zip(names, wrong) if not bad}
 
@@ -152,7 +157,7 @@ def _calls(backend: str, dtype: str, name: str) -> Any:
 
 
 @functools.cache
-def _limits(real: np.dtype, dtype: np.dtype, rule: Rule | None) -> tuple[Element, float, float] | None:
+def _limits(real: np.dtype, dtype: np.dtype, rule: Rule | None) -> tuple[int, float, float] | None:
     """What the elements of an array are, and the least and largest number that keeps to a rule; None: unknown.
 
     Args:
@@ -161,11 +166,13 @@ def _limits(real: np.dtype, dtype: np.dtype, rule: Rule | None) -> tuple[Element
         rule: of its field.
     """
     if isinstance(rule, Unit) and dtype == real:
-        return (Element.UNITS, *_range(dtype, Number(1.0 - UNIT_TOLERANCE, 1.0 + UNIT_TOLERANCE)))
+        return (int(Element.UNITS), *_range(dtype, Number(1.0 - UNIT_TOLERANCE, 1.0 + UNIT_TOLERANCE)))
     if isinstance(rule, Code) and sorted(rule.values) == list(range(len(rule.values))):
         rule = Number(0, len(rule.values) - 1)
     kind = {real: Element.NUMBERS, np.dtype(np.int32): Element.INTEGERS}.get(dtype)
-    return (kind, *_range(dtype, rule)) if isinstance(rule, Number) and not rule.zero and kind is not None else None
+    if kind is None or not isinstance(rule, Number) or rule.zero:
+        return None
+    return (int(kind), *_range(dtype, rule))
 
 
 def _range(dtype: np.dtype, rule: Number) -> tuple[float, float]:

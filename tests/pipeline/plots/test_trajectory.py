@@ -63,10 +63,13 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
-def test_a_trajectory_that_none_may_be_is_not_drawn(run, tmp_path, name):
+LATE = ("record/time", (element(1e30, 0), r"record/time\[1\] is 0\.\d+; it must be later than the one before it"))
+
+
+@pytest.mark.parametrize(("name", "wrong"), [*WRONG.items(), LATE])
+def test_a_trajectory_that_none_may_be_is_not_drawn(run, tmp_path, name, wrong):
     h5py = pytest.importorskip("h5py")
-    change, message = WRONG[name]
+    change, message = wrong
     path = tmp_path / "trajectory.h5"
     shutil.copyfile(run, path)
     with h5py.File(path, "r+") as file:

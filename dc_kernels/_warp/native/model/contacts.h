@@ -10,9 +10,16 @@ for (int w = 0; w < shape_start.shape[0] - 1; ++w) {
     const int low = body_start.data[w], bodies = body_start.data[w + 1] - low;
     const int* owner = shape_body.data + shape_start.data[w];
     const Long shapes = shape_start.data[w + 1] - shape_start.data[w];
-    // a colour is a bit at each body; where a body is not dynamic, or a colour the serial one, it is masked out
-    for (int b = 0; b < bodies; ++b) taken.data[b] = 0;
+    // a colour is a bit at each body; the highest one says that it may come twice there, as the body is not dynamic
+    const int* type = body_type.data + low;
+    for (int b = 0; b < bodies; ++b) taken.data[b] = type[b] == DYNAMIC ? 0 : 1ull << 63;
     Long last = -1;
+    Bits twice = 0;
+    auto take = [&](const int body, const Bits bit) {
+        const Bits before = taken.data[body];
+        twice |= bit & before & ~(Bits)((Long)before >> 63);
+        taken.data[body] = before | bit;
+    };
     for (Long c = contact_start.data[w]; c < contact_start.data[w + 1]; ++c) {
         const Long k = key.data[c], a = k >> (SHAPE_BITS + FEATURE_BITS) & mask, b = k >> FEATURE_BITS & mask;
         wrong |= k <= last;
@@ -23,13 +30,10 @@ for (int w = 0; w < shape_start.shape[0] - 1; ++w) {
         if (!colored) continue;
         const int own = color.data[c];
         const Bits bit = own >= 0 && own < SERIAL ? 1ull << own : 0;
-        const Bits at_one = body_type.data[one] == DYNAMIC ? bit : 0;
-        wrong |= (taken.data[one - low] & at_one) != 0;
-        taken.data[one - low] |= at_one;
-        const Bits at_other = body_type.data[other] == DYNAMIC ? bit : 0;
-        wrong |= (taken.data[other - low] & at_other) != 0;
-        taken.data[other - low] |= at_other;
+        take(one - low, bit);
+        take(other - low, bit);
     }
+    wrong |= twice != 0;
 }
 return wrong;
 #else
