@@ -304,6 +304,7 @@ def test_drawn_scenes_have_the_bits_of_warp_and_the_numbers_of_the_oracle(
     def scene(builder: dc.ModelBuilder) -> None:
         crowd(builder, seed, count)
         discs(builder, 1 + seed % 3, 1 + count % 3)
+        pendulum(builder)  # the kernels are then those of the scene "many"
 
     config = dc.SolverConfig(max_sweeps=12, tolerance=0.0)
     warp, oracle = (simulation(scene, "float64", backend, config=config) for backend in ("warp", "numpy"))
