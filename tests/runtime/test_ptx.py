@@ -27,7 +27,7 @@ CPU_ONLY = {
     *("splat_worlds", "divide_image", "gather_points", "gather_gradient", "count_tiles", "list_tiles", "splat_tiles"),
     *("bound_points", "sort_points", "sweep_pairs", "sweep_lists", "order_lists"),
     *("sum_neighbors", "pull_neighbors", "run_launches", "serve", "look_at_fields"),
-    *("solve_features", "answer_contacts"),
+    *("solve_features", "answer_contacts", "answer_worlds"),
     *("build_tree", "cast_shapes", "find_overlaps", "find_closest"),
 }
 """Kernels whose work is native code in lanes of the CPU: on a GPU they do nothing, and have to be written anew for it.
