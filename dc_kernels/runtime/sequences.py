@@ -23,7 +23,6 @@ from dc_kernels.runtime.threads import Trial
 SEATS = 64  # threads that may share one world
 NAP = 50  # that a member who finds nothing sleeps between two looks [us]
 PATIENCE = 200_000  # naps after which it leaves, even if nobody told it to
-FOR_GOOD = 2**64 - 1  # that a leader rests from jobs [ticks]
 CACHE_LINE = 16  # int32: what threads write, each for itself, lies so far apart
 
 
@@ -305,8 +304,8 @@ class Teams:
         head = self._memory[:, 0].view(np.uint64)
         head[:, 0], head[:, 1], head[:, 3:5] = give_way, sleep, _team_calls()
         head.view(np.uint32)[:, 4:6] = nap, min(size, SEATS)
+        self._closed = head.view(np.int32)[:, 10]
         self._over = aligned_zeros((CACHE_LINE,), np.dtype(np.int32))
-        self._rest, self._open = self._memory[:, 1].view(np.uint64)[:, 3], True
         self._process = os.getpid()
         table = np.array(self.addresses, np.uint64)
         self._serve = _bind("serve", {"teams": table, "over": self._over, "patience": PATIENCE})
@@ -315,14 +314,12 @@ class Teams:
         """Prepare for members; those of a process that forked are not there."""
         if self._process != os.getpid():
             self._process = os.getpid()
-            self._memory[:, 1:], self._open = 0, True
+            self._memory[:, 1:] = 0
         self._over[0] = 0
 
     def open_jobs(self, wanted: bool) -> None:
         """Let leaders open jobs, or take their loops alone; between two launches."""
-        if wanted != self._open:
-            self._open = wanted
-            self._rest[:] = 0 if wanted else FOR_GOOD
+        self._closed[:] = not wanted
 
     def serve(self) -> None:
         """Be a member of all teams, until ``end`` is called."""

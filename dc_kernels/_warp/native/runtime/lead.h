@@ -46,15 +46,22 @@ struct Lead {
         __atomic_store_n(&seat.ended, number, __ATOMIC_RELEASE);
         return true;
     }
+    // Let another thread have the core, once; whether that kept it for longer than it took to spin before. To give way
+    // again would then cost a slice of time each time, where who has slept is let in soon.
+    static bool is_crowded(Team& team, Ticks spun) {
+        const Ticks from = now();
+        team.give_way();
+        return now() - from > spun;
+    }
     // Wait until part p of a phase has ended, and take it where nobody has for as long as the own parts took: spin at
     // first, then give way to other threads, then sleep, as one that gives way takes the core from whom it waits for if
     // that has a lower priority. A leader who waits far longer than it worked itself, as somebody has lost the core,
-    // rests from jobs for sixteen times as long: a machine with too few cores is then no slower than for one thread by
-    // more than a tenth. Whether the part was taken here.
+    // rests from jobs. Whether the part was taken here.
     static bool wait(Team& team, const Job& job, int k, int p, long long number, bool leads, Ticks begun) {
         const int least = 50, spins = 2000, yields = 2000;
         const Ticks from = now();
-        bool asked = false;
+        Ticks spun = 0;
+        bool asked = false, missed = false;
         for (int i = 0; __atomic_load_n(&team.seat[p].ended, __ATOMIC_ACQUIRE) < number; ++i) {
             if (!asked && i >= least && now() - from > from - begun) {
                 asked = true;
@@ -64,13 +71,27 @@ struct Lead {
                 breathe();
                 continue;
             }
-            if (i < spins + yields)
-                team.give_way();
-            else
+            if (i == spins) spun = now() - from;
+            if (i >= spins + yields)
                 team.sleep(team.nap);
-            if (leads && now() - from > 2 * (from - begun)) team.rest_until = now() + 16 * (now() - from);
+            else if (is_crowded(team, spun))
+                i = spins + yields;
+            missed = leads && now() - from > 2 * (from - begun);
         }
+        if (missed) rest(team, now() - from);
         return false;
+    }
+    // Open no job for sixteen times as long as somebody was waited for, and for twice as long as the last time where
+    // that was not long ago, up to a thousand times: a machine with too few cores is then hardly slower than for one
+    // thread.
+    static void rest(Team& team, Ticks waited) {
+        const Ticks time = now(), least = 16 * waited, most = 1024 * waited;
+        if (time >= team.rest_until) {  // else in a job in which somebody was missed already
+            const bool again = team.rest && time - team.rest_until < 4 * team.rest;
+            const Ticks twice = 2 * team.rest < most ? 2 * team.rest : most;
+            team.rest = again && twice > least ? twice : least;
+        }
+        __atomic_store_n(&team.rest_until, time + team.rest, __ATOMIC_RELAXED);
     }
     // Take parts of a job until all have ended; members may leave before the last have. Of the first phase each takes
     // what is left, of others the own part and those that it took of the phase before.
@@ -91,7 +112,12 @@ struct Lead {
     }
     // Whether the next job finds a member.
     static bool is_there(Team* team) {
-        return __atomic_load_n(&team->members, __ATOMIC_RELAXED) && (!team->rest_until || now() > team->rest_until);
+        return __atomic_load_n(&team->members, __ATOMIC_RELAXED) && !team->closed && !rests(*team);
+    }
+    // Whether no job is opened now, as somebody was missed.
+    static bool rests(const Team& team) {
+        const Ticks end = __atomic_load_n(&team.rest_until, __ATOMIC_RELAXED);
+        return end && now() < end;
     }
     // Let all take part in a job until it is done; by oneself if nobody is there, or was missed lately, or for so few
     // items that no phase has two parts.

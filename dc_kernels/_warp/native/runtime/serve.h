@@ -9,7 +9,10 @@ for (int i = 0; i < count; ++i) {
     known[i] = 0;
     me[i] = __atomic_add_fetch(&team[i]->members, 1, __ATOMIC_ACQ_REL);
 }
-// who finds nothing spins for some 50 us, gives way for as long, and then sleeps between two looks
+// who finds nothing spins for some 50 us, gives way for as long, and then sleeps between two looks, for longer where no
+// leader opens a job: who wakes often takes a crowded core from those who work
+const int longer = 8;
+Ticks from = Lead::now(), spun = 0;
 const int spins = 1000, yields = 100;
 for (int idle = 0; idle < spins + yields + patience && !__atomic_load_n(over.data, __ATOMIC_RELAXED); ++idle) {
     for (int i = 0; i < count; ++i) {
@@ -17,12 +20,18 @@ for (int idle = 0; idle < spins + yields + patience && !__atomic_load_n(over.dat
         if (latest != known[i]) idle = 0;
         known[i] = latest;
     }
+    if (!idle) from = Lead::now();
     if (idle < spins)
         Lead::breathe();
-    else if (idle < spins + yields)
-        team[0]->give_way();
-    else
-        team[0]->sleep(team[0]->nap);
+    else if (idle < spins + yields) {
+        if (idle == spins) spun = Lead::now() - from;
+        if (Lead::is_crowded(*team[0], spun)) idle = spins + yields;
+    } else {
+        bool rest = true;
+        for (int i = 0; i < count; ++i)
+            rest = rest && (__atomic_load_n(&team[i]->closed, __ATOMIC_RELAXED) || Lead::rests(*team[i]));
+        team[0]->sleep(rest ? longer * team[0]->nap : team[0]->nap);
+    }
 }
 for (int i = 0; i < count; ++i) __atomic_fetch_sub(&team[i]->members, 1, __ATOMIC_RELEASE);
 #endif

@@ -18,14 +18,16 @@ struct Team {
     // what take_phases and is_helped call: compiled once (lead.h), not into every kernel that shares a loop
     double (*take)(Team*, const void*, double (*)(const void*, int, int), const void*);
     bool (*is_there)(Team*);
-    char apart_of_host[24];
+    int closed;  // not 0: no job is opened
+    char apart_of_host[20];
     // of the leader
     const void* phases;
     double (*part)(const void*, int, int);
     const void* given;
     Ticks rest_until;  // no job is opened before
     long long job;     // number of the latest, odd while it is open
-    char apart_of_leader[24];
+    Ticks rest;        // for so long was none opened the last time that somebody was missed
+    char apart_of_leader[16];
     // of all
     int members;  // that are there, beside the leader
     char apart_of_members[60];
