@@ -61,6 +61,13 @@ class StepNetworkInLanes:
         """Take other weights of the same shapes."""
         self._weight[...] = pack(layers)
 
+    def set_walls(self, walls: np.ndarray) -> None:
+        """Take other walls, (W, rows, columns)."""
+        with self.sim.calls:
+            self._walls = walls
+            self._keep_bound()
+            self.asking.assign("wall", walls.astype(self.sim.dtype))
+
     def __call__(self, asked: np.ndarray) -> np.ndarray:
         """Make the velocities of worlds, and write the impulses of their contacts.
 

@@ -124,25 +124,32 @@ class ContactTraining:
             self.validation = self.record(-1)
         total = options.rounds * options.steps
         bar = progress_bar(total=total, initial=self.round * options.steps, desc="train contactnet", show=progress)
-        while self.round < options.rounds and not self.group.any(stop.is_set()):
-            began = time.perf_counter()
-            with stop.urgent():
-                self.train(bar)
-            self.round += 1
-            self.seconds += time.perf_counter() - began
-            self.log.add(self.round * options.steps, self.validate())
-            if self.group.first:
-                self.save()
-        if self.round == options.rounds and not self.tuned and self.group.first:
-            bar.set_postfix_str("choosing gains")
-            began = time.perf_counter()
-            self.model.eval()
-            self.tuned = choose_gains(self.model, TUNING_SEED)
-            self.seconds += time.perf_counter() - began
-            self.save()
-        bar.close()
-        self.log.close()
+        try:
+            with bar:
+                while self.round < options.rounds and not self.group.any(stop.is_set()):
+                    began = time.perf_counter()
+                    with stop.urgent():
+                        self.train(bar)
+                    self.round += 1
+                    self.seconds += time.perf_counter() - began
+                    self.log.add(self.round * options.steps, self.validate())
+                    if self.group.first:
+                        self.save()
+                if self.round == options.rounds and not self.tuned and self.group.first and not stop.is_set():
+                    self.tune(stop, bar)
+        finally:
+            self.log.close()
         return self.finish() if self.group.first else {}
+
+    def tune(self, stop: Stop, bar: Any) -> None:
+        """Choose how much of the answer is used; an interrupt leaves the last round to resume from."""
+        bar.set_postfix_str("choosing gains")
+        began = time.perf_counter()
+        self.model.eval()
+        with stop.urgent():
+            self.tuned = choose_gains(self.model, TUNING_SEED)
+        self.seconds += time.perf_counter() - began
+        self.save()
 
     def train(self, bar: Any) -> None:
         """Record the calls of a round and make its steps."""
@@ -285,7 +292,7 @@ class ContactTraining:
         summary = {
             "network": "contactnet",
             "parameters": models.parameter_count(self.model),
-            "complete": self.round == options.rounds,
+            "complete": self.round == options.rounds and bool(self.tuned),
             **self.manifest(),
             "out": str(options.out),
             "files": [NETWORK, STATE, "metrics.jsonl", "train.json", "curves.png", "predictions.png"],

@@ -117,10 +117,12 @@ def grid_of(sim: dc.Simulation, spacing: float) -> dc.Grid:
     A contact beyond it, of a body that flew away, is moved to its border.
     """
     model, state = sim.model, sim.state
-    owner = model.numpy("shape_body")
-    center = state.numpy("position")[owner]
-    reach = model.numpy("shape_extent")[:, None] + np.abs(model.numpy("shape_center"))
+    stands = model.numpy("shape_category") != 0  # not the shapes of empty slots, far from all else
+    center = state.numpy("position")[model.numpy("shape_body")[stands]]
+    reach = model.numpy("shape_extent")[stands, None] + np.abs(model.numpy("shape_center")[stands])
     step = spacing * float(model.numpy("length_scale").max())
+    if not len(center):
+        return dc.Grid.from_box((0.0, 0.0), (step, step), step)
     lower, upper = (center - reach).min(axis=0), (center + reach).max(axis=0)
     return dc.Grid.from_box(lower, np.maximum(upper, lower + step), step)
 

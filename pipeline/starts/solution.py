@@ -64,12 +64,14 @@ def thesis_grid(sim: dc.Simulation) -> dc.Grid:
     Where there are no static shapes it covers the centres of all bodies.
     """
     model, position, angle = sim.model, sim.state.numpy("position"), sim.state.numpy("angle")
-    body = np.repeat(model.numpy("shape_body"), np.diff(model.numpy("vertex_start")))
+    vertices = np.diff(model.numpy("vertex_start"))
+    stands = np.repeat(model.numpy("shape_category") != 0, vertices)  # not the shapes of empty slots, far from all else
+    body = np.repeat(model.numpy("shape_body"), vertices)[stands]
     places = position[body].astype(np.float64)
     static = model.numpy("body_type")[body] == BodyType.STATIC
     if static.any():
         body, places = body[static], places[static]
-        x, y = model.numpy("vertices")[static].T.astype(np.float64)
+        x, y = model.numpy("vertices")[: len(stands)][stands][static].T.astype(np.float64)
         cosine, sine = np.cos(angle[body]), np.sin(angle[body])
         places += np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)
     low, high = places.min(axis=0), places.max(axis=0)

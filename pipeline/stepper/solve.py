@@ -25,6 +25,7 @@ from dc_kernels.learn.step_channels import CHANNELS
 from dc_kernels.learn.step_network import StepNetworkInLanes
 from dc_kernels.measure import contact_slots
 from dc_kernels.model.enums import BodyType
+from dc_kernels.model.settings import shown
 from dc_kernels.runtime.optional import require
 from pipeline.networks.weights import Watch
 from pipeline.starts.learned import grid_of
@@ -69,10 +70,10 @@ class NetworkStepper:
         self.reader = StepReader(sim, _grid(sim, model, manifest))
         self._lanes = _in_lanes(self.reader, self.model)
         self._watch = Watch(self.model)
+        self._trained = _time_steps(manifest)
         self.clock = Clock(dict.fromkeys(PARTS, 0.0))
         self.counts = dict.fromkeys(COUNTS, 0)
-        body_model = sim.model
-        self._world = np.repeat(np.arange(body_model.world_count), np.diff(body_model.numpy("body_start")))
+        self._world = self.reader.world
 
     def solve(self, started: Started | None = None) -> None:
         """Make the part of a step between ``collide`` and ``advance``; see ``Start.solve``.
@@ -88,6 +89,10 @@ class NetworkStepper:
     def _solve(self) -> None:
         """Ask the network, let the solver sweep, and let worlds whose answer is no good fall back."""
         sim, project = self.sim, self.options.project
+        if self.reader.refresh():
+            self._world = self.reader.world
+            if self._lanes is not None:
+                self._lanes.set_walls(self.reader.walls[:, 0])
         cached = sim.contacts.numpy("impulse").copy()
         with self.clock.part("solve"):
             sim.solve(pause=0)  # what the start impulses make of the predicted velocities
@@ -204,6 +209,10 @@ class NetworkStepper:
             f"  skipped: {counts['skipped']} without contacts; {fallen} fell back to the solver: "
             f"{counts['not_finite']} not finite, {counts['too_fast']} with too much energy"
         )
+        dt, (least, most) = self.sim.motion.numpy("step_dt"), self._trained
+        other = dt[(dt > 0) & ((dt < 0.99 * least) | (dt > 1.01 * most))]
+        if len(other):
+            text += f"\n  dt {other[0]:g} s lies beyond {least:g} to {most:g} s, which the network was trained on"
         return Report(
             seconds=dict(self.clock.seconds),
             is_network=True,
@@ -225,6 +234,18 @@ def _in_lanes(reader: StepReader, model: Any) -> StepNetworkInLanes | None:
     if found is None or reader.sim.backend != "warp" or len(found.widths) > MOST_SCALES:
         return None
     return StepNetworkInLanes(reader.sim, reader.grid, reader.walls[:, 0], found)
+
+
+def _time_steps(manifest: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the shortest and the longest time step that a network was trained on [s].
+
+    Raises:
+        ValueError: the manifest does not say.
+    """
+    found = manifest["stepper"].get("dt")
+    if not isinstance(found, (list, tuple)) or not found or not all(isinstance(dt, (int, float)) for dt in found):
+        raise ValueError(f"the manifest's dt is {shown(found)}; it must be a list of time steps")
+    return float(min(found)), float(max(found))
 
 
 def _grid(sim: dc.Simulation, model: Any, manifest: Mapping[str, Any]) -> dc.Grid:

@@ -38,17 +38,19 @@ from pipeline.stepper.options import StepperTrainOptions
 from pipeline.stepper.replay import Replay
 from pipeline.stepper.view import StepReader, StepView
 from pipeline.training.log import Log
-from pipeline.training.optimizer import check_loss, clip_gradients, make_optimizer, make_schedule
+from pipeline.training.optimizer import check_loss, clip_gradients, continued_schedule, make_optimizer, make_schedule
 from pipeline.training.preparation import check_network, configuration, make_grid
 from pipeline.training.processes import seed_everything
 
 torch = require("torch", "pipeline")
 
 BEST, LAST, STATE = "best.safetensors", "last.safetensors", "training.safetensors"
-FREE = ("data", "out", "resume", "threads", "log_every", "save_every")
-"""Options that change no bit of what is trained; data sets are compared by what they hold instead."""
+FREE = ("data", "out", "resume", "steps", "threads", "log_every", "save_every")
+"""Options that change no bit of the steps that are made; data sets are compared by what they hold instead."""
 FLOOR = 1.0
 """Error of a world that counts as nothing, beside that of no contacts at all [unit^2]."""
+WARM = 0.1
+"""Share of the steps in which the rate of one cycle goes up [1]."""
 CHECKED = 8
 """States of each validation world that are looked at, for each time step [1]."""
 
@@ -100,7 +102,7 @@ class StepperTraining:
         self.optimizer = make_optimizer(
             self.model.parameters(), options.optimizer, options.rate, weight_decay=options.weight_decay
         )
-        self.schedule = make_schedule(self.optimizer, options.schedule, options.steps, decay=options.decay, warm=0.1)
+        self.schedule = make_schedule(self.optimizer, options.schedule, options.steps, decay=options.decay, warm=WARM)
         self.done, self.spent, self.began = 0, 0.0, time.perf_counter()
         self.best: float | None = None
         self.metrics: dict[str, float] = {}
@@ -299,8 +301,7 @@ class StepperTraining:
 
     def identity(self) -> dict[str, Any]:
         """Return what decides the bits of this training."""
-        free = FREE if self.options.schedule == "onecycle" else (*FREE, "steps")
-        return plain({**{k: v for k, v in asdict(self.options).items() if k not in free}, "data": self.data})
+        return plain({**{k: v for k, v in asdict(self.options).items() if k not in FREE}, "data": self.data})
 
     def manifest(self) -> dict[str, Any]:
         """Return what the network's file says of it."""
@@ -327,23 +328,35 @@ class StepperTraining:
 
     def _save(self) -> None:
         """Write the network and what the training continues from."""
-        progress = {"step": self.done, "best": self.best, "metrics": self.metrics, "spent": self._seconds()}
+        progress = {"steps": self.options.steps, "step": self.done, "best": self.best, "metrics": self.metrics}
+        progress["spent"] = self._seconds()
         save_checkpoint(self.options.out / LAST, self.model, self.manifest())
         state = self.options.out / STATE
         save_training(state, self.model, self.optimizer, self.schedule, progress, self.identity())
 
     def _restore(self) -> None:
-        """Continue where ``_save`` left off.
+        """Continue where ``_save`` left off, to as many steps as the options ask for.
 
         Raises:
-            ValueError: another training.
+            ValueError: another training, one of more steps already, or the middle of a cycle of the rate that more
+                steps would change.
         """
         state = self.options.out / STATE
         progress, _ = load_training(state, self.model, self.optimizer, self.schedule, self.identity())
         self.done, self.best = progress["step"], progress["best"]
         self.metrics, self.spent = progress["metrics"], progress["spent"]
-        if self.done > self.options.steps:
-            raise ValueError(f"steps is {self.options.steps}; the training in {self.options.out} has done {self.done}")
+        self.schedule = continued_schedule(
+            self.schedule,
+            self.optimizer,
+            self.options.rate,
+            unit="steps",
+            wanted=self.options.steps,
+            # a file of an earlier version does not say
+            planned=progress.get("steps", self.options.steps),
+            done=self.done,
+            warm=WARM,
+            folder=self.options.out,
+        )
 
     def _finish(self) -> dict[str, Any]:
         """Draw the curves, write and return the summary."""

@@ -192,14 +192,31 @@ class StepReader:
         if sim.config.sleep:
             raise ValueError("config.sleep is True; a network steps worlds whose bodies do not sleep")
         self.sim, self.grid = sim, grid
-        model = sim.model
-        self._start = model.numpy("body_start").astype(np.int64)
-        worlds, nodes = model.world_count, grid.rows * grid.columns
+        worlds, nodes = sim.model.world_count, grid.rows * grid.columns
         check_memory(f"the images of {worlds} worlds on a grid of {grid.rows} x {grid.columns}", 4.0 * worlds * nodes)
-        walls = np.zeros((model.world_count, 1, *grid.shape), np.float32)
-        of_world, row, column = wall_nodes(model, sim.state, grid)
-        walls[of_world, 0, row, column] = 1.0
-        self.walls = walls
+        self.walls = np.zeros((worlds, 1, *grid.shape), np.float32)
+        self._seen: tuple[np.ndarray, ...] = ()
+        self.refresh()
+
+    def refresh(self) -> bool:
+        """Take in bodies that were added or removed, and static ones that were moved; tell whether there were any."""
+        model, state = self.sim.model, self.sim.state
+        static = model.numpy("body_type") == BodyType.STATIC
+        places = state.numpy("position")[static], state.numpy("angle")[static]
+        seen = np.array(self.sim.layout_version), model.numpy("body_start"), static, *places
+        if self._seen and all(map(np.array_equal, seen, self._seen)):
+            return False
+        self._seen = tuple(values.copy() for values in seen)
+        self._start = model.numpy("body_start").astype(np.int64)
+        of_world, row, column = wall_nodes(model, state, self.grid)
+        self.walls.fill(0.0)
+        self.walls[of_world, 0, row, column] = 1.0
+        return True
+
+    @property
+    def world(self) -> np.ndarray:
+        """World of each body, (N,)."""
+        return np.repeat(np.arange(len(self._start) - 1), np.diff(self._start))
 
     def _masses(self, rows: Any, body_start: np.ndarray) -> dict[str, np.ndarray]:
         """Return what the model says of the masses of bodies now, by name of a view's field."""

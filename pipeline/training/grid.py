@@ -37,7 +37,7 @@ from pipeline.plots.style import save_figure
 from pipeline.process import Stop, interruptible, progress_bar
 from pipeline.training.log import Log
 from pipeline.training.losses import Decoder, Loss
-from pipeline.training.optimizer import check_loss, clip_gradients, make_optimizer, make_schedule
+from pipeline.training.optimizer import check_loss, clip_gradients, continued_schedule, make_optimizer, make_schedule
 from pipeline.training.options import CACHED, TrainOptions
 from pipeline.training.preparation import build_network, check_network, make_grid
 from pipeline.training.processes import Processes, own_randomness, processes, seed_everything
@@ -364,21 +364,17 @@ class GridTraining:
         for name in ("epoch", "batch", "step", "best", "metrics", "running", "choices", "spent"):
             setattr(self, name, progress[name])
         self.search = progress["search"] and RateSearch(**progress["search"])
-        more = self.options.epochs - progress["epochs"]
-        if self.options.epochs < self.epoch or (more < 0 and self.choices["schedule"] == "onecycle"):
-            raise ValueError(
-                f"epochs is {self.options.epochs}; the training in {self.options.out} has done {self.epoch} of "
-                f"{progress['epochs']}: go on with as many or more"
-            )
-        if more > 0 and self.choices["schedule"] == "onecycle":
-            if self.epoch < progress["epochs"]:
-                raise ValueError(
-                    f"epochs is {self.options.epochs}; the training in {self.options.out} is within one cycle of "
-                    f"{progress['epochs']}: finish that first, a longer one then adds another cycle"
-                )
-            for parameters in self.optimizer.param_groups:
-                parameters["lr"] = self.choices["rate"]
-            self.schedule = make_schedule(self.optimizer, "onecycle", more * len(self.train))
+        self.schedule = continued_schedule(
+            self.schedule,
+            self.optimizer,
+            self.choices["rate"],
+            unit="epochs",
+            wanted=self.options.epochs,
+            planned=progress["epochs"],
+            done=self.epoch,
+            each=len(self.train),
+            folder=self.options.out,
+        )
 
     def finish(self, began: float) -> dict[str, Any]:
         """Draw the pictures, write and return the summary."""

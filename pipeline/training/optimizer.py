@@ -68,6 +68,53 @@ def make_schedule(optimizer: Any, name: ScheduleName, steps: int, *, decay: floa
     raise ValueError(f"schedule is {name!r}; it must be one of {get_args(ScheduleName)}")
 
 
+def continued_schedule(
+    schedule: Any,
+    optimizer: Any,
+    rate: float,
+    *,
+    unit: str,
+    wanted: int,
+    planned: int,
+    done: int,
+    each: int = 1,
+    warm: float = 0.3,
+    folder: Any,
+) -> Any:
+    """Return the schedule of a training that is resumed: its own, or after one cycle another, if it is to be longer.
+
+    Args:
+        schedule: as it was restored.
+        optimizer: whose rate it is.
+        rate: the first one, or the highest of "onecycle".
+        unit: what the training is counted in, "epochs" or "steps".
+        wanted: of these in all.
+        planned: of these when it was saved.
+        done: of these.
+        each: steps of one.
+        warm: see ``make_schedule``.
+        folder: of the training, for errors.
+
+    Raises:
+        ValueError: fewer than are done, or another number in the middle of a cycle.
+    """
+    cycle = isinstance(schedule, torch.optim.lr_scheduler.OneCycleLR)
+    if wanted < done or (cycle and wanted < planned):
+        raise ValueError(
+            f"{unit} is {wanted}; the training in {folder} has done {done} of {planned}: go on with as many or more"
+        )
+    if not cycle or wanted == planned:
+        return schedule
+    if done < planned:
+        raise ValueError(
+            f"{unit} is {wanted}; the training in {folder} is within one cycle of {planned}: finish that first, a "
+            "longer one then adds another cycle"
+        )
+    for parameters in optimizer.param_groups:
+        parameters["lr"] = rate
+    return make_schedule(optimizer, "onecycle", (wanted - planned) * each, warm=warm)
+
+
 def check_loss(loss: Any, step: int) -> None:
     """Stop a training that has diverged.
 

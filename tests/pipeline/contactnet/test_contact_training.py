@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +26,7 @@ from pipeline.contactnet.tuning import GAINS, Crowd, best_gain, choose_gains
 from pipeline.networks import models
 from pipeline.networks.checkpoint import load_checkpoint
 from pipeline.options import RunOptions
+from pipeline.process import Stop
 from pipeline.scenes import Thesis
 from pipeline.seeds import TUNING_SEED, VALIDATION_SEED
 from pipeline.starts.learned import CallOptions, LearnedSolve
@@ -157,7 +160,21 @@ def test_a_training_goes_on_bit_for_bit(tmp_path, monkeypatch):
     with pytest.raises(Killed):
         train_contactnet(half, progress=False)
     monkeypatch.setattr(ContactTraining, "save", saved)
-    train_contactnet(replace(half, resume=True), progress=False)
+    again = replace(half, resume=True)
+    asked = Stop()
+    monkeypatch.setattr(asked, "is_set", lambda: True)
+
+    def choosing(model, seed):
+        signal.raise_signal(signal.SIGINT)
+        time.sleep(60.0)
+
+    with monkeypatch.context() as patch:  # Ctrl-C while the gains are chosen
+        patch.setattr(contact_training, "choose_gains", choosing)
+        with pytest.raises(KeyboardInterrupt):
+            train_contactnet(again, progress=False)
+    summary = ContactTraining(again, Processes()).run(asked, progress=False)  # in the last round
+    assert summary["steps"] == 6 and not summary["complete"] and not summary["tuning"]
+    assert train_contactnet(again, progress=False)["complete"]
     files = [Path(folder) / contact_training.NETWORK for folder in (options.out, half.out)]
     (a, manifest), (b, _) = (load_checkpoint(file) for file in files)
     assert manifest["rounds"] == 2 and max(manifest["seeds"]) <= VALIDATION_SEED

@@ -96,6 +96,41 @@ def test_without_sweeps_bodies_go_as_the_network_says():
     assert float(np.abs(sim.contacts.numpy("impulse")).max()) > 1e-3
 
 
+@pytest.mark.parametrize(("kind", "room"), [("stepnet", 0), ("unet", 8)])
+def test_bodies_that_come_are_stepped(kind: str, room: int):
+    """With and without room for them; a static one stands in the image."""
+    model, manifest = (stepnet(), STEPPER) if kind == "stepnet" else unet()
+    sim = simulation(2)
+    if room:
+        sim.reserve(bodies=room, shapes=room)
+    stepper = NetworkStepper(sim, model, manifest)
+    walls = stepper.reader.walls.sum(axis=(1, 2, 3))
+    more = sim.additions(1)
+    more.add_discs([(4.0, 9.0)], radius=0.5)
+    more.add_disc(more.add_body(type=dc.BodyType.STATIC, position=(4.0, 8.0)), radius=0.45)
+    sim.add(more)
+    fresh = sim.clone()
+    again = NetworkStepper(fresh, model, manifest)
+    sim.run(2, 0.01, stepper=stepper)
+    fresh.run(2, 0.01, stepper=again)
+    assert (stepper.reader.walls.sum(axis=(1, 2, 3)) > walls).tolist() == [False, True]
+    assert stepper.counts["calls"] == 4 and again.reader.grid.rows < 60
+    if kind == "unet":  # whose grid is the manifest's
+        assert all(same(sim, fresh, world) for world in range(2))
+    assert np.isfinite(sim.state.numpy("position")).all()
+
+
+def test_a_time_step_that_the_network_was_not_trained_on_is_reported():
+    sim = simulation(1)
+    stepper = NetworkStepper(sim, stepnet(), {"stepper": {"dt": [0.01, 0.02], "grid": None}})
+    sim.step(0.01, stepper=stepper)
+    assert "beyond" not in str(stepper.report().text)
+    sim.step(0.1, stepper=stepper)
+    assert "dt 0.1 s lies beyond 0.01 to 0.02 s, which the network was trained on" in str(stepper.report().text)
+    with pytest.raises(ValueError, match="the manifest's dt is 'x'; it must be a list of time steps"):
+        NetworkStepper(sim, stepnet(), {"stepper": {"dt": "x", "grid": None}})
+
+
 def test_to_the_tolerance_the_step_is_the_solvers_whatever_the_network_says():
     """With images there are no impulses to begin with: equal bits. StepNet's are another start: to the tolerance."""
     plain, sim = simulation(), simulation()

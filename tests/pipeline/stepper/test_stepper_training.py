@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -184,6 +185,21 @@ def test_training_learns_and_resumes_bit_for_bit(data: Path, tmp_path: Path):
     assert [row["step"] for row in rows if "validation/loss" in row] == [3, 6]
     with pytest.raises(ValueError, match="was trained with rate = "):
         train_stepper("stepnet", options(data, tmp_path / "part", schedule="constant", resume=True), progress=False)
+
+
+def test_another_cycle_of_the_rate_follows_a_finished_one(data: Path, tmp_path: Path):
+    train_stepper("stepnet", options(data, tmp_path, steps=2, rollout=(1,)), progress=False)
+    more = options(data, tmp_path, steps=4, rollout=(1,), resume=True)
+    training = StepperTraining("stepnet", more)
+    training.learn()
+    training._save()
+    training.log.close()
+    with pytest.raises(ValueError, match=r"steps is 5; .* is within one cycle of 4: finish that first"):
+        train_stepper("stepnet", replace(more, steps=5), progress=False)
+    with pytest.raises(ValueError, match=r"steps is 2; .* has done 3 of 4: go on with as many or more"):
+        train_stepper("stepnet", replace(more, steps=2), progress=False)
+    summary = train_stepper("stepnet", more, progress=False)
+    assert summary["complete"] and summary["step"] == 4
 
 
 def test_a_step_of_training_lowers_its_own_loss(data: Path, tmp_path: Path):
