@@ -78,7 +78,7 @@ def measure(quick: bool) -> dict[str, Any]:
     timing.progress("wall times")
     values |= wall_times(BATCH_QUICK if quick else BATCH, 1 if quick else 3)
     timing.progress("worlds of 1 000 discs")
-    values |= large_worlds(1 if quick else 4, 30 if quick else 12)
+    values |= large_worlds(2 if quick else 10, 30 if quick else 12)
     return values
 
 
@@ -182,6 +182,7 @@ def large_worlds(worlds: int, every: int) -> dict[str, Any]:
     mean = {name: float(found[done].mean()) for name, found in arrays.items()}
     return {
         "accelerated_ratio_1000": mean["contactnet"] / mean["builtin"],
+        "accelerated_ratio_1000_error": ratio_error(arrays["contactnet"], arrays["builtin"], done),
         "even_ratio_1000": mean["even share"] / mean["builtin"],
         "wall_ratio_1000": wall["contactnet"] / wall["builtin"],
         "sweeps_1000": mean,
@@ -192,6 +193,23 @@ def large_worlds(worlds: int, every: int) -> dict[str, Any]:
         "unconverged_1000": int((~done).sum()),
         "unconverged_learned_1000": int((done & (arrays["contactnet"] >= LARGE["cap"])).sum()),
     }
+
+
+def ratio_error(mine: np.ndarray, base: np.ndarray, counted: np.ndarray) -> float:
+    """Return the standard error of the ratio of two means, from leaving out one world after the other (jackknife).
+
+    States of a world are much alike, so that worlds are what is drawn.
+
+    Args:
+        mine: numbers of states and worlds, (S, W), W >= 2.
+        base: those to compare with, (S, W).
+        counted: which of them count, bool (S, W).
+    """
+    sums = np.where(counted, [mine, base], 0).sum(axis=1).astype(float)  # of each world, (2, W)
+    left = sums.sum(axis=1, keepdims=True) - sums
+    ratios = left[0] / left[1]
+    worlds = len(ratios)
+    return float(np.sqrt((worlds - 1) / worlds * ((ratios - ratios.mean()) ** 2).sum()))
 
 
 def report(values: dict[str, Any]) -> str:
@@ -240,7 +258,8 @@ def report(values: dict[str, Any]) -> str:
         f"{values['world_even_accelerated_s']:.2f}, cache {values['world_builtin_accelerated_s']:.3f})",
         f"1 000 discs, Aitken, {values['states_1000']} states that converge without it: sweeps "
         f"{sweeps['contactnet']:.0f} with ContactNet, {sweeps['even share']:.0f} with an even share, "
-        f"{sweeps['builtin']:.0f} without, ratio {values['accelerated_ratio_1000']:.2f}; wall "
+        f"{sweeps['builtin']:.0f} without, ratio {values['accelerated_ratio_1000']:.2f} +- "
+        f"{values['accelerated_ratio_1000_error']:.2f}; wall "
         f"{wall['contactnet']:.2f}, {wall['even share']:.2f} and {wall['builtin']:.2f} s, ratio "
         f"{values['wall_ratio_1000']:.2f}; "
         f"{values['calls_1000']:.1f} calls a state",
