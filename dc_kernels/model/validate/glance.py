@@ -1,6 +1,6 @@
 """Glances at large arrays, by compiled code: whether all is right, in one pass.
 
-What is small is not looked at: NumPy is done with it before code is loaded, let alone compiled.
+Small arrays are left to NumPy, which is done with all of them, in one piece, before code is loaded, let alone compiled.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ KEPT = 64  # of them: for worlds that are made again and again
 class Glance:
     """Looks at arrays of a model, or of its contacts; each tells what is right.
 
-    It says nothing of what may be wrong, of small arrays, where the calling thread records a graph, and where the
-    backend has no compiled code.
+    It says nothing of what may be wrong; nor of large arrays where the calling thread records a graph, or the backend
+    has no compiled code.
     """
 
     def __init__(self, backend: str, dtype: Any) -> None:
@@ -83,12 +83,15 @@ class Glance:
     def _together(self, arrays: Arrays, table: Mapping[str, Field]) -> set[str]:
         """The names of small arrays of which NumPy shows in one piece that their elements keep to their rules."""
         key = id(table), self._dtype, tuple((name, values.dtype, values.size) for name, values in arrays.items())
-        if key not in _bounds:
+        _, bounds = _bounds.get(key, (table, None))
+        if bounds is None:
+            bounds = list(_bounds_of(arrays, table, self._dtype))
             if len(_bounds) >= KEPT:
                 _bounds.clear()
-            _bounds[key] = table, list(_bounds_of(arrays, table, self._dtype))  # the table is kept, as is its id
+            if sum(len(least) for _, least, _ in bounds) <= LEAST:
+                _bounds[key] = table, bounds  # the table is kept, as its id is in the key
         kept: set[str] = set()
-        for names, least, most in _bounds[key][1]:
+        for names, least, most in bounds:
             whole = np.concatenate([arrays[name].reshape(-1) for name in names])
             if ((whole >= least) & (whole <= most)).all():
                 kept.update(names)
