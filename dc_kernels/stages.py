@@ -185,7 +185,7 @@ LINKED = (
         "pairs without those of bodies that a joint keeps from colliding", "a scene whose joints let all collide",
     ),
     Stage(
-        "collide", "make_joint_rows", "solve.joints", (), ("model", "state", "joints", "motion"), ("rows",),
+        "collide", "make_joint_rows", "solve.joints", (), ("model", "state", "joints"), ("motion", "rows"),
         "rows of the joints, by their kinds", "a scene whose joints are all rods",
     ),
     Stage(

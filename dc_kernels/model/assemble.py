@@ -15,6 +15,7 @@ from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.fields import JOINTS, KEY_SHAPE_BITS
 from dc_kernels.model.joints.groups import COLUMNS, count_rows
+from dc_kernels.model.joints.heavy import with_rows_across
 from dc_kernels.model.shapes import edge_normals, mass_properties
 
 CELL_FACTOR = 1.3
@@ -91,6 +92,7 @@ def assemble(
     origin = np.array([w.origin for w in worlds])
     links = {name: joints[:, at] if at.stop - at.start > 1 else joints[:, at.start] for name, at in COLUMNS.items()}
     links |= {name: links[name].astype(np.int64) for name in links if JOINTS[name].dtype == "int32"}
+    links["joint_parts"] = with_rows_across(links, bodies[:, TYPE], mass)
     return {
         "body_start": body_start,
         "shape_start": shape_start,

@@ -11,6 +11,7 @@ from dc_kernels.model.arrays import Fielded, Model
 from dc_kernels.model.enums import BodyType, JointKind, JointPart
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.model.joints.groups import HELD, Joints
+from dc_kernels.model.joints.heavy import LOOP_SHARE
 
 STIFFNESS = 4.0
 """Rows of joints have at least this times dt^2 r . f of inertia at a body that a force f pulls at by the arm r [1]."""
@@ -22,8 +23,8 @@ NEAR_LIMIT = 0.25
 """A limit is left out of a step that is further away than this, and than twice what the joint moves in it
 [rad, length_scale]."""
 
-LOOP_SHARE = 10
-"""Joints that a component has at least for each that closes a loop in it, for the others to be solved as a tree [1]."""
+BRAKED = 8.0
+"""Inertia that the pull at a body asks for, over its own, from which what turns far in a step is braked [1]."""
 
 TREE_JOINT, TREE_MOVES = 44, 12
 """Numbers that a direct solve of trees keeps of each joint, and of each body (``_warp/native/solve/tree.h``)."""
@@ -83,12 +84,14 @@ class Forest(NamedTuple):
 
 
 def plant(model: Model, joints: Joints) -> Forest:
-    """The trees of the joints that hold something without bounds, but for rods; one that closes a loop is in none.
+    """The trees of the joints that hold something without bounds; one that closes a loop is in none.
 
-    Rods are left to the sweeps: solved exactly, light bodies between them would swing across them within a step.
+    Rods without ``JointPart.ACROSS`` are left to the sweeps: solved exactly, light bodies between them would swing
+    across them within a step.
     """
     kind, parts = joints.numpy("joint_kind"), joints.numpy("joint_parts")
-    bounded = np.isin(kind, (JointKind.DISTANCE, JointKind.TARGET, JointKind.GENERAL))
+    bounded = np.isin(kind, (JointKind.TARGET, JointKind.GENERAL))
+    bounded |= (kind == JointKind.DISTANCE) & (parts & int(JointPart.ACROSS) == 0)
     held = np.flatnonzero((parts & int(JointPart.HOLD) != 0) & ~bounded)
     dynamic = model.numpy("body_type") == BodyType.DYNAMIC
     a, b = joints.numpy("joint_body_a")[held], joints.numpy("joint_body_b")[held]
@@ -143,6 +146,7 @@ def plant(model: Model, joints: Joints) -> Forest:
     start = np.searchsorted(world[begins], np.arange(model.world_count + 1)).astype(np.int32)
     first_joint = np.append(begins, len(found)).astype(np.int32)
     size = np.array([HELD[one] for one in JointKind])[kind[found[:, 0]]]
+    size += parts[found[:, 0]] & int(JointPart.ACROSS) != 0
     row = joints.numpy("joint_row_start")[found[:, 0]]
     return Forest(start, first_joint, row, *(values.astype(np.int32) for values in (size, found[:, 1], found[:, 2])))
 

@@ -67,7 +67,22 @@ def gallery():
     disc = builder.add_discs([(1.3, 0.1)], 0.25)[0]
     builder.add_revolute_joint(block, other, (0.3, 0), break_force=8.0)
     builder.add_distance_joint(other, disc, length=0.3)
+    rope_of_rods(builder, 4, 30.0, angle=0.5)
     return builder
+
+
+def rope_of_rods(builder, links, load, angle=0.0):
+    """A world of light discs on rods, let go from a straight line, with a load at the end; its index."""
+    builder.add_world(gravity=(0, -G))
+    body = builder.add_body(type=dc.BodyType.STATIC)
+    for i in range(1, links + 1):
+        here = builder.add_body(
+            (0.25 * i * math.cos(angle), 0.25 * i * math.sin(angle)), mass=load if i == links else 1.0
+        )
+        builder.add_disc(here, 0.05, mask=0)
+        builder.add_distance_joint(body, here)
+        body = here
+    return body
 
 
 def run(builder, steps, dt=DT, dtype="float64", backend="warp", config=EXACT, **options):
@@ -279,20 +294,26 @@ def test_a_rod_of_length_0_is_a_hinge_and_a_spring_of_length_0_draws_together():
     assert sim.state.numpy("velocity")[bodies] == pytest.approx(np.zeros((2, 2)), abs=1e-4)
 
 
-@pytest.mark.parametrize(("load", "stretch"), [(100.0, 0.03), (1e4, 0.05)])
-def test_a_rope_of_hinged_links_carries_a_heavy_load(load, stretch):
-    """20 links let go from horizontal, with the default settings at 1/60 s in float32."""
-    builder = dc.ModelBuilder()
+def hinged_rope(builder, links, load):
+    """A world of light links on hinges, let go from horizontal, with a load at the end; its index."""
     builder.add_world(gravity=(0, -G))
     body, anchor = builder.add_body(type=dc.BodyType.STATIC), (0, 0)
-    for i in range(20):
+    for i in range(links):
         link = builder.add_body((0.25 * i + 0.125, 0))
         builder.add_box(link, 0.125, 0.05)
         builder.add_revolute_joint(body, link, anchor, (-0.125, 0))
         body, anchor = link, (0.125, 0)
-    end = builder.add_body((5, 0), mass=load * 0.025)
+    end = builder.add_body((0.25 * links, 0), mass=load * 0.025)
     builder.add_box(end, 0.2, 0.2, mask=0)
     builder.add_revolute_joint(body, end, anchor)
+    return end
+
+
+@pytest.mark.parametrize(("load", "stretch"), [(100.0, 0.03), (1e4, 0.05)])
+def test_a_rope_of_hinged_links_carries_a_heavy_load(load, stretch):
+    """20 links let go from horizontal, with the default settings at 1/60 s in float32."""
+    builder = dc.ModelBuilder()
+    end = hinged_rope(builder, 20, load)
     sim = dc.Simulation(*builder.finalize())
     lowest = 0.0
     for _ in range(300):
@@ -300,6 +321,66 @@ def test_a_rope_of_hinged_links_carries_a_heavy_load(load, stretch):
         assert np.hypot(*sim.state.numpy("position")[end]) < 5 * (1 + stretch)
         lowest = min(lowest, sim.state.numpy("position")[end, 1])
     assert lowest < -4.9 and not sim.state.numpy("flags").any()
+
+
+def test_a_rope_of_rods_carries_a_heavy_load():
+    """Discs on 2 to 20 rods with 100 times their weight, and 50 alike, with the default settings at 1/60 s."""
+    builder = dc.ModelBuilder()
+    links = [2, 5, 20, 20, 50]
+    ends = [rope_of_rods(builder, n, 1.0 if n == 50 else 100.0, angle) for n, angle in zip(links, (0, 0, 0, 0.5, 0))]
+    sim = dc.Simulation(*builder.finalize())
+    lowest = 0.0
+    for _ in range(300):
+        sim.step(DT)
+        places = sim.state.numpy("position")[ends]
+        assert (np.hypot(*places.T) < 1.03 * 0.25 * np.array(links)).all()
+        lowest = np.minimum(lowest, places[:, 1])
+    assert (lowest[:4] < -0.24 * np.array(links[:4])).all() and not sim.state.numpy("flags").any()
+
+
+def test_a_heavy_rope_of_rods_swings_as_high_as_it_was_let_go():
+    """What keeps its links from swinging within a step is not felt by the swing of the whole."""
+    builder = dc.ModelBuilder()
+    end = rope_of_rods(builder, 20, 100.0, angle=-1.0)
+    sim = dc.Simulation(*builder.finalize())
+    height = []
+    for _ in range(300):
+        sim.step(DT)
+        height.append(float(sim.state.numpy("position")[end, 1]))
+    assert max(height[150:]) == pytest.approx(-5 * math.sin(1.0), abs=0.02)
+
+
+@pytest.mark.parametrize("correction", ["baumgarte", "none"])
+def test_heavy_ropes_do_not_run_off_without_the_position_phase(correction):
+    """Links that whirl would gain energy from an inertia that comes and goes with the pull: 5 links, 15 s."""
+    builder = dc.ModelBuilder()
+    rods = rope_of_rods(builder, 5, 100.0)
+    hinged = hinged_rope(builder, 5, 100.0)
+    sim = dc.Simulation(*builder.finalize(), config=dc.SolverConfig(position_correction=correction))
+    for _ in range(900):
+        sim.step(DT)
+        assert (np.hypot(*sim.state.numpy("position")[[rods, hinged]].T) < 1.25 * 2).all()
+
+
+def test_rods_have_a_row_across_where_much_hangs_on_little():
+    """One rod alone, springs, nets, and what is told to, have none."""
+    builder = dc.ModelBuilder()
+    rope_of_rods(builder, 3, 30.0)
+    rope_of_rods(builder, 3, 9.0)
+    rope_of_rods(builder, 1, 1e3)
+    builder.add_world(gravity=(0, -G))
+    corners = [builder.add_body((x, y), mass=1.0 + 99.0 * x) for x in (0, 1) for y in (0, 1)]
+    for a, b in ((0, 1), (1, 3), (3, 2), (2, 0), (0, 3)):
+        builder.add_distance_joint(corners[a], corners[b])
+    builder.add_world(gravity=(0, -G))
+    far, near, last = (builder.add_body((x, 0), mass=m) for x, m in ((0, 1.0), (1, 1.0), (2, 50.0)))
+    builder.add_distance_joint(far, near, across=False)
+    builder.add_distance_joint(near, last)
+    builder.add_distance_joint(far, last, frequency=1.0)
+    joints = builder.finalize(backend="numpy")[2]
+    across = joints.numpy("joint_parts") & int(dc.JointPart.ACROSS) != 0
+    assert across.tolist() == [True] * 3 + [False] * 3 + [False] + [False] * 5 + [False, True, False]
+    assert np.diff(joints.numpy("joint_row_start")).tolist() == (1 + across).tolist()
 
 
 def test_joined_bodies_collide_only_where_they_should():

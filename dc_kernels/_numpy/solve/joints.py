@@ -17,7 +17,7 @@ from dc_kernels._numpy.solve.constraints.target import make_target_rows
 from dc_kernels._numpy.solve.constraints.weld import make_weld_rows
 from dc_kernels._numpy.solve.constraints.wheel import make_wheel_rows
 from dc_kernels.model.enums import JointKind
-from dc_kernels.solve.joints import STIFFNESS
+from dc_kernels.solve.joints import BRAKED, SMALL_TURN, STIFFNESS
 
 MAKERS = {
     JointKind.DISTANCE: make_stretch_rows,
@@ -36,7 +36,8 @@ def make_joint_rows(
 ) -> None:
     """Rows of a world's joints; those of a joint that is broken, or whose bodies sleep, do nothing.
 
-    Bodies that would swing within a step, as joints pull at their arms, have more inertia (Andrews et al. 2017).
+    Bodies that would swing within a step, as joints pull at their arms, have more inertia (Andrews et al. 2017);
+    those that turn far in it are braked.
     """
     w = tid + launch.world_offset
     if state.flags[w]:
@@ -58,7 +59,11 @@ def make_joint_rows(
         pull = joints.joint_impulse[own] @ rows.row_jacobian_b[own, :2]
         for body, arm, force in ((ends.a, ends.d + ends.ra, -pull), (ends.b, ends.rb, pull)):
             rows.stiff_inertia[body] += STIFFNESS * ends.dt * max(arm @ force, 0.0)
-    rows.stiff_inertia[bodies] = np.maximum(rows.stiff_inertia[bodies] - model.inertia[bodies], 0.0)
+    own, pulled, predicted = model.inertia[bodies], rows.stiff_inertia[bodies].copy(), motion.predicted[bodies]
+    rows.stiff_inertia[bodies] = np.maximum(pulled - own, 0.0)
+    brake = np.minimum((motion.step_dt[w] * state.angular_velocity[bodies] / SMALL_TURN) ** 4, 1.0)
+    heavy = (own > 0) & (pulled > BRAKED * own)
+    predicted[heavy, 2] *= 1 - brake[heavy] * (1 - BRAKED * own[heavy] / pulled[heavy])
 
 
 def break_joints(tid: int, launch: Any, model: Any, state: Any, motion: Any, rows: Any, joints: Any) -> None:

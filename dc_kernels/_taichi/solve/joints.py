@@ -16,7 +16,7 @@ from dc_kernels._taichi.solve.constraints.target import target_rows
 from dc_kernels._taichi.solve.constraints.weld import weld_rows
 from dc_kernels._taichi.solve.constraints.wheel import wheel_rows
 from dc_kernels.model.enums import JointKind
-from dc_kernels.solve.joints import STIFFNESS
+from dc_kernels.solve.joints import BRAKED, SMALL_TURN, STIFFNESS
 
 DISTANCE = int(JointKind.DISTANCE)
 REVOLUTE = int(JointKind.REVOLUTE)
@@ -26,6 +26,7 @@ WHEEL = int(JointKind.WHEEL)
 TARGET = int(JointKind.TARGET)
 GEAR = int(JointKind.GEAR)
 BROKEN = 1
+SMALL_SQUARE = SMALL_TURN * SMALL_TURN
 
 
 @cache
@@ -78,7 +79,8 @@ def kernels(dtype: str) -> dict[str, Any]:
 
         A body that the joints pull at turns back as a pendulum does, with the stiffness r . f (Tournier et al. 2015).
         Where it would swing to and fro within a step, which explicit directions of the forces do not bear, all rows
-        meet as much inertia as makes it swing in STIFF steps a radian (Andrews et al. 2017).
+        meet as much inertia as makes it swing in STIFF steps a radian (Andrews et al. 2017); what is pulled at far more
+        than it resists by itself, and turns by SMALL_TURN in a step, is braked.
         """
         w = tid + launch.world_offset
         if state.flags[w] == 0:
@@ -114,7 +116,15 @@ def kernels(dtype: str) -> dict[str, Any]:
                     make_general_rows(j, e, joints, rows)
                 stiffen(j, e, joints, rows)
             for body in range(model.body_start[w], model.body_start[w + 1]):
-                rows.stiff_inertia[body] = ti.max(rows.stiff_inertia[body] - model.inertia[body], 0.0)
+                own = model.inertia[body]
+                pulled = rows.stiff_inertia[body]
+                rows.stiff_inertia[body] = ti.max(pulled - own, 0.0)
+                if own > 0.0 and pulled > BRAKED * own:
+                    turn = motion.step_dt[w] * state.angular_velocity[body]
+                    share = turn * turn / SMALL_SQUARE
+                    v = motion.predicted[body]
+                    v[2] -= ti.min(share * share, 1.0) * (1.0 - BRAKED * own / pulled) * v[2]
+                    motion.predicted[body] = v
 
     @kernel
     def break_joints(

@@ -17,7 +17,7 @@ from dc_kernels._warp.solve.constraints.target import target_rows
 from dc_kernels._warp.solve.constraints.weld import weld_rows
 from dc_kernels._warp.solve.constraints.wheel import wheel_rows
 from dc_kernels.model.enums import JointKind
-from dc_kernels.solve.joints import STIFFNESS
+from dc_kernels.solve.joints import BRAKED, SMALL_TURN, STIFFNESS
 
 DISTANCE = wp.constant(int(JointKind.DISTANCE))
 REVOLUTE = wp.constant(int(JointKind.REVOLUTE))
@@ -36,7 +36,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     real = t.real
     module = kernel_module("joints", dtype)
     contiguous = contiguous_groups(dtype)
-    STIFF = real(STIFFNESS)
+    STIFF, small_square, heavy = real(STIFFNESS), real(SMALL_TURN * SMALL_TURN), real(BRAKED)
     ends = end_functions(dtype)
     ends_of, idle, rest = ends.ends_of, ends.idle, ends.rest
     make_stretch_rows = stretch_rows(dtype)
@@ -76,7 +76,9 @@ def kernels(dtype: str) -> dict[str, Any]:
 
         A body that the joints pull at turns back as a pendulum does, with the stiffness r . f (Tournier et al. 2015).
         Where it would swing to and fro within a step, which explicit directions of the forces do not bear, all rows
-        meet as much inertia as makes it swing in STIFF steps a radian (Andrews et al. 2017).
+        meet as much inertia as makes it swing in STIFF steps a radian (Andrews et al. 2017). That inertia comes and
+        goes with the force, while the body keeps its spin, so the energy of what whirls to and fro would grow: of what
+        is pulled at far more than it resists by itself, and turns by SMALL_TURN in a step, the spin is taken away.
         """
         w = wp.tid() + launch.world_offset
         contiguous(model)
@@ -118,7 +120,15 @@ def kernels(dtype: str) -> dict[str, Any]:
                 make_general_rows(j, e, joints, rows)
             stiffen(j, e, joints, rows)
         for body in range(model.body_start[w], model.body_start[w + 1]):
-            rows.stiff_inertia[body] = wp.max(rows.stiff_inertia[body] - model.inertia[body], real(0.0))
+            own = model.inertia[body]
+            pulled = rows.stiff_inertia[body]
+            rows.stiff_inertia[body] = wp.max(pulled - own, real(0.0))
+            if own > real(0.0) and pulled > heavy * own:
+                turn = motion.step_dt[w] * state.angular_velocity[body]
+                share = turn * turn / small_square
+                v = motion.predicted[body]
+                v[2] -= wp.min(share * share, real(1.0)) * (real(1.0) - heavy * own / pulled) * v[2]
+                motion.predicted[body] = v
 
     @wp.kernel(module=module, enable_backward=False)
     def break_joints(

@@ -21,10 +21,10 @@ HELD = {
     JointKind.GEAR: 1,
     JointKind.GENERAL: 1,
 }
-"""Rows of the part ``HOLD`` of each kind; a motor and a limit are a row each."""
+"""Rows of the part ``HOLD`` of each kind; each other part is a row."""
 FREE = JointPart.MOTOR | JointPart.LIMIT
 OPTIONAL = {
-    JointKind.DISTANCE: JointPart.HOLD | JointPart.LIMIT,
+    JointKind.DISTANCE: JointPart.HOLD | JointPart.LIMIT | JointPart.ACROSS,
     JointKind.REVOLUTE: FREE,
     JointKind.PRISMATIC: FREE,
     JointKind.WHEEL: FREE,
@@ -60,7 +60,7 @@ def count_rows(kind: np.ndarray, parts: np.ndarray) -> np.ndarray:
     """Rows of joints of some kinds (``JointKind``) with some parts (``JointPart``), (n,) int64."""
     held = np.array([HELD[one] for one in JointKind], np.int64)[np.asarray(kind, np.int64)]
     parts = np.asarray(parts, np.int64)
-    single = sum((parts & int(part) != 0).astype(np.int64) for part in (JointPart.MOTOR, JointPart.LIMIT))
+    single = sum((parts & int(part) != 0).astype(np.int64) for part in JointPart if part != JointPart.HOLD)
     return np.asarray(held * (parts & int(JointPart.HOLD) != 0) + single, np.int64)
 
 

@@ -247,8 +247,14 @@ def _check_parts(joints: Arrays, label: str) -> None:
     """Hold the parts of joints to their kinds, and lengths and limits to their parts."""
     kind, parts = joints["joint_kind"], joints["joint_parts"]
     optional = np.array([int(OPTIONAL.get(one, 0)) for one in HELD])[kind]
-    rod = (kind == JointKind.DISTANCE) & (parts == JointPart.HOLD) & (joints["joint_frequency"] == 0)
+    rod = (
+        (kind == JointKind.DISTANCE)
+        & (parts & ~int(JointPart.ACROSS) == JointPart.HOLD)
+        & (joints["joint_frequency"] == 0)
+    )
     parted = (parts | optional) == (int(JointPart.HOLD) | optional)
+    across = parts & int(JointPart.ACROSS)
+    parted &= (across == 0) | (parts == int(JointPart.HOLD) | across)
     refuse(f"{label}joint_parts", parts, ~parted | (parts == 0), "those that its kind has")
     length = joints["joint_length"]
     refuse(f"{label}joint_length", length, rod & (length <= 0), "finite and > 0, for the joint is rigid")

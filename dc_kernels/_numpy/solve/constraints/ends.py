@@ -126,6 +126,15 @@ class Ends:
         soft = 1 / (dt * (c + dt * k))
         self.write(along, along.off * dt * k * soft, -most, most, soft)
 
+    def steady(self, along: Along, inertia: Any, brake: Any) -> None:
+        """Inertia against a change of speed, beyond that of the bodies themselves, and a share of the speed to lose."""
+        m = effective_mass(along.jacobian, self.a, self.b, self.model, self.motion)
+        if not inertia > m > 0:
+            self.idle()
+            return
+        speed = along.jacobian @ np.concatenate([self.motion.predicted[body, :3] for body in (self.a, self.b)])
+        self.write(along, (brake - 1) * speed, soft=1 / (inertia - m))
+
     def motor(self, along: Along, speed: Any, most: Any) -> None:
         """A speed, by impulses up to ``most``."""
         self.write(along, -speed, -most, most)

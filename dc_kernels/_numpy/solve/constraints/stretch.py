@@ -7,16 +7,19 @@ from typing import Any
 import numpy as np
 
 from dc_kernels._numpy.common import dot
-from dc_kernels._numpy.solve.constraints.ends import Ends, X, cross
+from dc_kernels._numpy.solve.constraints.ends import QUARTER, Ends, X, cross
 from dc_kernels.model.enums import JointPart
+from dc_kernels.solve.joints import SMALL_TURN, STIFFNESS
 
 
 def make_stretch_rows(j: int, joints: Any, ends: Ends) -> None:
     """The rows of joint j between its ends."""
     length = np.sqrt(dot(ends.d, ends.d))
     along = ends.point(ends.d / length if length > 0 else X)
+    turn = 0.0
     if length > 0:
-        along.grow += 0.5 * ends.dt**2 * cross(ends.d / length, ends.speed) ** 2 / length
+        turn = ends.dt * cross(ends.d / length, ends.speed) / length
+        along.grow += 0.5 * length * turn**2
     if joints.joint_parts[j] & JointPart.HOLD:
         held, frequency = along.less(joints.joint_length[j]), joints.joint_frequency[j]
         if frequency > 0:
@@ -25,3 +28,9 @@ def make_stretch_rows(j: int, joints: Any, ends: Ends) -> None:
             ends.hold(held)
     if joints.joint_parts[j] & JointPart.LIMIT:
         ends.limit(along, joints.joint_lower[j], joints.joint_upper[j])
+    if joints.joint_parts[j] & JointPart.ACROSS:
+        pull = abs(joints.joint_impulse[ends.row - 1])
+        inertia = STIFFNESS * ends.dt * pull / length if length > 0 else 0.0
+        ends.steady(
+            ends.point(QUARTER @ (ends.d / length if length > 0 else X)), inertia, min((turn / SMALL_TURN) ** 4, 1)
+        )

@@ -163,6 +163,28 @@ def end_functions(dtype: str) -> SimpleNamespace:
             idle(k, e, rows)
 
     @ti.func
+    def steady(k, e, along, inertia, brake, model: t.Model, motion: t.Motion, rows: t.Rows):
+        """Inertia against a change of speed, beyond that of the bodies themselves, and a share of the speed to lose.
+
+        Its impulse makes J (V - V0) + brake J V0 + impulse / (inertia - m) = 0, where V0 is what the step's forces
+        alone would give.
+        """
+        va = motion.predicted[e.a]
+        vb = motion.predicted[e.b]
+        of_a = ti.max(va[3], 0.0) * (along.ja[0] * along.ja[0] + along.ja[1] * along.ja[1])
+        of_b = ti.max(vb[3], 0.0) * (along.jb[0] * along.jb[0] + along.jb[1] * along.jb[1])
+        of_a += model.inv_inertia[e.a] * along.ja[2] * along.ja[2]
+        of_b += model.inv_inertia[e.b] * along.jb[2] * along.jb[2]
+        more = inertia * (of_a + of_b) - 1.0
+        if more > 0.0:
+            speed = (along.ja[0] * va[0] + along.ja[1] * va[1]) + along.ja[2] * va[2]
+            speed += (along.jb[0] * vb[0] + along.jb[1] * vb[1]) + along.jb[2] * vb[2]
+            soft = (of_a + of_b) / more
+            write(k, e, along, (brake - 1.0) * speed, -INFINITY, INFINITY, soft, 0.0, 0.0, rows)
+        else:
+            idle(k, e, rows)
+
+    @ti.func
     def motor(k, e, along, speed, most, rows: t.Rows):
         """A speed, by impulses up to ``most``."""
         write(k, e, along, 0.0 - speed, 0.0 - most, most, 0.0, 0.0, 0.0, rows)
@@ -213,6 +235,7 @@ def end_functions(dtype: str) -> SimpleNamespace:
         rest=rest,
         hold=hold,
         spring=spring,
+        steady=steady,
         motor=motor,
         bounded=bounded,
         limit=limit,

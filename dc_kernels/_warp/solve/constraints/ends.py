@@ -191,6 +191,30 @@ def end_functions(dtype: str) -> SimpleNamespace:
             idle(k, e, rows)
 
     @wp.func(module=module)
+    def steady(
+        k: int, e: Ends, along: Along, inertia: real, brake: real, model: t.Model, motion: t.Motion, rows: t.Rows
+    ):
+        """Inertia against a change of speed, beyond that of the bodies themselves, and a share of the speed to lose.
+
+        Its impulse makes J (V - V0) + brake J V0 + impulse / (inertia - m) = 0, where V0 is what the step's forces
+        alone would give.
+        """
+        va = motion.predicted[e.a]
+        vb = motion.predicted[e.b]
+        of_a = wp.max(va[3], real(0.0)) * (along.ja[0] * along.ja[0] + along.ja[1] * along.ja[1])
+        of_b = wp.max(vb[3], real(0.0)) * (along.jb[0] * along.jb[0] + along.jb[1] * along.jb[1])
+        of_a += model.inv_inertia[e.a] * along.ja[2] * along.ja[2]
+        of_b += model.inv_inertia[e.b] * along.jb[2] * along.jb[2]
+        more = inertia * (of_a + of_b) - real(1.0)
+        if more > real(0.0):
+            speed = (along.ja[0] * va[0] + along.ja[1] * va[1]) + along.ja[2] * va[2]
+            speed += (along.jb[0] * vb[0] + along.jb[1] * vb[1]) + along.jb[2] * vb[2]
+            soft = (of_a + of_b) / more
+            write(k, e, along, (brake - real(1.0)) * speed, minus_infinity, infinity, soft, real(0.0), real(0.0), rows)
+        else:
+            idle(k, e, rows)
+
+    @wp.func(module=module)
     def motor(k: int, e: Ends, along: Along, speed: real, most: real, rows: t.Rows):
         """A speed, by impulses up to ``most``."""
         write(k, e, along, -speed, -most, most, real(0.0), real(0.0), real(0.0), rows)
@@ -242,6 +266,7 @@ def end_functions(dtype: str) -> SimpleNamespace:
         rest=rest,
         hold=hold,
         spring=spring,
+        steady=steady,
         motor=motor,
         bounded=bounded,
         limit=limit,
