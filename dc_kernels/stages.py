@@ -297,7 +297,7 @@ def needs_of(names: Sequence[str]) -> list[Activity]:
     return needs
 
 
-WORDS = {"surfaces": "surfaces that move or resist rolling", "rows": "joints but rods"}
+WORDS = {"surfaces": "surfaces that move or resist rolling", "rows": "joints but rods, or of rods under a heavy load"}
 """What rows are of that a backend may lack, by variant."""
 
 

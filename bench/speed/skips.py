@@ -46,10 +46,25 @@ class Row:
     """What else is added, given the builder and both witnesses."""
     slots: bool = False
     """There are as many empty slots as bodies."""
+    beside: Callable[[dc.Simulation], Callable[[], Any]] | None = None
+    """What is done with the simulation once, and after the steps of each round, timed with them."""
     box: bool = False
     """The first witness is a box, not a disc."""
     reason: str = ""
     """Why the pile moves otherwise, to rounding; empty where it must not."""
+
+
+def come_and_go(sim: dc.Simulation) -> Callable[[], Any]:
+    """Add a disc and remove it: from then on there are ids and slots."""
+    more = sim.additions()
+    more.add_disc(more.add_body((2.0 * AWAY, 0.0)), 0.5)
+    sim.remove(bodies=sim.add(more).bodies)
+    return lambda: None
+
+
+def ask(sim: dc.Simulation) -> Callable[[], Any]:
+    """Make a tree for queries of where the bodies are."""
+    return dc.Queries(sim).update
 
 
 GENERAL = "rows of discs leave out what is zero for them, so sums round otherwise"
@@ -76,7 +91,27 @@ ROWS: Mapping[str, Row] = {
         build=lambda builder, a, b: builder.add_revolute_joint(a, b, break_force=1e6),
         reason=OWN,
     ),
+    "rod_across": Row(
+        "a rod as under a heavy load: a row across it, and a tree",
+        build=lambda builder, a, b: builder.add_distance_joint(a, b, across=True),
+        reason=OWN,
+    ),
+    "spring": Row("a spring", build=lambda builder, a, b: builder.add_distance_joint(a, b, frequency=1.0), reason=OWN),
+    "rope": Row("a rope", build=lambda builder, a, b: builder.add_rope_joint(a, b), reason=OWN),
+    "slider": Row("a slider", build=lambda builder, a, b: builder.add_prismatic_joint(a, b, (1.0, 0.0)), reason=OWN),
+    "weld": Row("a weld", build=lambda builder, a, b: builder.add_weld_joint(a, b), reason=OWN),
     "suspension": Row("a wheel joint: a spring", build=lambda builder, a, b: builder.add_wheel_joint(a, b), reason=OWN),
+    "target": Row(
+        "a target that draws a body",
+        build=lambda builder, a, b: builder.add_target_joint(a, b, (2.0, 0.0), max_force=1.0),
+        reason=OWN,
+    ),
+    "gear": Row("a gear", build=lambda builder, a, b: builder.add_gear_joint(a, b, -1.0), reason=OWN),
+    "general": Row(
+        "a row of one's own",
+        build=lambda builder, a, b: builder.add_general_joint(a, b, (0.0, -1.0, 0.0), (0.0, 1.0, 0.0)),
+        reason=OWN,
+    ),
     "friction": Row("a coefficient of friction of its own", shape={"friction": 0.1}),
     "restitution": Row("a restitution: biases of impacts", shape={"restitution": 0.5}),
     "damping": Row("linear and angular damping", body={"linear_damping": 0.1, "angular_damping": 0.1}),
@@ -96,6 +131,8 @@ ROWS: Mapping[str, Row] = {
     "contact_switches": Row("contacts that may be switched off", config={"contact_switches": True}),
     "sleep": Row("sleep allowed, nobody asleep", config={"sleep": True, "sleep_time": 1e6}),
     "slots": Row("as many empty slots as bodies", slots=True),
+    "population": Row("a body has come and gone", beside=come_and_go),
+    "queries": Row("a tree for queries, made anew every 20 steps", beside=ask),
     "history": Row("the change of every sweep kept", config={"history": True}),
     "substeps": Row("two whole steps for each", config={"substeps": 2}, reason="steps are half as long"),
     "tgs_soft": Row(
@@ -149,10 +186,18 @@ def measure_row(row: Row, discs: int, begin: Mapping[str, np.ndarray], rounds: i
         for name, values in begin.items():
             sim.state.numpy(name)[: len(values)] = values  # empty slots lie behind
         sim.run(STEPS, DT)
+    beside = {"without": None, "with": row.beside and row.beside(sims["with"])}
+
+    def once(name: str) -> None:
+        """Steps of a round."""
+        sims[name].run(STEPS, DT)
+        if then := beside[name]:
+            then()
+
     times: dict[str, list[float]] = {name: [] for name in sims}
     for k in range(rounds):
         for name in list(sims)[:: -1 if k % 2 else 1]:
-            times[name].append(timing.seconds(lambda sim=sims[name]: sim.run(STEPS, DT)))  # type: ignore[misc]
+            times[name].append(timing.seconds(lambda name=name: once(name)))  # type: ignore[misc]
     pile = [sim.state.numpy("position")[: discs + 1].astype(np.float64) for sim in sims.values()]
     return {
         "ratio": statistics.median(one / other for one, other in zip(times["with"], times["without"], strict=True)),

@@ -333,7 +333,7 @@ def test_a_rope_of_rods_carries_a_heavy_load():
     for _ in range(300):
         sim.step(DT)
         places = sim.state.numpy("position")[ends]
-        assert (np.hypot(*places.T) < 1.03 * 0.25 * np.array(links)).all()
+        assert (np.hypot(*places.T) < 1.05 * 0.25 * np.array(links)).all()
         lowest = np.minimum(lowest, places[:, 1])
     assert (lowest[:4] < -0.24 * np.array(links[:4])).all() and not sim.state.numpy("flags").any()
 
