@@ -51,7 +51,8 @@ STEP = (
     ),
     Stage(
         "collide", "narrowphase", "collide.narrowphase", ("only_discs",), ("model", "state", "motion", "pairs"),
-        ("contacts", "rows", "state"), "contact points, normals, gaps", "hulls, where all that moves is centred discs",
+        ("contacts", "rows", "state", "pairs"), "contact points, normals, gaps",
+        "hulls, where all that moves is centred discs",
     ),
     Stage(
         "collide", "match_contacts", "collide.match", (), ("model", "state", "motion", "cache"),

@@ -10,7 +10,7 @@ import numpy as np
 
 from dc_kernels.collide.fields import BOXES
 from dc_kernels.model.arrays import ArrayGroup, Model, to_numpy
-from dc_kernels.model.enums import BodyType, Flag
+from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import LAUNCH, MODEL, PAIRS, STATE
 from dc_kernels.model.room import Room, starts
 from dc_kernels.model.rules import refuse
@@ -46,7 +46,9 @@ class CandidatePairs:
         room: pairs reserved for each world.
     """
 
-    def __init__(self, shapes: np.ndarray, slots: np.ndarray, dtype: Any, device: str, backend: str) -> None:
+    def __init__(
+        self, shapes: np.ndarray, slots: np.ndarray, dtype: Any, device: str, backend: str, turned: int = 0
+    ) -> None:
         """Reserve.
 
         Args:
@@ -55,6 +57,7 @@ class CandidatePairs:
             dtype: float32 or float64.
             device: of the arrays.
             backend: of the arrays.
+            turned: bodies whose hulls are met by what is kept of their pairs; 0: nothing is kept.
         """
         shapes = np.asarray(shapes, np.int64)
         self.room = Room("pairs", Flag.PAIR_OVERFLOW, slots)
@@ -62,6 +65,7 @@ class CandidatePairs:
         buckets = 2 ** np.ceil(np.log2(np.maximum(shapes, 2))).astype(np.int64) + 1
         sizes = {"world": len(shapes), "world+1": len(shapes) + 1, "shape": int(shapes.sum())}
         sizes |= {"pair": self.room.total, "bucket": int(buckets.sum())}
+        sizes |= {"turned body": turned, "kept pair": 2 * self.room.total if turned else 0}
         self.pairs = Pairs(sizes, dtype, device, backend)
         self.pairs.fill("bucket_start", starts(buckets))
         self.pairs.fill("start", self.room.starts())
@@ -70,7 +74,10 @@ class CandidatePairs:
     def of_model(cls, model: Model, pairs_per_shape: float) -> CandidatePairs:
         """Reserve so many pairs for each shape of a model."""
         shapes = np.diff(model.numpy("shape_start")).astype(np.int64)
-        return cls(shapes, np.ceil(pairs_per_shape * shapes), model.dtype, model.device, model.backend)
+        hulls = (model.numpy("shape_type") == ShapeType.POLYGON).any()
+        turned = model.body_count if hulls and model.device == "cpu" and model.backend == "warp" else 0
+        slots = np.ceil(pairs_per_shape * shapes)
+        return cls(shapes, slots, model.dtype, model.device, model.backend, turned)
 
     def adopt(self, pairs: Pairs, slots: np.ndarray) -> None:
         """Take over the pairs of as many shapes, and their room."""
@@ -89,8 +96,10 @@ class CandidatePairs:
     def relayout(self) -> None:
         """Allocate the room anew; pairs are found in the next step."""
         pairs = self.pairs
-        pairs.renew(pair=self.room.total)
-        pairs.assign("valid", np.zeros(pairs.sizes["world"], np.int32))
+        kept = 2 * self.room.total if pairs.sizes["turned body"] else 0
+        pairs.renew(**{"pair": self.room.total, "kept pair": kept})
+        for name in ("valid", "kept_count"):
+            pairs.assign(name, np.zeros(pairs.sizes["world"], np.int32))
         pairs.assign("start", self.room.starts())
 
 

@@ -147,6 +147,7 @@ class Narrowphase(InPlace):
         else:
             self._pair_count = check_layout("pair_count", pair_count, (worlds,), np.dtype(np.int32))
         sizes = {"world": worlds, "world+1": worlds + 1, "pair": len(self._pair), "shape": 0, "bucket": 0}
+        sizes |= {"turned body": 0, "kept pair": 0}
         self._pairs = Pairs(sizes, self.dtype, "cpu", self.backend)
         self._pairs.assign("start", starts(np.diff(rows)))
         if count:

@@ -238,7 +238,8 @@ def _take_up(sim: Simulation, changed: Mapping[str, np.ndarray], given: Arrays) 
 
     broken, uncolored = worlds(PAIRED), worlds(COLORED)
     if broken.any():
-        sim.pairs.fill("valid", np.where(broken, 0, to_numpy(sim.pairs.valid)))
+        for name in ("valid", "kept_count"):
+            sim.pairs.fill(name, np.where(broken, 0, to_numpy(sim.pairs.array(name))))
     if uncolored.any():
         recolor(sim, np.flatnonzero(uncolored), np.flatnonzero(worlds(("body_type",))))
     if worlds(WEIGHED).any():

@@ -361,6 +361,11 @@ def _take_up(sim: Simulation, shapes: np.ndarray, weigh: bool, plain: bool) -> N
     """
     arrays = Arrays()
     arrays(sim.pairs, "box")[shapes] = (np.inf, np.inf, -np.inf, -np.inf)  # which every shape has left
+    if sim.pairs.sizes["kept pair"]:
+        changed = np.zeros(sim.pairs.sizes["shape"], bool)
+        changed[shapes] = True
+        theirs = changed[sim.pairs.numpy("kept_a")] | changed[sim.pairs.numpy("kept_b")]
+        arrays(sim.pairs, "kept_bound")[theirs] = -1  # nothing is kept of other shapes
     arrays.flush()
     if weigh:
         sim.storage.integrator.weigh(sim.model)

@@ -8,6 +8,7 @@ import warp as wp
 from dc_kernels._warp.collide.closing import HORIZON, closing_functions
 from dc_kernels._warp.collide.discs import disc_contacts
 from dc_kernels._warp.collide.manifold import manifold_functions
+from dc_kernels._warp.collide.recycle import CHUNK, FIELDS, recycling
 from dc_kernels._warp.collide.support import support_functions
 from dc_kernels._warp.common import cross, from_start, kernel_module, rotate, rotate_back
 from dc_kernels._warp.groups import contiguous_groups, group_types
@@ -16,8 +17,10 @@ from dc_kernels._warp.solve.lanes import has_lanes
 from dc_kernels._warp.solve.laws import inverse_or_zero, linear_speed, relative_speed
 from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
+from dc_kernels.solve.rows import LANES
 
 DISC = wp.constant(int(ShapeType.DISC))
+POLYGON = wp.constant(int(ShapeType.POLYGON))
 SEGMENT = wp.constant(int(ShapeType.SEGMENT))
 STATIC = wp.constant(int(BodyType.STATIC))
 CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
@@ -50,6 +53,9 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     closes, list_static, supported = support.closes, support.list_static, support.supported
 
     find_disc_contacts, share_disc_contacts = disc_contacts(dtype)
+    again = recycling(dtype)
+    carry, meet_again, take_met, keep = again.carry, again.meet_again, again.take_met, again.keep
+    meet_discs, Lengths = again.meet_discs, again.Lengths
 
     @wp.func_native(native_code("collide/store_contact.h", dtype=dtype))
     def store_contact(contacts: t.Contacts, i: wp.int32, contact: Contact): ...
@@ -113,8 +119,34 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         first_pair = pairs.start[w]
         last_pair = first_pair + pairs.count[w]
         pair = first_pair - 1
+        recycles = int(0)
+        first_met = first_pair
+        looked = first_pair
+        if wp.static(not only_discs):
+            met = wp.zeros(shape=wp.static((CHUNK + LANES) * FIELDS), dtype=real)
+            place = wp.zeros(shape=wp.static(CHUNK + 1), dtype=wp.int32)
+            if has_lanes() == 1 and pairs.kept_frame.shape[0] > 0:
+                recycles = 1
+                if pairs.kept_rebuilds[w] != pairs.rebuilds[w]:
+                    carry(w, pairs)
         while pair + 1 < last_pair:
             pair += 1
+            if wp.static(not only_discs):
+                if recycles == 1:
+                    if pair == looked:
+                        first_met = pair
+                        ends = wp.vec2i(pair, last_pair)
+                        lengths = Lengths(slack, toward.overlap, speculative)
+                        looked = meet_again(w, ends, lengths, model, state, motion, pairs, met, place)
+                        ends = wp.vec2i(pair, looked)
+                        meet_discs(w, ends, lengths, model, state, motion, pairs, met, place)
+                    span = wp.vec3i(first_met, pair, looked)
+                    ahead = take_met(w, span, n, config, model, pairs, contacts, met, place)
+                    pair = ahead[0]
+                    n = ahead[1]
+                    if pair == looked:
+                        pair -= 1
+                        continue
             if wp.static(only_discs):
                 if has_lanes() == 1:
                     ahead = wp.vec2i(0, 0)
@@ -238,6 +270,11 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     m = hull_hull(
                         hull_a, hull_b, frame, within, slack, toward.overlap, model.vertices, model.vertex_normals
                     )
+                    if recycles == 1 and kind_a == POLYGON and kind_b == POLYGON:
+                        speed = wp.length(drift) + wp.abs(va[2]) * wp.length(frame.x)
+                        sizes = vec2(bound_a, bound_b)
+                        moves = vec2(speed * dt, wp.abs(vb[2] - va[2]) * dt)
+                        keep(w, pair, hull_a, hull_b, frame, sizes, moves, model.vertices, model.vertex_normals, pairs)
                     if m.count > 0 and m.beside:
                         arm_b = rotate(cb, sb, center_b)
                         drift = velocity_at(ba, bb, rotate(ca, sa, center_a), arm_b, state)

@@ -8,9 +8,15 @@ const Real pad = (Real)0.5 * motion.reach.data[w];
 const auto* const outer = pairs.box.data;
 auto* const boxes = pairs.swept.data;
 int* const leaver = pairs.left.data + first;
+Real* const turn = (Real*)pairs.turn.data;
+const bool keeps = pairs.turn.shape[0] > 0;
 int left = 0;
 for (int shape = first; shape < last; ++shape) {
     const Quad box = swept(box_of(shape, radius_of[shape]), velocity_of(shape), dt, 1, arm_of(shape), pad);
+    if (keeps && turned == body_of[shape]) {
+        turn[2 * turned] = cosine;
+        turn[2 * turned + 1] = sine;
+    }
     store(boxes + shape, box);
     left += !below(key(load(outer + shape)), key(box));
 }
