@@ -55,8 +55,16 @@ def box_pairs(sim, boxes, world, grow):
     """All allowed pairs of shapes of a world whose boxes are closer than ``grow``, as sets of (low, high) index."""
     first, last = sim.model.numpy("shape_start")[world : world + 2]
     box = boxes[first:last]
-    apart = np.maximum(box[:, None, :2] - box[None, :, 2:], box[None, :, :2] - box[:, None, 2:]).max(axis=2)
-    close = np.argwhere(np.triu(apart <= grow, 1)) + first
+    # only what is near along x, in the order of the lower ends, is looked at
+    order = np.argsort(box[:, 0], kind="stable")
+    reach = box[order, 2] + grow + 1e-3 + 1e-5 * np.abs(box[order, 2])
+    after = np.arange(1, len(order) + 1)
+    count = np.maximum(np.searchsorted(box[order, 0], reach, side="right") - after, 0)
+    one = np.repeat(after - 1, count)
+    other = np.arange(len(one)) - np.repeat(np.cumsum(count) - count, count) + one + 1
+    a, b = np.sort(order[np.stack((one, other))], axis=0)
+    apart = np.maximum(box[a, :2] - box[b, 2:], box[b, :2] - box[a, 2:]).max(axis=1)
+    close = np.stack((a, b), axis=1)[apart <= grow] + first
     return {(a, b) for a, b in close[allowed(sim, *close.T)].tolist()}
 
 
