@@ -16,9 +16,11 @@ import pytest
 import warp as wp
 from hypothesis import HealthCheck, settings
 
+from dc_kernels._warp import common
 from dc_kernels.runtime import stepping
 
 wp.config.log_level = wp.LOG_WARNING
+common.OPTIMIZATION["float64"] = 1  # a quarter less to compile; float32 has the level that users have
 stepping.WORTH_THREADS = 0  # scenes of tests are small, and still their threads are to be tested
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_thread() is threading.main_thread():

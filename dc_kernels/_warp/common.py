@@ -6,6 +6,10 @@ from typing import Any
 
 import warp as wp
 
+OPTIMIZATION: dict[str, int] = {}
+"""Level from 0 to 3 that LLVM optimises modules of a scalar type at; Warp's own where the type is not there. The tests
+set it: bits are the same on each level, and modules compile the faster the lower it is."""
+
 
 @cache
 def scalar_types(dtype: str) -> SimpleNamespace:
@@ -21,7 +25,8 @@ def kernel_module(name: str, dtype: str, *variant: object) -> wp.Module:
     function and in either schedule (contraction off costs 0-15 % of a sweep, measured).
     """
     module = wp.get_module(".".join(["dc_kernels", name, dtype, *map(str, variant)]))
-    module.options.update({"enable_backward": False, "fuse_fp": False})
+    level = OPTIMIZATION.get(dtype)
+    module.options.update({"enable_backward": False, "fuse_fp": False, "optimization_level": level})
     return module
 
 
