@@ -270,7 +270,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     m = hull_hull(
                         hull_a, hull_b, frame, within, slack, toward.overlap, model.vertices, model.vertex_normals
                     )
-                    if recycles == 1 and kind_a == POLYGON and kind_b == POLYGON:
+                    if recycles == 1 and kind_a == POLYGON and kind_b == POLYGON and place[pair - first_met] == -1:
                         speed = wp.length(drift) + wp.abs(va[2]) * wp.length(frame.x)
                         sizes = vec2(bound_a, bound_b)
                         moves = vec2(speed * dt, wp.abs(vb[2] - va[2]) * dt)

@@ -129,36 +129,40 @@ auto catches = [&](Point normal, int nearest, int& face) {
     return turn <= 0 || dot(normal, own) * length_of(theirs) < dot(theirs, own);
 };
 
-wp::vec_t<11, REAL> result;
-const auto [of_a, of_b] = separations(core_a, core_b, there, back, touching);
-if (larger_of(of_a.value, of_b.value) > reach + radii) return result;
-bool beside = of_a.enough > 1 || of_b.enough > 1;
-if (of_a.value >= touching && of_b.value >= touching) {
-    const Point facing = turned(there, core_b.normals[of_b.edge]);
-    beside = beside || dot(core_a.normals[of_a.edge], facing) > (REAL)PARALLEL;
-}
-// prefer a's edge, so that round-off does not switch between the two
-bool flip = of_b.value > of_a.value + slack;
-Met m = clip(flip ? of_b.edge : of_a.edge, flip, false, flip ? of_b.value : of_a.value, slack);
-if (flip) {
-    m.normal = turned(there, m.normal);
-    m.normal = {-m.normal.x, -m.normal.y};
-    m.point0 = placed(there, m.point0);
-    m.point1 = placed(there, m.point1);
-}
-if (a.segment) {
-    int face = 0;
-    if (catches(m.normal, of_a.edge, face)) m = clip(face, false, true, 0, (REAL)1e30);
-}
-result[0] = (REAL)(m.count + 4 * m.corner + 8 * (beside || m.corner));
-result[1] = (REAL)m.feature0;
-result[2] = (REAL)m.feature1;
-result[3] = m.gap0;
-result[4] = m.gap1;
-result[5] = m.normal.x;
-result[6] = m.normal.y;
-result[7] = m.point0.x;
-result[8] = m.point0.y;
-result[9] = m.point1.x;
-result[10] = m.point1.y;
-return result;
+// not in each place that calls it: the narrowphase would take an eighth longer to compile, and no less to run
+auto whole = [&]() __attribute__((noinline)) {
+    wp::vec_t<11, REAL> result;
+    const auto [of_a, of_b] = separations(core_a, core_b, there, back, touching);
+    if (larger_of(of_a.value, of_b.value) > reach + radii) return result;
+    bool beside = of_a.enough > 1 || of_b.enough > 1;
+    if (of_a.value >= touching && of_b.value >= touching) {
+        const Point facing = turned(there, core_b.normals[of_b.edge]);
+        beside = beside || dot(core_a.normals[of_a.edge], facing) > (REAL)PARALLEL;
+    }
+    // prefer a's edge, so that round-off does not switch between the two
+    bool flip = of_b.value > of_a.value + slack;
+    Met m = clip(flip ? of_b.edge : of_a.edge, flip, false, flip ? of_b.value : of_a.value, slack);
+    if (flip) {
+        m.normal = turned(there, m.normal);
+        m.normal = {-m.normal.x, -m.normal.y};
+        m.point0 = placed(there, m.point0);
+        m.point1 = placed(there, m.point1);
+    }
+    if (a.segment) {
+        int face = 0;
+        if (catches(m.normal, of_a.edge, face)) m = clip(face, false, true, 0, (REAL)1e30);
+    }
+    result[0] = (REAL)(m.count + 4 * m.corner + 8 * (beside || m.corner));
+    result[1] = (REAL)m.feature0;
+    result[2] = (REAL)m.feature1;
+    result[3] = m.gap0;
+    result[4] = m.gap1;
+    result[5] = m.normal.x;
+    result[6] = m.normal.y;
+    result[7] = m.point0.x;
+    result[8] = m.point0.y;
+    result[9] = m.point1.x;
+    result[10] = m.point1.y;
+    return result;
+};
+return whole();

@@ -1,7 +1,8 @@
 // Manifolds of pairs of hulls by the edges and corners that are kept of them (collide/recycle.py), LANES pairs side by
 // side, of the first CHUNK pairs of ``ends`` of world w at most: returns behind which it stopped. In
 // ``place`` each pair has a slot of ``met`` (FIELDS numbers, LANES slots side by side), or -2 where it has no contact,
-// or -1 where it has to be looked at in full. The arithmetic is that of narrowphase.py and hull_hull.h, operation by
+// or -1 where it has to be looked at in full, or
+// -3 where that costs less. The arithmetic is that of narrowphase.py and hull_hull.h, operation by
 // operation. Parameters: w, ends, lengths (slack, overlap, speculative), model, state, motion, pairs, met, place.
 // Macros: POLYGON, EPSILON, PARALLEL, CHUNK, FIELDS. Stands behind prelude.h, predicted.h, solve/bodies.h, side.h and
 // recycle/sides.h.
@@ -26,6 +27,7 @@ for (int i = 0; i < count; ++i) {
     listed[lists] = i;
     lists += (kind[a] == POLYGON) & (kind[b] == POLYGON) && kept_bound[kept + near_of[first + i]][1] >= 0;
 }
+if (lists % LANES == 1) place.data[listed[--lists]] = -3;  // a full test costs half of what LANES of them cost here
 for (int i = lists; lists > 0 && i < lists + LANES - 1; ++i) listed[i] = listed[lists - 1];
 for (int begin = 0; begin < lists; begin += LANES) {
     int a[LANES], b[LANES], of_a[LANES], of_b[LANES], from[LANES];

@@ -15,7 +15,7 @@ const int first = span[0], looked = span[2];
 int next = span[1];
 for (; next < looked; ++next) {
     const int slot = place.data[next - first];
-    if (slot == -1) break;
+    if (slot == -1 || slot == -3) break;
     if (slot < 0) continue;
     const Real* const of = met.data + slot / LANES * (LANES * FIELDS);
     const int lane = slot % LANES, bits = (int)of[12 * LANES + lane];
