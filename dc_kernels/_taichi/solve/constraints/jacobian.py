@@ -19,7 +19,7 @@ def jacobian_row(dtype: str, variant: str) -> Any:
 
     @ti.func
     def make_jacobian_row(k, model: t.Model, motion: t.Motion, rows: t.Rows):
-        """Row k, whose Jacobian at A counts the other way, as a contact's normal does."""
+        """Row k, whose Jacobian at A counts the other way, as a contact's normal does; zeros change their sign too."""
         a = rows.row_body_a[k]
         b = rows.row_body_b[k]
         ja = vec3(rows.row_jacobian_a[k, 0], rows.row_jacobian_a[k, 1], rows.row_jacobian_a[k, 2])
@@ -37,8 +37,8 @@ def jacobian_row(dtype: str, variant: str) -> Any:
         row.body_a = a
         row.body_b = b
         row.normal = vec2(jb[0], jb[1])
-        row.direction_a = vec2(0.0 - ja[0], 0.0 - ja[1])
-        row.normal_arm_a = 0.0 - ja[2]
+        row.direction_a = vec2(-1.0 * ja[0], -1.0 * ja[1])
+        row.normal_arm_a = -1.0 * ja[2]
         row.normal_arm_b = jb[2]
         row.inv_inertia_a = ia
         row.inv_inertia_b = ib
