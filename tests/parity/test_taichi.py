@@ -39,6 +39,8 @@ from tests.parity.scenes import (
 )
 
 pytest.importorskip("dc_kernels._taichi.runtime.compiler", exc_type=ImportError)
+from dc_kernels._taichi.groups import SHARED
+
 DT = 0.01
 PORTED = tuple(stage for stage in STEP if has_kernels("taichi", stage.file))
 
@@ -75,6 +77,11 @@ class Twin:
         dim = sim.model.world_count if dim is None else dim
         values = {**sim.launch_values(0, {}), **more}
         copies = {key: self.copied(key) for key in argument_names(kernel) if key in GROUPS}
+        for (group, field), (other, whole) in SHARED.items():  # one memory in the simulation, and so in the copies
+            if group in copies and other in copies and hasattr(getattr(sim, group), field):
+                one, two = (getattr(sim, name).numpy(key) for name, key in ((group, field), (other, whole)))
+                if one.size and one.ctypes.data == two.ctypes.data:
+                    setattr(copies[group], field, getattr(copies[other], whole))
         numbers = {
             key: SimpleNamespace(**{field: getattr(values[key], field) for field in table})
             for key, table in (("config", CONFIG), ("launch", LAUNCH))
