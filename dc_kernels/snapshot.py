@@ -163,6 +163,7 @@ def load(
         if ids is not None:
             check_ids(ids, model)
             sim.given_ids = _filled(Ids(header.sizes, header.real, "cpu", "numpy"), ids)
+            sim.storage.pass_over_empty({"body": ids["body_id"], "shape": ids["shape_id"]})
         group = "stats"
         _show_solved(sim, solved)
     except ValueError as error:

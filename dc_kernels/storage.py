@@ -198,6 +198,33 @@ class Storage:
         self._keep_solver(before.solver, config)
         self.changes = before.version + 1
 
+    def pass_over_empty(self, named: Mapping[str, np.ndarray]) -> None:
+        """Let steps end at the last slot of each world that something is in; pairs of what lies behind are unknown.
+
+        Args:
+            named: ids of what is in the slots, negative where nothing is, of each "body" and "shape".
+        """
+        for group, name, axis in self._empty_slots():
+            start = self.model.numpy(f"{axis}_start").astype(np.int64)
+            used = np.flatnonzero(named[axis] >= 0)
+            last = start[:-1].copy()
+            np.maximum.at(last, np.searchsorted(start, used, "right") - 1, used + 1)
+            group.assign(name, start[1:] - last)
+
+    def fill_slots(self, filled: Mapping[str, np.ndarray]) -> None:
+        """Let steps know of some slots of each "body" and "shape", (n,), in which there is something now."""
+        for group, name, axis in self._empty_slots():
+            slots, start = filled[axis], self.model.numpy(f"{axis}_start")
+            world = np.searchsorted(start, slots, "right") - 1
+            empty = group.numpy(name).copy()
+            np.minimum.at(empty, world, start[world + 1] - slots - 1)
+            group.assign(name, empty)
+
+    def _empty_slots(self) -> tuple[tuple[ArrayGroup, str, str], ...]:
+        """Groups and fields that count empty slots at the end of each world, and the axis of these."""
+        motion, pairs = self.integrator.motion, self.broadphase.pairs
+        return (motion, "empty_bodies", "body"), (pairs, "empty_shapes", "shape")
+
     @property
     def version(self) -> int:
         """A number that changes whenever arrays were allocated anew, and whenever ``changes`` does."""

@@ -192,6 +192,7 @@ class Populated(Phases):
             at_once=before.solver.at_once,
         )
         self.storage.take_over(before, moves, self._config)
+        self.storage.pass_over_empty({"body": self.ids.numpy("body_id"), "shape": self.ids.numpy("shape_id")})
         self._binding.kernels = self.kernels
         self._bind_all()
 

@@ -96,6 +96,7 @@ def add(sim: Simulation, additions: Additions) -> Added:
         arrays.flush()
         for kind, slots in (("body", come), ("shape", shapes)):
             sim.ids.array(f"{kind}_id")[slots] = sim.ids.take(kind, len(slots))
+        sim.storage.fill_slots({"body": come, "shape": shapes})
         body_ids, shape_ids = sim.ids.numpy("body_id")[bodies], np.empty(len(shapes), np.int64)
         shape_ids[fragment.order] = sim.ids.numpy("shape_id")[shapes]
         joint_ids = sim.ids.take("joint", len(world["joint"]))

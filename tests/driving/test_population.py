@@ -519,6 +519,38 @@ def test_what_was_added_is_taken_back_without_the_bodies_that_were_there():
     assert sim.joints.sizes["joint"] == 0
 
 
+def test_steps_end_at_the_last_slot_that_has_been_filled():
+    """What was removed is passed over when its pairs are forgotten for sure: after the arrays are laid out anew."""
+    sim = build(first, worlds=2)
+    bodies, shapes = sim.model.body_count // 2, sim.model.shape_count // 2
+
+    def empty(sim):
+        return [sim.motion.numpy("empty_bodies").tolist(), sim.pairs.numpy("empty_shapes").tolist()]
+
+    assert empty(sim) == [[0, 0], [0, 0]]
+    sim.reserve(bodies=6, shapes=10)
+    assert empty(sim) == [[7, 7], [10, 10]]  # and the body that has the shapes of empty slots
+    sim.run(3, DT)
+    added = add(sim, second, world=1)
+    assert empty(sim) == [[7, 4], [10, 6]]
+    sim.run(3, DT)
+    sim.remove(bodies=added.bodies)
+    assert empty(sim) == [[7, 4], [10, 6]]
+    there = sim.ids.numpy("body_id") >= 0
+    assert not sim.motion.numpy("predicted")[: len(there)][~there][:7].any()
+    file = io.BytesIO()
+    sim.save(file)
+    file.seek(0)
+    loaded = dc.Simulation.load(file)
+    assert empty(loaded) == [[7, 7], [10, 10]]
+    for one in (sim, loaded):
+        one.run(20, DT)
+    assert bits(sim, slice(None)) == bits(loaded, slice(None))
+    sim.reserve(bodies=8)
+    assert empty(sim) == [[9, 9], [10, 10]]
+    assert bodies + 9 == sim.model.body_count // 2 and shapes + 10 == sim.model.shape_count // 2
+
+
 def test_finite_numbers_in_empty_slots_mean_nothing():
     sim = build(first)
     sim.remove(bodies=1)

@@ -65,7 +65,7 @@ def kernels(dtype: str, traits: bool = False) -> dict[str, Any]:
         fastest = real(0.0)
         squares = real(0.0)
         moving = int(0)
-        for b in range(model.body_start[w], model.body_start[w + 1]):
+        for b in range(model.body_start[w], model.body_start[w + 1] - motion.empty_bodies[w]):
             kind = model.body_type[b]
             if kind == DYNAMIC:
                 m = model.inv_mass[b]
@@ -116,7 +116,7 @@ def kernels(dtype: str, traits: bool = False) -> dict[str, Any]:
         if state.flags[w] != 0:
             return
         dt = motion.step_dt[w]
-        for b in range(model.body_start[w], model.body_start[w + 1]):
+        for b in range(model.body_start[w], model.body_start[w + 1] - motion.empty_bodies[w]):
             v = motion.solved[b]
             motion.displacement[b] = vec4(v[0] * dt, v[1] * dt, v[2] * dt, v[3])
 
@@ -141,7 +141,7 @@ def kernels(dtype: str, traits: bool = False) -> dict[str, Any]:
         if state.flags[w] != 0:
             return
         first = model.body_start[w]
-        last = model.body_start[w + 1]
+        last = model.body_start[w + 1] - motion.empty_bodies[w]
         check = real(0.0)
         for b in range(first, last):
             v = motion.solved[b]

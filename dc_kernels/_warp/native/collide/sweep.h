@@ -1,7 +1,8 @@
-// Boxes of the shapes of world w, swept over the step, into pairs.swept. Where one has left its box with margin, those
-// that have, and those that come closer to its sides than `spare`, into pairs.left, in the order of their index: what
-// would soon leave does so at once. Returns how many. Parameters: w, spare, model, state, motion, pairs.
-const int first = model.shape_start.data[w], last = model.shape_start.data[w + 1];
+// Boxes of the shapes of world w, but for its empty slots at the end, swept over the step, into pairs.swept. Where one
+// has left its box with margin, those that have, and those that come closer to its sides than `spare`, into pairs.left,
+// in the order of their index: what would soon leave does so at once. Returns how many. Parameters: w, spare, model,
+// state, motion, pairs.
+const int first = model.shape_start.data[w], last = model.shape_start.data[w + 1] - pairs.empty_shapes.data[w];
 const Real dt = motion.step_dt.data[w];
 // half the speculative distance on each side: a pair closer than it is found
 const Real pad = (Real)0.5 * motion.reach.data[w];
