@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dc_kernels.collide.continuous import continuous_kernels
 from dc_kernels.collide.switches import switch_kernels
 from dc_kernels.events.lists import event_kernels
 from dc_kernels.model.arrays import Fielded, Model
@@ -57,6 +58,7 @@ def need_of(model: Fielded, joints: Fielded, config: SolverConfig, specialize: b
     """What the kernels that a scene needs depend on; see ``choose_kernels``."""
     rods, found = are_rods(joints), only_centred_discs(model)
     added = (*joint_kernels(joints, rods), *event_kernels(model, config), *switch_kernels(model, config))
+    added += continuous_kernels(config)
     return Need(found, variant_of(model, found and specialize, rods), added)
 
 

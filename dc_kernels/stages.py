@@ -223,6 +223,17 @@ SWITCHED = (
     ),
 )  # fmt: skip
 """What contacts that may be off add to the stages (see ``of_phase``)."""
+FOLLOWED = (
+    Stage(
+        "collide", "drop_missed", "collide.continuous", (), ("model", "state", "motion", "contacts"), ("contacts",),
+        "contacts without those of pairs that the motion of the step takes past each other", "without `continuous`",
+    ),
+    Stage(
+        "advance", "stop_short", "collide.continuous", (), ("model", "state", "joints", "motion", "pairs", "rows"),
+        ("motion",), "what would get deep into another goes up to there", "as `drop_missed`",
+    ),
+)  # fmt: skip
+"""What continuous detection adds to the stages (see ``of_phase``)."""
 SOFT = (
     Stage(
         "solve", "solve_soft", "solve.soft", ("variant",), ("model", "state", "joints", "contacts"),
@@ -235,17 +246,20 @@ SOFT = (
 BEFORE = {
     "sense_overlaps": "narrowphase",
     "separate_joined": "narrowphase",
+    "drop_missed": "match_contacts",
     "screen_contacts": "color_constraints",
     "make_joint_rows": "color_constraints",
+    "stop_short": "commit",
     "break_joints": "commit",
     "show_switched": "commit",
     "note_overlaps": "commit",
     "note_touches": "commit",
 }
-"""Kernels of ``LINKED``, ``EVENTS`` and ``SWITCHED``, and those of a step before which they run."""
+"""Kernels of ``LINKED``, ``EVENTS``, ``SWITCHED`` and ``FOLLOWED``, and those of a step before which they run."""
 NOTES = ("note_overlaps", "note_touches")
 """Kernels that look at the contacts of sleepers too, so that they run once these are shown."""
 LACKING = {
+    "collide.continuous": "continuous detection (SolverConfig.continuous)",
     "events.overlaps": "sensors",
     "events.touches": "contact events (SolverConfig.contact_events)",
     "collide.switches": "contacts that may be off (one-way shapes, one-sided chains, SolverConfig.contact_switches)",
@@ -266,7 +280,7 @@ def of_phase(
         phase: of a step.
         position_correction: whether it has the position phase.
         sleep: whether bodies may sleep; then ``solve`` is the part between what these give for it first and last.
-        added: kernels of ``LINKED``, ``EVENTS`` and ``SWITCHED`` that the scene needs.
+        added: kernels of ``LINKED``, ``EVENTS``, ``SWITCHED`` and ``FOLLOWED`` that the scene needs.
         soft: whether the method is "tgs_soft".
     """
     names = [stage.kernel for stage in STEP if stage.phase == phase]
@@ -331,7 +345,7 @@ def files_of(
         backend: see ``kernel_table``.
         variant: see ``kernel_table``.
         sleep: whether bodies may sleep.
-        added: kernels of ``LINKED``, ``EVENTS`` and ``SWITCHED`` that the scene needs.
+        added: kernels of ``LINKED``, ``EVENTS``, ``SWITCHED`` and ``FOLLOWED`` that the scene needs.
         soft: whether the method is "tgs_soft".
 
     Raises:
@@ -343,7 +357,7 @@ def files_of(
     if soft and variant in OWN:
         raise ValueError(f"SolverConfig.method is 'tgs_soft', which has no rows of {WORDS[variant]}; use another one")
     more = (*(SLEEP if sleep else ()), *(SOFT if soft else ()))
-    more += tuple(stage for stage in (*LINKED, *EVENTS, *SWITCHED) if stage.kernel in added)
+    more += tuple(stage for stage in (*LINKED, *EVENTS, *SWITCHED, *FOLLOWED) if stage.kernel in added)
     files = {stage.file: stage.options for stage in (*STEP, *more)}
     for file in files:
         if file in LACKING and not has_kernels(backend, file):
@@ -372,7 +386,7 @@ def kernel_table(
         only_discs: whether all that moves are discs about their centre of mass.
         sleep: whether bodies may sleep.
         traits: whether bodies have damping, or a gravity of their own.
-        added: kernels of ``LINKED``, ``EVENTS`` and ``SWITCHED`` that the scene needs.
+        added: kernels of ``LINKED``, ``EVENTS``, ``SWITCHED`` and ``FOLLOWED`` that the scene needs.
         soft: whether the method is "tgs_soft".
 
     Raises:

@@ -129,6 +129,7 @@ ROWS: Mapping[str, Row] = {
     ),
     "contact_events": Row("pairs that touch, begin, end and hit, listed", config={"contact_events": True}),
     "contact_switches": Row("contacts that may be switched off", config={"contact_switches": True}),
+    "continuous": Row("pairs followed along their way, nothing fast", config={"continuous": True}),
     "sleep": Row("sleep allowed, nobody asleep", config={"sleep": True, "sleep_time": 1e6}),
     "slots": Row("as many empty slots as bodies", slots=True),
     "population": Row("a body has come and gone", beside=come_and_go),

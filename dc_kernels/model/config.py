@@ -156,6 +156,9 @@ class SolverConfig(Settings):
     speculative_max: NotNegative = 0.1
     """Where a body moves by more than ``speculative`` in a step, gaps up to what the fastest moves in a step are
     contacts, but none above this [length_scale]."""
+    continuous: bool = False
+    """Whether pairs are followed along their way: what they miss does not deflect bodies, and they pass through nothing
+    (``collide/continuous.py``)."""
     margin: NotNegative = 0.1
     """Broadphase boxes are this much larger on each side, so that pairs last several steps [length_scale]."""
     restitution_threshold: NotNegative = 0.32
@@ -210,6 +213,11 @@ class SolverConfig(Settings):
             raise ValueError(
                 "SolverConfig.method is 'tgs_soft' and sleep is True; bodies sleep with other methods only"
             )
+        if self.continuous and self.contact_switches:
+            raise ValueError(
+                "SolverConfig.continuous and contact_switches are both True; what switched contacts let through, "
+                "continuous detection would stop"
+            )
         if self.method == "jacobi" and self.acceleration == "sor" and self.omega > 1.0:
             raise ValueError(f"SolverConfig.omega is {self.omega}; Jacobi with mass splitting is proven only up to 1")
 
@@ -230,7 +238,7 @@ class SolverConfig(Settings):
     @property
     def choosing(self) -> tuple[bool, ...]:
         """What the kernels of a simulation depend on."""
-        return self.sleep, self.soft, self.contact_events, self.contact_switches
+        return self.sleep, self.soft, self.contact_events, self.contact_switches, self.continuous
 
     @property
     def whole_substeps(self) -> int:
@@ -261,9 +269,8 @@ class SolverConfig(Settings):
         known = {"stop": stop, "tolerance": tolerance, "relative_tolerance": min(relative, 1e30)}
         values = {name: getattr(self, name) for name in CONFIG if hasattr(self, name)} | known
         values.update({name: codes[values[name]] for name, codes in CHOICES.items()})
-        values |= {
-            name: int(getattr(self, name)) for name in ("history", "sleep", "contact_events", "contact_switches")
-        }
+        switches = ("history", "sleep", "continuous", "contact_events", "contact_switches")
+        values |= {name: int(getattr(self, name)) for name in switches}
         values["slack"] = SLACK * self.slop
         return values
 
@@ -312,6 +319,8 @@ def check_awake(config: SolverConfig) -> SolverConfig:
         )
     if config.sleep:
         raise ValueError("SolverConfig.sleep is True; only a Simulation lets bodies sleep")
+    if config.continuous:
+        raise ValueError("SolverConfig.continuous is True; only a Simulation follows bodies along their way")
     return config
 
 

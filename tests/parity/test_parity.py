@@ -21,7 +21,7 @@ from dc_kernels.model.fields import LAUNCH, MOTION, STATE
 from dc_kernels.model.groups import GROUPS
 from dc_kernels.runtime.backends import argument_names, bind
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, SERIAL_COLOR, has_traits
-from dc_kernels.stages import EVENTS, LINKED, SLEEP, SOFT, STEP, SWITCHED, kernel_table
+from dc_kernels.stages import EVENTS, FOLLOWED, LINKED, SLEEP, SOFT, STEP, SWITCHED, kernel_table
 from tests.parity.scenes import (
     SCRATCH,
     bounce,
@@ -43,7 +43,7 @@ DT = 0.01
 # solve counts as one, and of a run.
 KERNEL_BOUND = {"float64": 1e-10, "float32": 1e-4}
 RUN_BOUND = 1e-9
-ADDED = tuple(stage.kernel for stage in (*LINKED, *EVENTS, *SWITCHED))
+ADDED = tuple(stage.kernel for stage in (*LINKED, *EVENTS, *SWITCHED, *FOLLOWED))
 
 
 # ---------------------------------------------------------------------- tables
@@ -62,7 +62,7 @@ def test_backends_have_the_same_kernels(dtype: str, variant: str, only_discs: bo
 
 def test_kernels_take_what_their_stages_name() -> None:
     table = kernel_table("numpy", "float32", "general", False, sleep=True, soft=True, added=ADDED)
-    for stage in (*STEP, *SLEEP, *SOFT, *LINKED, *EVENTS, *SWITCHED):
+    for stage in (*STEP, *SLEEP, *SOFT, *LINKED, *EVENTS, *SWITCHED, *FOLLOWED):
         wanted = {*stage.reads, *stage.writes}
         assert set(argument_names(table[stage.kernel])) & set(GROUPS) == wanted, stage.kernel
 

@@ -349,7 +349,9 @@ def test_the_table_of_stages_is_that_of_the_code():
 
 def test_the_table_of_what_sleep_adds_is_that_of_the_code():
     assert stages.markdown(stages.SLEEP) in (ROOT / "docs" / "sleep.md").read_text(encoding="utf-8")
-    assert stages.markdown(stages.SOFT) in (ROOT / "docs" / "stepping.md").read_text(encoding="utf-8")
+    stepping = (ROOT / "docs" / "stepping.md").read_text(encoding="utf-8")
+    assert stages.markdown(stages.SOFT) in stepping
+    assert stages.markdown(stages.FOLLOWED) in stepping
 
 
 def test_the_table_of_what_joints_add_is_that_of_the_code():
