@@ -100,11 +100,11 @@ def stores_of(tmp_path_factory):
     def look(module):
         if module.name not in found:
             folder, level = tmp_path_factory.mktemp("ptx"), module.options["optimization_level"]
-            for changed in (None, level):  # of the tests, on which a GPU's compiler takes longer
-                module.options["optimization_level"] = changed
-                module.mark_modified()
-                if changed is None:
-                    wp.compile_aot_module(module, arch=ARCHITECTURE, use_ptx=True, module_dir=str(folder))
+            module.options["optimization_level"] = None  # on that of the tests a GPU's compiler takes longer
+            module.mark_modified()
+            wp.compile_aot_module(module, arch=ARCHITECTURE, use_ptx=True, module_dir=str(folder))
+            module.options["optimization_level"] = level
+            module.mark_modified()
             (path,) = folder.glob("*.ptx")
             found[module.name] = stores(path.read_text())
         return found[module.name]
