@@ -312,7 +312,7 @@ def needs_of(names: Sequence[str]) -> list[Activity]:
     return needs
 
 
-WORDS = {"surfaces": "surfaces that move or resist rolling", "rows": "joints but rods, or of rods under a heavy load"}
+WORDS = {"surfaces": "surfaces that move or resist rolling", "rows": "joints but rods, or rods with `across`"}
 """What rows are of that a backend may lack, by variant."""
 
 

@@ -92,7 +92,7 @@ ROWS: Mapping[str, Row] = {
         reason=OWN,
     ),
     "rod_across": Row(
-        "a rod as under a heavy load: a row across it, and a tree",
+        "a rod with a row across it, and its tree",
         build=lambda builder, a, b: builder.add_distance_joint(a, b, across=True),
         reason=OWN,
     ),

@@ -51,7 +51,7 @@ class JointPart(IntFlag):
     HOLD = 1  # what its kind keeps, rigid or by a spring
     MOTOR = 2  # a speed that a limited torque or force drives at
     LIMIT = 4  # a range of its angle, length or way
-    ACROSS = 8  # of a rod under a heavy load: inertia that keeps it from swinging within a step
+    ACROSS = 8  # of a rod, for heavy loads: inertia that keeps it from swinging within a step
 
 
 class Flag(IntFlag):

@@ -58,7 +58,7 @@ def linked(builder: dc.ModelBuilder) -> None:
     rods = [builder.add_body((0.0, 3.5), type=dc.BodyType.STATIC)]  # under a load, with rows across them
     rods += [wheel(builder, 0.5 * i, 3.5, 0.1, density) for i, density in ((1, 1.0), (2, 1.0), (3, 60.0))]
     for one, other in itertools.pairwise(rods):
-        builder.add_distance_joint(one, other, length=0.5)
+        builder.add_distance_joint(one, other, length=0.5, across=True)
 
 
 def test_joints_of_all_kinds_have_the_bits_of_warp() -> None:

@@ -80,7 +80,7 @@ def rope_of_rods(builder, links, load, angle=0.0):
             (0.25 * i * math.cos(angle), 0.25 * i * math.sin(angle)), mass=load if i == links else 1.0
         )
         builder.add_disc(here, 0.05, mask=0)
-        builder.add_distance_joint(body, here)
+        builder.add_distance_joint(body, here, across=None)
         body = here
     return body
 
@@ -372,11 +372,11 @@ def test_rods_have_a_row_across_where_much_hangs_on_little():
     builder.add_world(gravity=(0, -G))
     corners = [builder.add_body((x, y), mass=1.0 + 99.0 * x) for x in (0, 1) for y in (0, 1)]
     for a, b in ((0, 1), (1, 3), (3, 2), (2, 0), (0, 3)):
-        builder.add_distance_joint(corners[a], corners[b])
+        builder.add_distance_joint(corners[a], corners[b], across=None)
     builder.add_world(gravity=(0, -G))
     far, near, last = (builder.add_body((x, 0), mass=m) for x, m in ((0, 1.0), (1, 1.0), (2, 50.0)))
-    builder.add_distance_joint(far, near, across=False)
-    builder.add_distance_joint(near, last)
+    builder.add_distance_joint(far, near)
+    builder.add_distance_joint(near, last, across=None)
     builder.add_distance_joint(far, last, frequency=1.0)
     joints = builder.finalize(backend="numpy")[2]
     across = joints.numpy("joint_parts") & int(dc.JointPart.ACROSS) != 0

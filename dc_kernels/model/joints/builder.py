@@ -9,7 +9,7 @@ from dc_kernels.model.checks import number, pair, triple, truth, unit
 from dc_kernels.model.enums import BodyType, JointKind, JointPart
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.model.joints.groups import COLUMNS, WIDTH, JointOptions
-from dc_kernels.model.joints.heavy import PLAIN
+from dc_kernels.model.joints.heavy import IF_HEAVY
 from dc_kernels.model.row_table import RowTable
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class JointBuilder:
         damping_ratio: float = 0.0,
         lower: float | None = None,
         upper: float | None = None,
-        across: bool | None = None,
+        across: bool | None = False,
         **options: Unpack[JointOptions],
     ) -> int:
         """Keep two points at a distance: by a rod, or by a spring.
@@ -60,7 +60,8 @@ class JointBuilder:
             damping_ratio: [1] >= 0 of the spring; 1: critical damping.
             lower: [m] >= 0, least distance of a spring's ends; None: 0.
             upper: [m] > 0, largest distance of a spring's ends; None: none.
-            across: whether a rod is solved with its tree and has ``JointPart.ACROSS``; None: under a heavy load.
+            across: whether a rod is solved with its tree and has ``JointPart.ACROSS``, a row of its own; None: where
+                its tree weighs more than 12 times the lightest body in it.
             **options: see ``JointOptions``.
         """
         where = f"joint {self._joints.count}"
@@ -84,8 +85,8 @@ class JointBuilder:
         if rigid and length == 0.0:
             return self._add_joint(JointKind.REVOLUTE, (a, b), anchors, where, options)
         parts = int(JointPart.HOLD | (JointPart.LIMIT if limited else JointPart.NONE))
-        if across is not None and rigid:
-            parts |= int(JointPart.ACROSS) if truth(f"across of {where}", across) else PLAIN
+        if rigid and (across is None or truth(f"across of {where}", across)):
+            parts |= IF_HEAVY if across is None else int(JointPart.ACROSS)
         more = {"length": length, "lower": low, "upper": high, **spring}
         return self._add_joint(JointKind.DISTANCE, (a, b), anchors, where, options, parts, **more)
 

@@ -15,12 +15,12 @@ of 20 discs that weigh alike sweeps let a rope stretch by 3 % at 1/60 s, of 50 b
 LOOP_SHARE = 10
 """Joints that a component has at least for each that closes a loop in it, for the others to be solved as a tree [1]."""
 
-PLAIN = 16
-"""Bit of a builder's column of parts: a rod that has no row across, whatever it carries."""
+IF_HEAVY = 16
+"""Bit of a builder's column of parts: a rod that has a row across if what it is joined to is heavy."""
 
 
 def with_rows_across(fields: Mapping[str, np.ndarray], body_type: np.ndarray, mass: np.ndarray) -> np.ndarray:
-    """Parts of joints, with ``JointPart.ACROSS`` for rods in trees of joints under a heavy load, (j,).
+    """Parts of joints, with ``JointPart.ACROSS`` for rods that ask for it in trees under a heavy load, (j,).
 
     Args:
         fields: ``joint_kind``, ``joint_parts``, ``joint_frequency``, ``joint_body_a`` and ``joint_body_b``.
@@ -28,10 +28,10 @@ def with_rows_across(fields: Mapping[str, np.ndarray], body_type: np.ndarray, ma
         mass: of the bodies, (n,) [kg].
     """
     kind, given = fields["joint_kind"], fields["joint_parts"]
-    parts = given & ~PLAIN
+    parts = given & ~IF_HEAVY
     soft = (kind == JointKind.DISTANCE) & (fields["joint_frequency"] > 0)
-    rods = (kind == JointKind.DISTANCE) & (given == JointPart.HOLD) & ~soft
-    if np.count_nonzero(rods) < 2:
+    rods = (kind == JointKind.DISTANCE) & (given == JointPart.HOLD | IF_HEAVY) & ~soft
+    if not rods.any():
         return parts
     holds = (parts & int(JointPart.HOLD) != 0) & ~soft & ~np.isin(kind, (JointKind.TARGET, JointKind.GENERAL))
     dynamic = body_type == BodyType.DYNAMIC
