@@ -14,6 +14,7 @@ from dc_kernels.events.lists import event_kernels
 from dc_kernels.model.arrays import Fielded, Model
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.joints.groups import Joints
+from dc_kernels.model.validate.known import Facts
 from dc_kernels.solve.joints import are_rods, joint_kernels
 from dc_kernels.solve.rows import has_traits, only_centred_discs, variant_of
 from dc_kernels.stages import files_of, kernel_table
@@ -71,7 +72,9 @@ def check_kernels(model: Fielded, joints: Fielded, config: SolverConfig, special
     files_of(backend, variant, sleep=config.sleep, added=added, soft=config.soft)
 
 
-def choose_kernels(model: Model, joints: Joints, config: SolverConfig, specialize: bool) -> Choice:
+def choose_kernels(
+    model: Model, joints: Joints, config: SolverConfig, specialize: bool, facts: Facts | None = None
+) -> Choice:
     """The kernels that a scene and its settings need.
 
     Args:
@@ -79,15 +82,18 @@ def choose_kernels(model: Model, joints: Joints, config: SolverConfig, specializ
         joints: of the scene.
         config: settings of the solver.
         specialize: whether scenes of discs have kernels of their own.
+        facts: what is known of model and joints, beside which more is noted; None: nothing.
     """
-    found, variant, added = need_of(model, joints, config, specialize)
+    facts = Facts() if facts is None else facts
+    needed = ("need", config.choosing, specialize)
+    found, variant, added = facts.recall(needed, lambda: need_of(model, joints, config, specialize))
     table = kernel_table(
         model.backend,
         model.dtype.name,
         variant,
         found and specialize,
         sleep=config.sleep,
-        traits=has_traits(model),
+        traits=facts.recall("traits", lambda: has_traits(model)),
         added=added,
         soft=config.soft,
     )

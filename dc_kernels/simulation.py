@@ -17,12 +17,13 @@ from dc_kernels.driving.driven import Driven
 from dc_kernels.events.lists import Overlaps, Touches
 from dc_kernels.explain import describe, explain
 from dc_kernels.model.arrays import Contacts, Model, State
-from dc_kernels.model.config import SimulationOptions, SolverConfig, check_config
+from dc_kernels.model.config import DEFAULT, SimulationOptions, SolverConfig, check_config
 from dc_kernels.model.enums import CAPACITY_FLAGS
 from dc_kernels.model.groups import GROUPS
 from dc_kernels.model.joints.groups import Joints
+from dc_kernels.model.validate.known import Facts
 from dc_kernels.model.validate.scene import check_scene
-from dc_kernels.model.worlds import segments_of_worlds
+from dc_kernels.model.worlds import WorldSegments
 from dc_kernels.reports import capacity, memory
 from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import refuse_hosted, refuse_recording
@@ -119,11 +120,11 @@ class Simulation(Driven):
         options = SimulationOptions(
             config, threads, schedule, on_overflow, specialize, pairs_per_shape, contacts_per_body
         )
-        state, self.joints = check_scene(model, state, joints)
+        state, self.joints, facts = check_scene(model, state, joints)
         joints = self.joints
         model.fixed = joints.fixed = True
         self.model, self.state, self.built = model, state, state.copy()
-        self._segments = segments_of_worlds(model.numpy, joints.numpy("joint_row_start"))
+        self._segments = WorldSegments(model.memory, joints.memory("joint_row_start"))
         self.dtype, self.device, self.backend = model.dtype, model.device, model.backend
         self.schedule, self.on_overflow = options.schedule, options.on_overflow
         threads = options.threads if self.device == "cpu" else 1
@@ -131,9 +132,9 @@ class Simulation(Driven):
         self._shards = shards_of(self.backend, model.world_count, model.body_count, threads, teams=teams)
         self.threads = self._shards.over_worlds + self._shards.helpers
         self.specialize = options.specialize
-        self._config = options.config or SolverConfig()
+        self._config = options.config or DEFAULT
         schedules.check_schedule(self._config, self.schedule)
-        self._choose_kernels(self._config)
+        self._choose_kernels(self._config, facts)
         # on a CPU a shard of the host solves world after world; threads of the backend's own share one shard
         shards = self._shards.parts
         self._in_turn = schedule == "world" and self.device == "cpu" and shards == len(self._shards.ranges)
@@ -147,6 +148,7 @@ class Simulation(Driven):
             contacts=options.contacts_per_body,
             shards=shards,
             at_once=at_once,
+            facts=facts,
         )
         self._binding = Binding(self.kernels, model, self._shards)
         self._turn = Turn()
@@ -164,9 +166,9 @@ class Simulation(Driven):
         """Number of worlds and bodies, and worlds that do not advance."""
         return describe(self)
 
-    def _choose_kernels(self, config: SolverConfig) -> None:
-        """Take the kernels that the model and the settings need."""
-        chosen = choose_kernels(self.model, self.joints, config, self.specialize)
+    def _choose_kernels(self, config: SolverConfig, facts: Facts | None = None) -> None:
+        """Take the kernels that the model, of which maybe ``facts`` are known, and the settings need."""
+        chosen = choose_kernels(self.model, self.joints, config, self.specialize, facts)
         self.only_discs, self.variant, self.added_kernels, self.kernels = chosen
 
     def adapt_to_model(self, stale: bool) -> None:

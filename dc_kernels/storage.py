@@ -18,6 +18,7 @@ from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.room import move_segments
 from dc_kernels.model.rules import Index
 from dc_kernels.model.validate.arrays import Layout, check_field
+from dc_kernels.model.validate.known import Facts
 from dc_kernels.sleep.sleepers import SleepStorage, check_sleepers
 from dc_kernels.solve.integrate import Integrator, typical_weight
 from dc_kernels.solve.joints import apart, are_rods, plant, rows_of_worlds
@@ -53,13 +54,16 @@ class Storage:
         changes: how often the model was changed so that launches are to be made anew.
     """
 
-    def __init__(self, model: Model, joints: Joints, config: SolverConfig, **room: float | int | str) -> None:
+    def __init__(
+        self, model: Model, joints: Joints, config: SolverConfig, *, facts: Facts | None = None, **room: float | str
+    ) -> None:
         """Allocate.
 
         Args:
             model: of the simulation.
             joints: of the simulation.
             config: settings of the solver.
+            facts: what is known of model and joints, beside which more is noted; None: nothing.
             room: ``variant`` of the rows, ``pairs`` a shape and ``contacts`` a body to reserve, ``shards`` of worlds,
                 and worlds ``at_once`` whose solves may be in flight together.
         """
@@ -70,7 +74,8 @@ class Storage:
         self.sleep = SleepStorage(model, self.narrowphase.contacts, config.sleep)
         self.events, self.switches = EventStorage(model), SwitchStorage(model)
         self.equip(config)
-        self.integrator = Integrator(model, int(room["shards"]), config.method, typical_weight(model))
+        weight = (Facts() if facts is None else facts).recall("weight", lambda: typical_weight(model))
+        self.integrator = Integrator(model, int(room["shards"]), config.method, weight)
         self._make_rows(str(room["variant"]), config, int(room["at_once"]))
 
     def _make_rows(self, variant: str, config: SolverConfig, at_once: int) -> None:

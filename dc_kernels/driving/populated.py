@@ -16,7 +16,7 @@ from dc_kernels.driving.reset import Reset
 from dc_kernels.model.arrays import Model
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.joints.groups import Joints
-from dc_kernels.model.worlds import Segments, segments_of_worlds
+from dc_kernels.model.worlds import Segments, WorldSegments
 from dc_kernels.phases import Phases
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_whole
@@ -35,7 +35,7 @@ class Populated(Phases):
     variant: str
     kernels: dict[str, Any]
     _binding: Binding
-    _segments: dict[str, Segments]
+    _segments: WorldSegments
     _reset: Reset | None
     given_ids: Ids | None = None
     """Ids of what is in the slots; None: nobody asked for them yet, and all have their indices."""
@@ -178,7 +178,7 @@ class Populated(Phases):
 
     def take_layout(self, moves: Moves) -> None:
         """Go on with groups that were laid out anew; other stages are made for them."""
-        self._segments = segments_of_worlds(self.model.numpy, self.joints.numpy("joint_row_start"))
+        self._segments = WorldSegments(self.model.memory, self.joints.memory("joint_row_start"))
         self._choose_kernels(self._config)
         before = self.storage
         self.storage = Storage(
@@ -198,7 +198,7 @@ class Populated(Phases):
 
     def take_joints(self, moves: Moves) -> None:
         """Go on with joints that were laid out anew, and solver rows for them."""
-        self._segments = segments_of_worlds(self.model.numpy, self.joints.numpy("joint_row_start"))
+        self._segments = WorldSegments(self.model.memory, self.joints.memory("joint_row_start"))
         self._choose_kernels(self._config)
         self.storage.link(moves, self.variant, self._config)
         self._binding.kernels = self.kernels

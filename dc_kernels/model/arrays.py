@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from weakref import WeakSet
 
 import numpy as np
 
 from dc_kernels.model.checks import check_values
-from dc_kernels.model.dtypes import Plan, elements, float_dtype, float_name, plan_of
+from dc_kernels.model.dtypes import Block, Plan, elements, float_dtype, float_name, plan_of
 from dc_kernels.model.fields import CONTACTS, MODEL, STATE, TRAITS, Field
 from dc_kernels.model.rules import Number, Unit
 from dc_kernels.model.settings import UnknownName, counted, shown
@@ -22,7 +23,7 @@ from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.model.worlds import Segments, WorldViews, by_world
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
-from dc_kernels.runtime.memory import check_memory
+from dc_kernels.runtime.memory import LARGE, check_memory
 from dc_kernels.runtime.optional import require
 
 if TYPE_CHECKING:
@@ -94,6 +95,18 @@ class ArrayGroup:
     """Elements of each world by axis; None before a simulation uses the group."""
     changeable: tuple[str, ...] = ()
     """Fields that ``Simulation.change_model`` writes while a simulation uses the group."""
+    sizes: dict[str, int]
+    dtype: np.dtype
+    device: str
+    backend: str
+    version: int
+    """Number of times that arrays were allocated anew."""
+    fixed: bool
+    """Whether a simulation uses the arrays: those that it has checked or derived others from are then read-only."""
+    whole: Block | None
+    """The memory of all arrays, where they lie as they were allocated together on the CPU; else None."""
+    blocks: dict[str, Block]
+    """Where each array lies that has the memory which was allocated for it on the CPU, and no other, by name."""
 
     def __init__(self, sizes: Mapping[str, int], dtype: Any, device: str = "cpu", backend: str = "warp") -> None:
         """Allocate every field of the table, zeroed.
@@ -104,20 +117,15 @@ class ArrayGroup:
             device: "cpu" or a CUDA device of Warp; "cpu" only for the numpy backend.
             backend: a name in ``runtime.backends.BACKENDS``.
         """
-        self.sizes = dict(sizes)
-        self.dtype = float_dtype(dtype)
-        self.device = device
-        self.backend = backend
-        self.version = 0
-        """Number of times that arrays were allocated anew."""
-        self.fixed = False
-        """Whether a simulation uses the arrays: those that it has checked or derived others from are then read-only."""
-        self.users: WeakSet[Any] = WeakSet()
-        """The simulations that do."""
-        self._memory: dict[str, np.ndarray] = {}  # what was allocated on the CPU, as numpy sees it
-        self._arrays: dict[str, Any] = {}  # what kernels take of it
-        self._address: dict[str, int] = {}  # where it lies
+        # past ``__setattr__``, as a simulation has a dozen groups
+        vars(self).update(sizes=dict(sizes), dtype=float_dtype(dtype), device=device, backend=backend)
+        vars(self).update(version=0, fixed=False, blocks={}, whole=None)
         self._allocate(self._planned())
+
+    @cached_property
+    def users(self) -> WeakSet[Any]:
+        """The simulations that use the group."""
+        return WeakSet()
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Set what is no field; kernels would go on with the array that a field had.
@@ -135,18 +143,16 @@ class ArrayGroup:
 
     def __getattr__(self, name: str) -> Any:
         """The array of a field, as the backend's kernels take it, made when it is first asked for."""
-        memory = self.__dict__.get("_memory", {}).get(name)
-        if memory is None:
+        block = self.__dict__.get("blocks", {}).get(name)
+        if block is None:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        made = memory
+        made = block.array(name)
         if not on_numpy(self.backend):
             from dc_kernels.runtime.launches import shared_array
 
             types = kernel_file(self.backend, "groups").field_types(self.table, self.dtype)
-            made = shared_array(memory, types[name], self._address[name])
-        # the same for all threads that ask at once
-        self._arrays[name] = made = self.__dict__.setdefault(name, made)
-        return made
+            made = shared_array(made, types[name], block.address(name))
+        return self.__dict__.setdefault(name, made)  # the same for all threads that ask at once
 
     def _allocate(self, plan: Plan) -> None:
         """Make the zeroed arrays of a plan; none are left of those before."""
@@ -161,44 +167,30 @@ class ArrayGroup:
                 axes = shape[: len(found[name].axes)]
                 self.share(name, wp.zeros(axes, dtype=types[name], device=self.device))
             return
-        memory, address = plan.zeros()
-        for name in self.__dict__.keys() & memory.keys():
+        block = plan.zeros()
+        for name in self.__dict__.keys() & plan.shapes.keys():
             del self.__dict__[name]
-            self._arrays.pop(name, None)
-        self._memory.update(memory)
-        self._address.update(address)
+        self.blocks.update(dict.fromkeys(plan.shapes, block))
+        self.whole = block if len(plan.shapes) == len(self.table) else None
 
     def share(self, name: str, array: Any) -> None:
         """Let a field lie in another array, laid out as its own; launches bound before keep the old one."""
-        self._memory.pop(name, None)
-        self._address.pop(name, None)
+        self.blocks.pop(name, None)
+        self.whole = None
         self.__dict__[name] = array
-
-    def own(self, name: str) -> bool:
-        """Whether a field has the array on the CPU that was allocated for it, and no other."""
-        return name in self._memory and self.__dict__.get(name) is self._arrays.get(name)
-
-    def owned(self) -> tuple[dict[str, np.ndarray], dict[str, int]]:
-        """The arrays that ``own`` tells of, as numpy sees them, and their addresses, by name."""
-        strange = [name for name in self.__dict__.keys() & self._memory.keys() if not self.own(name)]
-        memory, address = dict(self._memory), dict(self._address)
-        for name in strange:
-            del memory[name], address[name]
-        return memory, address
 
     def plan(self) -> Plan:
         """How the arrays lie in memory; that of groups of equal sizes is one object."""
         return plan_of(self.table, self.dtype, self.sizes)
 
-    def content(self, most: int) -> list[bytes] | None:
-        """The bytes of each array; None where one lies elsewhere than allocated, or they are more than ``most``."""
-        if self.plan().bytes > most or not all(map(self.own, self.table)):
-            return None
-        return [array.tobytes() for array in self._memory.values()]
-
     def copy(self) -> Self:
         """A group of its own memory with the values of this one, which no simulation uses yet."""
-        return _filled(*self._parts())
+        if self.whole is None:
+            return _filled(*self._parts())
+        made = type(self)(self.sizes, self.dtype, self.device, self.backend)
+        if made.whole is not None:
+            made.whole.take(self.whole)
+        return made
 
     def __copy__(self) -> Self:
         """See ``copy``: two groups of one memory would be written to at once."""
@@ -220,7 +212,7 @@ class ArrayGroup:
     def _planned(self, names: Iterable[str] | None = None) -> Plan:
         """How some fields, None: all, are to lie; a MemoryError, naming the largest array, where there is no room."""
         plan = plan_of(self.table, self.dtype, self.sizes, None if names is None else tuple(names))
-        if plan.largest is not None and self.device == "cpu":
+        if plan.bytes >= LARGE and plan.largest is not None and self.device == "cpu":
             sizes = ", ".join(f"{axis} {self.sizes[axis]}" for axis in self.table[plan.largest].axes)
             check_memory(f"{type(self).__name__}.{plan.largest} ({sizes}) with what goes with it", plan.bytes)
         return plan
@@ -281,8 +273,8 @@ class ArrayGroup:
 
     def memory(self, name: str) -> np.ndarray:
         """The array of a field as numpy, to be written to: the memory itself on a CPU, a copy from a GPU."""
-        memory = self._memory.get(name) if isinstance(name, str) else None
-        return to_numpy(getattr(self, self.field(name).name)) if memory is None else memory
+        block = self.blocks.get(name) if isinstance(name, str) else None
+        return to_numpy(getattr(self, self.field(name).name)) if block is None else block.array(name)
 
     def field(self, name: str) -> Field:
         """The field of a name; raises ``UnknownName``, naming those that there are."""

@@ -6,17 +6,18 @@ Everything is float64 here; the builder casts.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.model.arrays import ArrayGroup
+from dc_kernels.model.arrays import ArrayGroup, Model, State
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.fields import JOINTS, KEY_SHAPE_BITS
-from dc_kernels.model.joints.groups import COLUMNS, count_rows
+from dc_kernels.model.joints.groups import COLUMNS, Joints, count_rows
 from dc_kernels.model.joints.heavy import with_rows_across
 from dc_kernels.model.shapes import edge_normals, mass_properties
+from dc_kernels.model.validate.known import Made
 
 CELL_FACTOR = 1.3
 """The finest cell holds the smallest box of a dynamic shape with this to spare: a box then meets few cells [1]."""
@@ -85,11 +86,6 @@ def assemble(
         com[body] = center
     dynamic = bodies[:, TYPE] == BodyType.DYNAMIC
     length_scale, cell_size = _scales(worlds, world_of[owner][solid], 2 * geometry.extent[solid], dynamic[owner][solid])
-
-    cos, sin = np.cos(bodies[:, ANGLE]), np.sin(bodies[:, ANGLE])
-    arm = np.stack((cos * com[:, 0] - sin * com[:, 1], sin * com[:, 0] + cos * com[:, 1]), axis=1)
-    spin = bodies[:, SPIN]
-    origin = np.array([w.origin for w in worlds])
     links = {name: joints[:, at] if at.stop - at.start > 1 else joints[:, at.start] for name, at in COLUMNS.items()}
     links |= {name: links[name].astype(np.int64) for name in links if JOINTS[name].dtype == "int32"}
     links["joint_parts"] = with_rows_across(links, bodies[:, TYPE], mass)
@@ -98,7 +94,7 @@ def assemble(
         "shape_start": shape_start,
         "joint_start": np.array([w.joint for w in worlds] + [len(joints)]),
         "gravity": np.array([w.gravity for w in worlds]),
-        "origin": origin,
+        "origin": np.array([w.origin for w in worlds]),
         "length_scale": length_scale,
         "cell_size": cell_size,
         "body_type": bodies[:, TYPE].astype(np.int32),
@@ -119,14 +115,31 @@ def assemble(
         "vertex_start": geometry.vertex_start,
         "vertices": vertices - np.repeat(com[owner], geometry.count, axis=0),
         "vertex_normals": geometry.normals,
-        "position": (bodies[:, X : Y + 1] - origin[world_of]) + arm,
-        "angle": bodies[:, ANGLE],
-        "velocity": bodies[:, VX : VY + 1] + spin[:, None] * np.stack((-arm[:, 1], arm[:, 0]), axis=1),
-        "angular_velocity": spin,
+        **place(worlds, bodies, com),
         **links,
         "joint_anchor_a": links["joint_anchor_a"] - com[links["joint_body_a"]],
         "joint_anchor_b": links["joint_anchor_b"] - com[links["joint_body_b"]],
         "joint_row_start": _starts(count_rows(links["joint_kind"], links["joint_parts"])),
+    }
+
+
+def place(worlds: list[World], bodies: np.ndarray, com: np.ndarray) -> dict[str, np.ndarray]:
+    """All fields of the state that are not zero, in float64.
+
+    Args:
+        worlds: their settings.
+        bodies: see ``assemble``.
+        com: their centres of mass, in their frames, (n, 2) [m].
+    """
+    origin, first = np.array([w.origin for w in worlds]), np.array([w.body for w in worlds] + [len(bodies)])
+    cos, sin = np.cos(bodies[:, ANGLE]), np.sin(bodies[:, ANGLE])
+    arm = np.stack((cos * com[:, 0] - sin * com[:, 1], sin * com[:, 0] + cos * com[:, 1]), axis=1)
+    spin = bodies[:, SPIN]
+    return {
+        "position": (bodies[:, X : Y + 1] - origin.repeat(np.diff(first), axis=0)) + arm,
+        "angle": bodies[:, ANGLE],
+        "velocity": bodies[:, VX : VY + 1] + spin[:, None] * np.stack((-arm[:, 1], arm[:, 0]), axis=1),
+        "angular_velocity": spin,
     }
 
 
@@ -137,6 +150,38 @@ def as_scalar(fields: dict[str, np.ndarray], real: np.dtype) -> dict[str, np.nda
             name: value.astype(real) if value.dtype.kind == "f" and name != "origin" else value
             for name, value in fields.items()
         }
+
+
+def groups_of(fields: dict[str, np.ndarray], made: Made | None, *memory: Any) -> tuple[Model, State, Joints]:
+    """The groups of a scene.
+
+    Args:
+        fields: of the state in float64 (integers as they are), and of model and joints.
+        made: model and joints of an equal scene, where the fields are not those of these too.
+        memory: dtype, device and backend.
+
+    Raises:
+        ValueError: see ``write``.
+    """
+    sizes, of_joints = _sizes(fields) if made is None else (made.sizes, made.of_joints)
+    model, state, joints = Model(sizes, *memory), State(sizes, *memory), Joints(of_joints, *memory)
+    write(state, fields)
+    if made is not None and model.whole is not None and joints.whole is not None:
+        model.whole.put(made.model)
+        joints.whole.put(made.joints)
+    else:
+        write(model, fields)
+        write(joints, fields)
+    return model, state, joints
+
+
+def _sizes(fields: Mapping[str, np.ndarray]) -> tuple[dict[str, int], dict[str, int]]:
+    """Elements on the axes of model and state, and on those of joints."""
+    world, body, shape = len(fields["gravity"]), len(fields["angle"]), len(fields["shape_body"])
+    sizes = {"world": world, "world+1": world + 1, "body": body, "body+1": body + 1}
+    sizes |= {"shape": shape, "shape+1": shape + 1, "vertex": len(fields["vertices"])}
+    sizes |= {"body trait": body * ("gravity_scale" in fields), "shape trait": shape * ("shape_role" in fields)}
+    return sizes, {"joint": len(fields["joint_kind"]), "joint row": int(fields["joint_row_start"][-1])}
 
 
 def write(group: ArrayGroup, fields: dict[str, np.ndarray]) -> None:

@@ -33,7 +33,8 @@ from dc_kernels.model.assemble import (
     X,
     Y,
     assemble,
-    write,
+    groups_of,
+    place,
 )
 from dc_kernels.model.checks import (
     ALL_BITS,
@@ -60,6 +61,7 @@ from dc_kernels.model.joints.groups import WIDTH, Joints
 from dc_kernels.model.row_table import RowTable, Traits
 from dc_kernels.model.settings import numeric, shown
 from dc_kernels.model.shapes import TOLERANCE, box_vertices, convex_polygon, points
+from dc_kernels.model.validate.known import Key, made_of, remember_made, tables_key
 from dc_kernels.model.validate.scene import check_scene
 from dc_kernels.runtime.backends import check_device
 
@@ -345,21 +347,24 @@ class ModelBuilder(JointBuilder):
         check_device(device, backend)
         if not self._worlds:
             raise ValueError("the builder has no world: call add_world first")
-        fields = self._fields()
-        world, body, shape = len(self._worlds), self._bodies.count, self._shapes.count
-        rows = int(fields["joint_row_start"][-1])
-        sizes = {"world": world, "world+1": world + 1, "body": body, "body+1": body + 1}
-        sizes |= {"shape": shape, "shape+1": shape + 1, "vertex": self._vertices.count}
-        sizes |= {"body trait": body * ("gravity_scale" in fields), "shape trait": shape * ("shape_role" in fields)}
-        groups = (
-            Model(sizes, real, device, backend),
-            State(sizes, real, device, backend),
-            Joints({"joint": self._joints.count, "joint row": rows}, real, device, backend),
-        )
-        for group in groups:
-            write(group, fields)
-        check_scene(*groups, again=True)  # what was right in float64 may have underflowed
-        return groups
+        key = self._key(real, device, backend)
+        made = made_of(key)
+        with np.errstate(over="ignore", invalid="ignore"):  # values too large are found when they are assigned
+            fields = self._fields() if made is None else place(self._worlds, self._bodies.collect(), made.com)
+        model, state, joints = groups_of(fields, made, real, device, backend)
+        check_scene(model, state, joints, again=True)  # what was right in float64 may have underflowed
+        if made is None:
+            remember_made(key, model, joints, fields["center_of_mass"])
+        return model, state, joints
+
+    def _key(self, real: np.dtype, device: str, backend: str) -> Key | None:
+        """All that the model and the joints are made of."""
+        if self._centers or device != "cpu":
+            return None
+        bodies, shapes = self._bodies.collect()[:, TYPE:], self._shapes.collect()
+        given = (*self._body_traits.given, *self._shape_traits.given)
+        tables = (bodies, shapes, self._vertices.collect(), self._joints.collect(), *(one[-1] for one in given))
+        return tables_key((real, backend, *self._worlds, *(one[:-1] for one in given)), tables)
 
     def _fields(self) -> dict[str, np.ndarray]:
         """All fields of the model, state and joints that are not zero, in float64 (integers as they are)."""

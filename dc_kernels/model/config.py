@@ -324,5 +324,7 @@ def check_awake(config: SolverConfig) -> SolverConfig:
     return config
 
 
+DEFAULT = SolverConfig()
+"""Settings where none are given."""
 CONFIG = _config_table()
 """Fields of the struct of settings that kernels take, by the names that ``SolverConfig`` has for them."""

@@ -12,6 +12,7 @@ from dc_kernels.model.fields import ITERATION, Field
 from dc_kernels.model.settings import shown
 
 FLOATS: dict[str, np.dtype] = {"float32": np.dtype(np.float32), "float64": np.dtype(np.float64)}
+ALIGNMENT = 64  # bytes: that of the widest SIMD loads
 SMALL = 2**14  # bytes of an array that shares its memory with others: making each on its own takes longer
 _NAMES = {dtype: name for name, dtype in FLOATS.items()}
 _COMPONENTS = {"vec2": 2, "vec2d": 2, "vec3": 3, "vec3i": 3, "vec4": 4, "vec8": 8}
@@ -96,45 +97,98 @@ class Plan:
         shapes: of the arrays, with those of their elements, by name.
         bytes: of all arrays.
         largest: name of the largest one; None where there is none.
+        pieces: size of each piece, with what aligns the arrays in it [B].
+        places: number of its piece, shape, dtype and first byte within the piece, of each array by name.
     """
 
-    def __init__(self, arrays: Mapping[str, tuple[tuple[int, ...], np.dtype]], alignment: int = 64) -> None:
+    def __init__(self, arrays: Mapping[str, tuple[tuple[int, ...], np.dtype]]) -> None:
         """Lay out arrays of these shapes and dtypes, by name, each with its first byte aligned for SIMD loads."""
         size = {name: math.prod(shape) * dtype.itemsize for name, (shape, dtype) in arrays.items()}
         self.shapes = {name: shape for name, (shape, _) in arrays.items()}
         self.bytes = sum(size.values())
         self.largest = max(size, key=size.__getitem__) if size else None
-        self._alignment = alignment
-        self._empty: tuple[dict[str, np.ndarray], dict[str, int]] | None = None
-        self._pieces: list[tuple[int, list[tuple[str, tuple[int, ...], np.dtype, int]]]] = []
+        self.pieces: list[int] = []
+        places = {}
         small = [name for name in arrays if size[name] <= SMALL]
         for names in (small, *([name] for name in arrays if size[name] > SMALL)):
-            offset, piece = 0, []
+            offset = 0
             for name in names:
-                piece.append((name, *arrays[name], offset))
-                offset += size[name] + -size[name] % alignment
-            self._pieces.append((offset, piece))
+                places[name] = len(self.pieces), *arrays[name], offset
+                offset += size[name] + -size[name] % ALIGNMENT
+            self.pieces.append(offset)
+        self.places = {name: places[name] for name in arrays}
+        self._piece = np.array([piece for piece, *_ in self.places.values()], np.int64)
+        self._offset = np.array([offset for *_, offset in self.places.values()], np.uint64)
+        self._empty: Block | None = None
 
-    def zeros(self) -> tuple[Mapping[str, np.ndarray], Mapping[str, int]]:
-        """Make the arrays, by name, and the address of each; those of plans without elements are made once."""
-        if self.bytes or self._empty is None:
-            found = self._zeros()
-            if self.bytes:
-                return found
-            self._empty = found
+    def zeros(self) -> Block:
+        """Make the arrays; those of a plan without elements are made once."""
+        if self.bytes:
+            return Block(self)
+        if self._empty is None:
+            self._empty = Block(self)
         return self._empty
 
-    def _zeros(self) -> tuple[dict[str, np.ndarray], dict[str, int]]:
-        made, addresses = {}, {}
-        for room, piece in self._pieces:
-            raw = np.zeros(room + self._alignment, np.uint8)
-            address = raw.__array_interface__["data"][0]
-            first = -address % self._alignment
-            for name, shape, dtype, offset in piece:
-                array = np.ndarray(shape, dtype, raw, first + offset)
-                made[name] = array.view(np.recarray) if dtype.names else array  # the oracle reads fields as attributes
-                addresses[name] = address + first + offset
-        return made, addresses
+    def addresses(self, first: list[int]) -> np.ndarray:
+        """The address of each array, (n,) uint64, from that of each piece."""
+        if len(first) == 1:
+            return self._offset + np.uint64(first[0])
+        return np.array(first, np.uint64)[self._piece] + self._offset
+
+
+class Block:
+    """The memory of the arrays of a plan, zeroed at first; NumPy sees each from when it is first asked for.
+
+    Attributes:
+        plan: how the arrays lie.
+        seen: what was asked for by name.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        """Allocate."""
+        self.plan = plan
+        self.seen: dict[str, np.ndarray] = {}
+        self._raw = [np.zeros(size + ALIGNMENT, np.uint8) for size in plan.pieces]
+        lie = [raw.__array_interface__["data"][0] for raw in self._raw]
+        self._skipped = [-address % ALIGNMENT for address in lie]
+        self._first = [address + skipped for address, skipped in zip(lie, self._skipped)]
+
+    def array(self, name: str) -> np.ndarray:
+        """An array; it is the same one for all threads that ask at once."""
+        found = self.seen.get(name)
+        if found is not None:
+            return found
+        piece, shape, dtype, offset = self.plan.places[name]
+        made = np.ndarray(shape, dtype, self._raw[piece], self._skipped[piece] + offset)
+        # the oracle reads fields of elements as attributes
+        return self.seen.setdefault(name, made.view(np.recarray) if dtype.names else made)
+
+    def address(self, name: str) -> int:
+        """Where an array lies."""
+        piece, _, _, offset = self.plan.places[name]
+        return self._first[piece] + offset
+
+    def addresses(self) -> np.ndarray:
+        """Where the arrays lie, in the order of the plan, (n,) uint64."""
+        return self.plan.addresses(self._first)
+
+    def content(self) -> tuple[bytes, ...]:
+        """What all arrays hold."""
+        return tuple([piece.tobytes() for piece in self._pieces()])
+
+    def take(self, other: Block) -> None:
+        """Take over what a block of an equal plan holds."""
+        for piece, source in zip(self._pieces(), other._pieces(), strict=True):
+            piece[:] = source
+
+    def put(self, content: tuple[bytes, ...]) -> None:
+        """Take over what ``content`` of a block of an equal plan told."""
+        for piece, values in zip(self._pieces(), content, strict=True):
+            piece[:] = np.frombuffer(values, np.uint8)
+
+    def _pieces(self) -> list[np.ndarray]:
+        """The bytes of each piece."""
+        return [raw[first : first + n] for raw, first, n in zip(self._raw, self._skipped, self.plan.pieces)]
 
 
 _plans: dict[tuple[Any, ...], Plan] = {}
@@ -169,7 +223,7 @@ def plan_of(
     return _plans[key]
 
 
-def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype, alignment: int = 64) -> np.ndarray:
+def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     """Zeros whose first byte is aligned for SIMD loads."""
-    raw = np.zeros(math.prod(shape) * dtype.itemsize + alignment, np.uint8)
-    return np.ndarray(shape, dtype, raw, -raw.__array_interface__["data"][0] % alignment)
+    raw = np.zeros(math.prod(shape) * dtype.itemsize + ALIGNMENT, np.uint8)
+    return np.ndarray(shape, dtype, raw, -raw.__array_interface__["data"][0] % ALIGNMENT)

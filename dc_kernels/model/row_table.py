@@ -54,7 +54,11 @@ class RowTable:
 
 
 class Traits:
-    """Columns of numbers that few rows have: what is not given takes no memory, and is neutral."""
+    """Columns of numbers that few rows have: what is not given takes no memory, and is neutral.
+
+    Attributes:
+        given: name of a column, first row, and numbers from there on.
+    """
 
     def __init__(self, neutral: dict[str, float]) -> None:
         """Begin with none.
@@ -63,13 +67,13 @@ class Traits:
             neutral: names of the columns, and the number of a row for which none was given.
         """
         self.neutral = neutral
-        self._given: list[tuple[str, int, np.ndarray]] = []
+        self.given: list[tuple[str, int, np.ndarray]] = []
 
     def add(self, first: int, columns: Mapping[str, np.ndarray]) -> None:
         """Give rows from ``first`` on their numbers, (n,), by name of the column; other names are left alone."""
         for name, value in self.neutral.items():
             if name in columns and (columns[name] != value).any():
-                self._given.append((name, first, columns[name]))
+                self.given.append((name, first, columns[name]))
 
     def collect(self, rows: np.ndarray, prefix: str = "") -> dict[str, np.ndarray]:
         """All columns where a row of any of them is not neutral, with a prefix to their names; else none.
@@ -78,9 +82,9 @@ class Traits:
             rows: all rows in the order that is wanted, (n,).
             prefix: what the names begin with.
         """
-        if not self._given:
+        if not self.given:
             return {}
         found = {name: np.full(len(rows), value) for name, value in self.neutral.items()}
-        for name, first, values in self._given:
+        for name, first, values in self.given:
             found[name][first : first + len(values)] = values
         return {prefix + name: column[rows] for name, column in found.items()}

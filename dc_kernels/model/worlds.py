@@ -15,6 +15,9 @@ WorldViews = np.ndarray | list[np.ndarray]
 """(W, n, ...) where each world has n elements; else an array (n, ...) of each world."""
 
 
+_WITHIN = {"vertex": "shape", "joint row": "joint"}  # axes whose offsets are those of the elements of another
+
+
 class Segments(NamedTuple):
     """Elements of each world on an axis."""
 
@@ -30,12 +33,20 @@ class Segments(NamedTuple):
         return cls(start, int(count[0]) if (count == count[0]).all() else None)
 
 
-def segments_of_worlds(array_of: Callable[[str], np.ndarray], row_start: np.ndarray) -> dict[str, Segments]:
-    """Elements of each world by axis, from the arrays of a model by name and the first row of each of its joints."""
-    start = {axis: array_of(f"{axis}_start") for axis in ("body", "shape", "joint")}
-    start["vertex"] = array_of("vertex_start")[start["shape"]]
-    start["joint row"] = row_start[start["joint"]]
-    return {axis: Segments.of(first) for axis, first in start.items()}
+class WorldSegments(dict[str, Segments]):
+    """Elements of each world by axis; those of an axis are looked for when they are first asked for."""
+
+    def __init__(self, array_of: Callable[[str], np.ndarray], row_start: np.ndarray) -> None:
+        """Take the arrays of a model by name, and the first row of each of its joints."""
+        super().__init__()
+        self._start = {axis: array_of(f"{axis}_start") for axis in ("body", "shape", "joint", "vertex")}
+        self._start["joint row"] = row_start
+
+    def __missing__(self, axis: str) -> Segments:
+        start = self._start[axis]
+        if axis in _WITHIN:
+            start = start[self._start[_WITHIN[axis]]]
+        return self.setdefault(axis, Segments.of(start))
 
 
 def by_world(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 
+LARGE = 1e8  # bytes from which on anything is looked at, so that small allocations cost nothing
 SHARE = 0.9  # of what is free: the rest is for what is not counted
 
 
@@ -22,13 +23,13 @@ def free_memory() -> float:
         return float("inf")
 
 
-def check_memory(name: str, size: float, least: float = 1e8) -> None:
+def check_memory(name: str, size: float, least: float = LARGE) -> None:
     """Raise a MemoryError for what would not fit into the free memory.
 
     Args:
         name: of the setting or array that asks for it.
         size: that it would take [B].
-        least: less is not looked at, so that small allocations cost nothing [B].
+        least: less is not looked at [B].
 
     Raises:
         MemoryError: naming it, the memory that it would take, and what is free.

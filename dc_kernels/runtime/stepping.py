@@ -58,7 +58,7 @@ class Shards:
         self.threads = self.over_worlds = max(1, min(threads, worlds))
         self.helpers = 0
         count = 1 if self.threads == 1 else min(SHARDS_PER_THREAD * self.threads, worlds)
-        edges = np.linspace(0, worlds, count + 1).astype(int)
+        edges = np.linspace(0, worlds, count + 1).astype(int) if count > 1 else (0, worlds)
         self.ranges = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
         self.parts = count
         self.bodies = max(bodies, 1)

@@ -136,15 +136,13 @@ class _Cells:
 
     def _choose(self, points: np.ndarray) -> list[int]:
         """Return the indices of those that overlap none that is returned before."""
-        # a row of bits for each: which of them it overlaps, itself among them
-        rows = np.packbits(self._near(points, points[:, None]), axis=1, bitorder="little")
-        width, bits = rows.shape[1], rows.tobytes()
-        taken, chosen = 0, []
-        for i in range(len(points)):
-            if not taken & int.from_bytes(bits[i * width : (i + 1) * width], "little"):
-                taken |= 1 << i
-                chosen.append(i)
-        return chosen
+        first, second = np.divmod(self._near(points, points[:, None]).reshape(-1).nonzero()[0], len(points))
+        later = first < second
+        chosen = dict.fromkeys(range(len(points)))
+        for i, j in zip(first[later].tolist(), second[later].tolist()):  # all that speaks against i came before
+            if i in chosen:
+                chosen.pop(j, None)
+        return list(chosen)
 
     def _near(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Tell which points are too near to each other, in any shape that broadcasts."""

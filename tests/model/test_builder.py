@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import dc_kernels as dc
 from dc_kernels.model import assemble
 from dc_kernels.model.shapes import mass_properties
+from dc_kernels.model.validate import known
 
 SQUARE = ((0, 0), (1, 0), (1, 1), (0, 1))
 KINDS = st.sampled_from(list(dc.BodyType))
@@ -509,3 +510,75 @@ def test_masses_whose_inverses_add_up_beyond_float32_are_refused(dtype):
     builder.add_disc(builder.add_body(mass=1.2e-38, inertia=1.0), 0.5)
     with pytest.raises(ValueError, match=r"inv_mass\[1\] is 8\.3.*e\+37; it must be in \[0, 8e\+37\]"):
         dc.Simulation(*builder.finalize(dtype))
+
+
+def similar_world(gravity=(0.0, -9.8), origin=(0.0, 0.0), at=0.0, friction=0.5, half_width=0.5, arm=0.2, **traits):
+    """A chain, a box and a disc on a hinge; what is given is all that differs."""
+    builder = builder_with_world(gravity=gravity, origin=origin)
+    builder.add_chain(builder.add_body(type=dc.BodyType.STATIC), [(4.0, 0.0), (-4.0, 0.0)])
+    box = builder.add_body((at, 1.0), angle=0.3 + at, velocity=(at, 1.0), angular_velocity=2.0)
+    builder.add_box(box, half_width, 0.5, center=(0.1, 0.0), friction=friction)
+    disc = builder.add_discs([(at + 1.0, 2.0)], 0.5, **traits)
+    builder.add_revolute_joint(box, int(disc[0]), (at + arm, 1.5))
+    return builder
+
+
+SIMILAR = [
+    {"at": 1.5},
+    {"gravity": (1.0, -9.8)},
+    {"origin": (3.0, 4.0)},
+    {"friction": 0.25},
+    {"half_width": 0.75},
+    {"arm": 0.4},
+    {"linear_damping": 0.5},
+    {"linear_damping": 0.25},
+    {"sensor": True},
+    {"at": -1.0, "surface_speed": 0.5},
+]
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_what_is_like_a_scene_before_is_made_as_if_it_was_the_first(dtype):
+    """Models of equal tables are copied from what is remembered; that holds what it would if nothing was."""
+    for given_now in (*SIMILAR, *SIMILAR):  # twice, as the first time something else is remembered
+        groups = similar_world(**given_now).finalize(dtype, backend="numpy")
+        remembered = dict(known._made)
+        known._made.clear()
+        anew = similar_world(**given_now).finalize(dtype, backend="numpy")
+        known._made.update(remembered)
+        for group, other in zip(groups, anew, strict=True):
+            assert group.sizes == other.sizes
+            for name, values in group.views().items():
+                assert values.tobytes() == other.numpy(name).tobytes(), (given_now, name)
+
+
+def test_what_is_written_to_a_model_is_not_in_the_next_one():
+    one = similar_world().finalize(backend="numpy")[0]
+    one.assign("shape_friction", np.full(one.shape_count, 0.75))
+    one.sizes["body"] = 7
+    two = similar_world().finalize(backend="numpy")[0]
+    assert (two.numpy("shape_friction") == 0.5).all()
+    assert two.body_count == 3
+
+
+def test_a_model_that_differs_from_one_before_is_looked_at_and_weighed_anew():
+    """Simulations share what was worked out of models that hold the same, and of no others."""
+    model, state, joints = similar_world().finalize(backend="numpy")
+    first = dc.Simulation(model.copy(), state.copy(), joints.copy())
+    model.assign("gravity", [(0.0, -4.9)])
+    second = dc.Simulation(model.copy(), state.copy(), joints.copy())
+    assert second.motion.numpy("weight")[0] == pytest.approx(first.motion.numpy("weight")[0] / 2)
+    model.memory("shape_radius")[-1] = -1.0
+    with pytest.raises(ValueError, match=r"model\.shape_radius\[2\] is -1\.0"):
+        dc.Simulation(model, state, joints)
+
+
+def test_what_is_remembered_has_a_bound():
+    for i in range(50):
+        builder = builder_with_world()
+        builder.add_discs(np.stack([2.0 * np.arange(1000.0), np.zeros(1000)], axis=1), 0.5, friction=i / 64)
+        finalize(builder)
+    for memory in (known._made, known._right):
+        assert 0 < memory.bytes <= known.MOST
+        assert sum(len(part) for key in memory for part in key if isinstance(part, bytes)) <= known.MOST
+        assert len(memory) < 50

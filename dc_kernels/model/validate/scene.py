@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import weakref
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,37 +16,26 @@ from dc_kernels.model.settings import WrongType, checker
 from dc_kernels.model.validate.arrays import Layout, check_field, check_start, parts_of, sane
 from dc_kernels.model.validate.geometry import check_geometry
 from dc_kernels.model.validate.glance import Arrays
+from dc_kernels.model.validate.known import Facts, facts_of, is_known, key_of, remember_right, remember_state
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 
 CORNERS = ("vertices", "vertex_normals")
-KEPT = 2**18  # most bytes of a group that are remembered
 _model, _state, _joints = checker(Model), checker(State), checker(Joints)
-
-
-class _Known(NamedTuple):
-    """What was found right beside a model."""
-
-    state: weakref.ref[State]
-    joints: weakref.ref[Joints]
-    content: list[list[bytes] | None]
-
-
-_known: weakref.WeakKeyDictionary[Model, _Known] = weakref.WeakKeyDictionary()
 
 
 def check_scene(
     model: Model, state: State | None, joints: Joints | None, *, again: bool = False
-) -> tuple[State, Joints]:
+) -> tuple[State, Joints, Facts]:
     """Hold a model, its state and joints to each other, to their memory as kernels need it, and to their rules.
 
     Args:
         model: of the scene.
         state: of the scene.
         joints: of the scene; None for none.
-        again: remember what small arrays hold, as the same are soon to be checked again: then it is compared.
+        again: remember what a small state holds, as it is soon to be checked again: then it is compared.
 
     Returns:
-        The state, and the joints, of which there are none for None.
+        The state; the joints, of which there are none for None; what is known of all models that hold the same.
 
     Raises:
         TypeError: naming what is no group of arrays; for a builder, how to make them from it.
@@ -71,18 +59,23 @@ def check_scene(
             raise ValueError(
                 f"state has {state.sizes[axis]} on axis {axis!r}; it must be the model's {model.sizes[axis]}"
             )
-    known = _Known(weakref.ref(state), weakref.ref(joints), [group.content(KEPT) for group in groups.values()])
-    if None not in known.content and _known.pop(model, None) == known:
-        return state, joints
-    for name, group in groups.items():
-        _check_memory(group, name)
-    arrays = {name: group.views() for name, group in groups.items()}
-    check_model(arrays["model"], backend=model.backend)
-    check_state(arrays["state"], arrays["model"], backend=model.backend)
-    check_joints(arrays["joints"], arrays["model"])
-    if again and None not in known.content:
-        _known[model] = known
-    return state, joints
+    key = key_of(model, joints)
+    facts = None if key is None else facts_of(key)
+    if facts is None:
+        _check_memory(model, "model")
+        _check_memory(state, "state")
+        _check_memory(joints, "joints")
+        check_model(model.views(), backend=model.backend)
+    if facts is None or not is_known(state):
+        _check_memory(state, "state")
+        offsets = {name: model.memory(name) for name in ("body_start", "shape_start", "joint_start", "mass")}
+        check_state(state.views(), offsets, backend=model.backend)
+    if facts is None:
+        check_joints(joints.views(), model.views())
+        facts = remember_right(key)
+    if again:
+        remember_state(state)
+    return state, joints, facts
 
 
 def _check_memory(group: ArrayGroup, label: str) -> None:
@@ -91,7 +84,7 @@ def _check_memory(group: ArrayGroup, label: str) -> None:
     That is one of another type, dtype, shape, device or memory layout than is allocated.
     """
     for name, field in group.table.items():
-        if group.own(name):
+        if name in group.blocks:
             continue
         array = getattr(group, name)
         scalar, shape = numpy_spec(field, group.dtype)
@@ -196,7 +189,7 @@ def check_state(
 
     Args:
         state: all fields of ``model.fields.STATE`` by name.
-        model: arrays of a model that ``check_model`` has passed.
+        model: offsets and masses of a model that ``check_model`` has passed.
         label: what stands before the name of an array in errors.
         frozen: pass whatever froze a world: numbers of worlds with flags may be NaN or inf.
         backend: that may look at large arrays, if it has compiled code.
