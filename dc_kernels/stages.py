@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 from dc_kernels.model.enums import Activity
 from dc_kernels.runtime.backends import has_kernels, kernel_factory, kernel_file, make_kernels
 from dc_kernels.runtime.capture import recording
-from dc_kernels.solve.rows import COLUMNS, OWN
+from dc_kernels.solve.rows import COLUMNS
 
 Phase = Literal["advance", "collide", "solve"]
 PHASES: tuple[Phase, ...] = ("collide", "solve", "advance")
@@ -237,7 +237,7 @@ FOLLOWED = (
 SOFT = (
     Stage(
         "solve", "solve_soft", "solve.soft", ("variant",), ("model", "state", "joints", "contacts"),
-        ("motion", "rows", "stats"), "all substeps with soft contacts, and what they move the bodies by",
+        ("motion", "rows", "stats"), "all substeps with soft contacts and joints, and what they move the bodies by",
     ),
 )  # fmt: skip
 """What stands in the place of ``solve_world``, ``displace`` and ``correct_positions`` with method "tgs_soft"."""
@@ -349,13 +349,11 @@ def files_of(
         soft: whether the method is "tgs_soft".
 
     Raises:
-        ValueError: where a backend has not got the kernels, naming those that have; where the method has none.
+        ValueError: where a backend has not got the kernels, naming those that have.
     """
     if variant not in variants_of(backend):
         having = [name for name in ("warp", "numpy") if variant in variants_of(name)]  # which need no extra
         raise ValueError(f"backend is {backend!r}, which has no rows of {WORDS[variant]}; it must be one of {having}")
-    if soft and variant in OWN:
-        raise ValueError(f"SolverConfig.method is 'tgs_soft', which has no rows of {WORDS[variant]}; use another one")
     more = (*(SLEEP if sleep else ()), *(SOFT if soft else ()))
     more += tuple(stage for stage in (*LINKED, *EVENTS, *SWITCHED, *FOLLOWED) if stage.kernel in added)
     files = {stage.file: stage.options for stage in (*STEP, *more)}

@@ -77,12 +77,12 @@ class SolverConfig(Settings):
     """How joints are solved: "direct", all whose bodies form trees at once, exactly whatever their masses, where sweeps
     leave them apart; "sweeps", row by row as the contacts are. Method "jacobi" knows sweeps alone."""
     substeps: Count = 1
-    """Parts of a step. With method "tgs_soft" they share pairs, contacts and rows, whose gaps follow the bodies to
-    first order; with the others ``step`` and ``run`` take as many whole steps of dt / substeps, whose narrowphase is
+    """Parts of a step. With method "tgs_soft" they share pairs, contacts and their rows, whose gaps follow the bodies
+    to first order; with the others ``step`` and ``run`` take as many whole steps of dt / substeps, whose narrowphase is
     their own and whose pairs are kept while no shape leaves its box [1]."""
     soft_frequency: Annotated[float, Limits(above=0.0, most=1.0)] = 0.125
     """With method "tgs_soft" the natural frequency of a contact of two moving bodies, half of that of one with a fixed
-    body and of rods; 30 Hz of 240 substeps a second, as in Box2D 3 [1/substep]."""
+    body and of joints; 30 Hz of 240 substeps a second, as in Box2D 3 [1/substep]."""
     soft_damping: Positive = 10.0
     """With method "tgs_soft" the damping of contacts over the critical one, as in Box2D 3 [1]."""
     acceleration: Literal["none", "sor", "aitken", "nncg", "adaptive"] = "adaptive"
@@ -269,6 +269,8 @@ class SolverConfig(Settings):
         known = {"stop": stop, "tolerance": tolerance, "relative_tolerance": min(relative, 1e30)}
         values = {name: getattr(self, name) for name in CONFIG if hasattr(self, name)} | known
         values.update({name: codes[values[name]] for name, codes in CHOICES.items()})
+        if self.soft:  # contacts and joints are corrected by their softness
+            values["position_correction"] = POSITION_CORRECTIONS["none"]
         switches = ("history", "sleep", "continuous", "contact_events", "contact_switches")
         values |= {name: int(getattr(self, name)) for name in switches}
         values["slack"] = SLACK * self.slop

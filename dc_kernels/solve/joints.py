@@ -29,6 +29,9 @@ BRAKED = 8.0
 TREE_JOINT, TREE_MOVES = 44, 12
 """Numbers that a direct solve of trees keeps of each joint, and of each body (``_warp/native/solve/tree.h``)."""
 
+PAIRED = (int(JointKind.REVOLUTE), int(JointKind.PRISMATIC), int(JointKind.WELD))
+"""Kinds whose first two rows substeps solve as one block."""
+
 LASTING = 0.99 * UNBOUNDED
 """A break force from which a joint lasts, whatever the scalar type rounds it to [N]."""
 

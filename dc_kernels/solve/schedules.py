@@ -119,8 +119,18 @@ def settings_of_solve(config: SolverConfig, pause: int | None, resume: bool) -> 
 
 def world_schedule(solver: Solver, first: int, count: int, values: Mapping[str, Any]) -> list[Launch]:
     """One launch a solve: a thread runs a world's sweeps to the end. For many worlds, and on a CPU."""
-    kernel = "solve_soft" if solver.config.soft else "solve_world"
-    return [solver.bind(kernel, first, count, values), solver.bind("unpack_impulses", first, count)]
+    unpack = solver.bind("unpack_impulses", first, count)
+    if not solver.config.soft:
+        return [solver.bind("solve_world", first, count, values), unpack]
+    if "make_joint_rows" not in solver.kernels:
+        return [solver.bind("solve_soft", first, count, values), unpack]
+    launches = []
+    for k in range(solver.config.substeps + 1):
+        part = {**values, "resume": k, "pause": 1}
+        if k > 0:  # joints are where the substep before has brought their bodies
+            launches.append(solver.bind("make_joint_rows", first, count, part))
+        launches.append(solver.bind("solve_soft", first, count, part))
+    return [*launches, unpack]
 
 
 def color_schedule(solver: Solver, first: int, count: int, values: Mapping[str, Any]) -> list[Launch]:

@@ -13,6 +13,7 @@ from pipeline import scenes
 G = 9.8
 DT = 1 / 60
 EXACT = dc.SolverConfig(tolerance=1e-12, relative_tolerance=1e-12, max_sweeps=3000)
+SOFT = dc.SolverConfig(method="tgs_soft", substeps=4)
 
 
 def wall_and_rod(builder, angle=0.0, length=1.0, **joint):
@@ -91,8 +92,9 @@ def run(builder, steps, dt=DT, dtype="float64", backend="warp", config=EXACT, **
     return sim
 
 
-def test_both_backends_agree_on_every_kind_and_part():
-    fast, oracle = (run(gallery(), 12, backend=backend) for backend in ("warp", "numpy"))
+@pytest.mark.parametrize("config", [EXACT, SOFT])
+def test_both_backends_agree_on_every_kind_and_part(config):
+    fast, oracle = (run(gallery(), 12, backend=backend, config=config) for backend in ("warp", "numpy"))
     assert not fast.state.numpy("flags").any()
     for name in ("position", "angle", "velocity", "angular_velocity"):
         np.testing.assert_allclose(fast.state.numpy(name), oracle.state.numpy(name), atol=1e-9, err_msg=name)
@@ -153,7 +155,8 @@ def test_period_and_force_of_a_pendulum(amplitude):
     assert sim.state.numpy("position")[bob] == pytest.approx([-math.sin(amplitude), -math.cos(amplitude)], abs=6e-3)
 
 
-def test_a_motor_turns_at_its_speed_until_the_load_balances_it():
+@pytest.mark.parametrize("config", [EXACT, SOFT])
+def test_a_motor_turns_at_its_speed_until_the_load_balances_it(config):
     """It turns a wheel at its speed; it holds a rod where its torque is that of the weight, and reports that."""
     builder = dc.ModelBuilder()
     builder.add_world(gravity=(0, 0), length_scale=1.0)
@@ -162,7 +165,7 @@ def test_a_motor_turns_at_its_speed_until_the_load_balances_it():
     builder.add_revolute_joint(wall, wheel, motor_speed=3.0, max_motor_torque=0.1)
     builder.add_world(gravity=(0, -G), length_scale=1.0)
     rod = wall_and_rod(builder, angle=0.5, motor_speed=0.0, max_motor_torque=5.0)
-    sim = dc.Simulation(*builder.finalize("float64"), config=EXACT)
+    sim = dc.Simulation(*builder.finalize("float64"), config=config)
     inertia, mass = sim.model.numpy("inertia")[wheel], sim.model.numpy("mass")[rod]
     sim.run(10, 0.01)
     assert sim.state.numpy("angular_velocity")[wheel] == pytest.approx(0.1 / inertia * 0.1)
@@ -177,7 +180,8 @@ def test_a_motor_turns_at_its_speed_until_the_load_balances_it():
     assert sim.state.numpy("angular_velocity")[wheel] == pytest.approx(-2.0)
 
 
-def test_limits_hold_what_moves_into_them():
+@pytest.mark.parametrize(("config", "beyond"), [(EXACT, 2e-3), (SOFT, 4e-3)])
+def test_limits_hold_what_moves_into_them(config, beyond):
     builder = dc.ModelBuilder()
     builder.add_world(gravity=(0, -G), length_scale=1.0)
     rod = wall_and_rod(builder, angle=1.2, lower=0.7, upper=2.0)
@@ -187,12 +191,12 @@ def test_limits_hold_what_moves_into_them():
     rope = builder.add_body((5, -0.5))
     builder.add_box(rope, 0.1, 0.1)
     builder.add_rope_joint(0, rope, (5, 0), max_length=0.8)
-    sim = dc.Simulation(*builder.finalize("float64"), config=EXACT)
+    sim = dc.Simulation(*builder.finalize("float64"), config=config)
     lowest = 0.0
     for _ in range(120):
         sim.step(DT)
         lowest = min(lowest, sim.state.numpy("angle")[rod] - 0.7)
-    assert lowest > -2e-3
+    assert lowest > -beyond
     assert sim.state.numpy("angle")[rod] == pytest.approx(0.7, abs=1e-3)
     assert sim.state.numpy("position")[slide] == pytest.approx([3, -0.3], abs=1e-3)
     assert sim.state.numpy("position")[rope] == pytest.approx([5, -0.8], abs=1e-3)
@@ -237,13 +241,14 @@ def test_a_spring_swings_with_its_frequency_and_damping():
     assert sim.state.numpy("position")[body][0] - 1.0 == pytest.approx(wanted, abs=1e-3)
 
 
-def test_a_target_draws_with_no_more_than_its_force():
+@pytest.mark.parametrize("config", [EXACT, SOFT])
+def test_a_target_draws_with_no_more_than_its_force(config):
     builder = dc.ModelBuilder()
     builder.add_world(gravity=(0, 0), length_scale=1.0)
     wall = builder.add_body(type=dc.BodyType.STATIC)
     body = builder.add_body((0, 0), mass=2.0, inertia=1.0)
     builder.add_target_joint(wall, body, (5.0, 0.0), max_force=4.0, damping_ratio=1.0)
-    sim = dc.Simulation(*builder.finalize("float64"), config=EXACT)
+    sim = dc.Simulation(*builder.finalize("float64"), config=config)
     sim.run(10, 0.01)
     assert sim.state.numpy("velocity")[body] == pytest.approx([0.2, 0.0])
     sim.joints.assign("joint_anchor_a", [(0.1, 0.5)])
@@ -251,7 +256,8 @@ def test_a_target_draws_with_no_more_than_its_force():
     assert sim.state.numpy("position")[body] == pytest.approx([0.1, 0.5], abs=1e-3)
 
 
-def test_gears_and_general_rows_share_momentum():
+@pytest.mark.parametrize("config", [EXACT, SOFT])
+def test_gears_and_general_rows_share_momentum(config):
     """Wheels on hinges that roll on each other; two masses on a rope over a pulley, as a row of one's own."""
     builder = dc.ModelBuilder()
     builder.add_world(gravity=(0, 0), length_scale=1.0)
@@ -263,7 +269,7 @@ def test_gears_and_general_rows_share_momentum():
     builder.add_world(gravity=(0, -G), length_scale=1.0)
     heavy, light = (builder.add_body((x, 0), mass=m, inertia=1.0) for x, m in ((0, 5.0), (1, 3.0)))
     builder.add_general_joint(heavy, light, (0, 1, 0), (0, 1, 0), lower=0.0)
-    sim = dc.Simulation(*builder.finalize("float64"), config=EXACT)
+    sim = dc.Simulation(*builder.finalize("float64"), config=config)
     i, j = sim.model.numpy("inertia")[wheels]
     sim.run(60, 0.01)
     spin = sim.state.numpy("angular_velocity")[wheels]
@@ -271,12 +277,13 @@ def test_gears_and_general_rows_share_momentum():
     assert sim.state.numpy("velocity")[[heavy, light], 1] == pytest.approx(np.array([-1, 1]) * 0.6 * G / 4)
 
 
-def test_a_joint_breaks_above_its_force_and_only_then():
+@pytest.mark.parametrize("config", [EXACT, SOFT])
+def test_a_joint_breaks_above_its_force_and_only_then(config):
     builder = dc.ModelBuilder()
     for strength in (1.05, 0.95):
         builder.add_world(gravity=(0, -G), length_scale=1.0)
         wall_and_rod(builder, break_force=strength * G * 0.01)
-    sim = run(builder, 20)
+    sim = run(builder, 20, config=config)
     assert sim.joints.numpy("joint_broken").tolist() == [0, 1]
     assert sim.state.numpy("velocity")[:, 1] == pytest.approx([0, 0, 0, -G * 19 * DT], abs=1e-9)
     sim.reset()

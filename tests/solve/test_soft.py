@@ -7,7 +7,8 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels.model.config import check_awake
-from tests.parity.scenes import bounce, discs, pendulum, simulation
+from dc_kernels.solve.rows import SERIAL_COLOR
+from tests.parity.scenes import bounce, discs, pendulum, simulation, surfaces
 
 SOFT = dc.SolverConfig(method="tgs_soft", substeps=4)
 DT = 1 / 60
@@ -94,7 +95,7 @@ def test_overlaps_are_pushed_out_slowly_and_leave_no_speed():
     assert np.abs(sim.state.numpy("velocity")).max() < 1e-9
 
 
-@pytest.mark.parametrize("scene", [discs, pendulum, bounce])
+@pytest.mark.parametrize("scene", [discs, pendulum, bounce, surfaces])
 def test_warp_and_the_oracle_agree(scene):
     one, two = (simulation(scene, "float64", backend, config=SOFT) for backend in ("warp", "numpy"))
     for sim in (one, two):
@@ -118,6 +119,81 @@ def test_rods_keep_their_length():
 
     way = ends(b, sim.joints.numpy("joint_anchor_b")) - ends(a, sim.joints.numpy("joint_anchor_a"))
     np.testing.assert_allclose(np.hypot(*way.T), sim.joints.numpy("joint_length"), atol=0.03)
+
+
+@pytest.mark.parametrize("kind", ["hinge", "rod", "rope"])
+def test_a_pendulum_keeps_its_period_and_energy(kind):
+    """T = 2 pi sqrt(l / g) / agm(1, cos(a / 2)), at 128 steps a period, whatever holds the point mass."""
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, -G), length_scale=1.0)
+    wall = builder.add_body(type=dc.BodyType.STATIC)
+    bob = builder.add_body((np.sin(1.0), -np.cos(1.0)), angle=1.0, mass=2.0, inertia=1e-9)
+    if kind == "hinge":
+        builder.add_revolute_joint(wall, bob, (0.0, 0.0), (0.0, 1.0))
+    elif kind == "rod":
+        builder.add_distance_joint(wall, bob, break_force=1e6)
+    else:
+        builder.add_rope_joint(wall, bob, max_length=1.0)
+    sim = dc.Simulation(*builder.finalize("float64"), config=SOFT)
+    place, energy = [], []
+    for _ in range(240):
+        sim.step(DT)
+        x, v = sim.state.numpy("position")[bob], sim.state.numpy("velocity")[bob]
+        place.append(x.copy())
+        energy.append(0.5 * v @ v + G * x[1])
+    place = np.array(place)
+    np.testing.assert_allclose(np.hypot(*place.T), 1.0, atol=1e-3)
+    np.testing.assert_allclose(energy, -G * np.cos(1.0), atol=0.015 * G * (1 - np.cos(1.0)))
+    angle = np.arctan2(place[:, 0], -place[:, 1])
+    i = np.flatnonzero((angle[:-1] > 0) & (angle[1:] <= 0))
+    down = (i + angle[i] / (angle[i] - angle[i + 1])) * DT
+    np.testing.assert_allclose(down[1] - down[0], 2.1402287, rtol=1e-3)
+
+
+def test_a_spring_swings_with_its_frequency_and_damping():
+    """As implicit Euler has it over the substeps, to rounding."""
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, 0.0), length_scale=1.0)
+    body = builder.add_body((1.5, 0.0), mass=3.0, inertia=1.0)
+    wall = builder.add_body(type=dc.BodyType.STATIC)
+    builder.add_distance_joint(wall, body, length=1.0, frequency=2.0, damping_ratio=0.1)
+    sim = dc.Simulation(*builder.finalize("float64"), config=SOFT)
+    sim.run(40, DT)
+    x, v = 0.5, 0.0
+    w, h = 4 * np.pi, DT / 4
+    for _ in range(160):
+        v = (v - h * w * w * x) / (1 + 2 * 0.1 * w * h + (w * h) ** 2)
+        x += h * v
+    np.testing.assert_allclose(sim.state.numpy("position")[body, 0], 1.0 + x, atol=1e-12)
+    np.testing.assert_allclose(sim.state.numpy("velocity")[body, 0], v, atol=1e-12)
+
+
+def test_the_serial_colour_solves_joints_as_the_lanes_do():
+    """Seventy bodies on one, by hinges with limits, springs and motors, one by one in scalar arithmetic."""
+
+    def star(backend):
+        builder = dc.ModelBuilder()
+        builder.add_world(gravity=(0.0, -G), length_scale=1.0)
+        hub = builder.add_discs([(0.0, 0.0)], 2.0, mask=0)[0]
+        for i in range(72):
+            c, s = np.cos(i / 72 * 2 * np.pi), np.sin(i / 72 * 2 * np.pi)
+            arm = builder.add_discs([(2.5 * c, 2.5 * s)], 0.2, mask=0)[0]
+            if i % 3 == 0:
+                builder.add_revolute_joint(
+                    hub, arm, (2.1 * c, 2.1 * s), lower=-0.1, upper=0.1, motor_speed=2.0, max_motor_torque=0.1
+                )
+            elif i % 3 == 1:
+                builder.add_weld_joint(hub, arm, (2.1 * c, 2.1 * s), frequency=3.0, damping_ratio=0.2)
+            else:
+                builder.add_rope_joint(hub, arm, (2.0 * c, 2.0 * s), max_length=0.51)
+        return dc.Simulation(*builder.finalize("float64", backend=backend), config=SOFT)
+
+    one, two = star("warp"), star("numpy")
+    for sim in (one, two):
+        sim.run(3, DT)
+    assert (one.rows.numpy("row_color") == SERIAL_COLOR).any()
+    for name in ("position", "angle", "velocity", "angular_velocity"):
+        np.testing.assert_allclose(one.state.numpy(name), two.state.numpy(name), atol=1e-9, err_msg=name)
 
 
 def test_a_method_may_follow_another_between_steps():
@@ -144,8 +220,6 @@ def test_what_it_has_not_got_is_said():
         sim = dc.Simulation(*dc_scene(), config=SOFT)
         sim.collide(DT)
         sim.solve(pause=2)
-    with pytest.raises(ValueError, match="'tgs_soft', which has no rows of surfaces"):
-        dc.Simulation(*dc_scene(rolling_resistance=0.1), config=SOFT)
     with pytest.raises(ValueError, match="only a Simulation takes substeps"):
         check_awake(SOFT)
     pytest.importorskip("taichi")

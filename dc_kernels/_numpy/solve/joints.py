@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from dc_kernels._numpy.common import Kernels
-from dc_kernels._numpy.solve.constraints.ends import Ends
+from dc_kernels._numpy.solve.constraints.ends import SUBSTEPS, Ends
 from dc_kernels._numpy.solve.constraints.gear import make_gear_rows
 from dc_kernels._numpy.solve.constraints.general import make_general_rows
 from dc_kernels._numpy.solve.constraints.prismatic import make_prismatic_rows
@@ -43,9 +43,10 @@ def make_joint_rows(
     if state.flags[w]:
         return
     bodies = slice(model.body_start[w], model.body_start[w + 1])
-    rows.stiff_inertia[bodies] = 0.0
+    if not launch.resume:
+        rows.stiff_inertia[bodies] = 0.0
     for j in range(model.joint_start[w], model.joint_start[w + 1]):
-        ends = Ends(j, w, config, model, state, motion, joints, rows)
+        ends = Ends(j, w, launch, config, model, state, motion, joints, rows)
         asleep = motion.predicted[[ends.a, ends.b], 3].min() < 0
         if asleep or joints.joint_broken[j]:
             for _ in range(joints.joint_row_start[j], joints.joint_row_start[j + 1]):
@@ -55,13 +56,18 @@ def make_joint_rows(
                     ends.rest()
         else:
             MAKERS[JointKind(joints.joint_kind[j])](j, joints, ends)
+        if launch.resume:
+            continue
         own = slice(joints.joint_row_start[j], joints.joint_row_start[j + 1])
         pull = joints.joint_impulse[own] @ rows.row_jacobian_b[own, :2]
         for body, arm, force in ((ends.a, ends.d + ends.ra, -pull), (ends.b, ends.rb, pull)):
-            rows.stiff_inertia[body] += STIFFNESS * ends.dt * max(arm @ force, 0.0)
+            rows.stiff_inertia[body] += STIFFNESS * ends.dt * ends.share * max(arm @ force, 0.0)
+    if launch.resume:
+        return
     own, pulled, predicted = model.inertia[bodies], rows.stiff_inertia[bodies].copy(), motion.predicted[bodies]
     rows.stiff_inertia[bodies] = np.maximum(pulled - own, 0.0)
-    brake = np.minimum((motion.step_dt[w] * state.angular_velocity[bodies] / SMALL_TURN) ** 4, 1.0)
+    dt = motion.step_dt[w] / config.substeps if config.method == SUBSTEPS else motion.step_dt[w]
+    brake = np.minimum((dt * state.angular_velocity[bodies] / SMALL_TURN) ** 4, 1.0)
     heavy = (own > 0) & (pulled > BRAKED * own)
     predicted[heavy, 2] *= 1 - brake[heavy] * (1 - BRAKED * own[heavy] / pulled[heavy])
 

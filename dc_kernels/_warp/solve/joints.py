@@ -16,6 +16,7 @@ from dc_kernels._warp.solve.constraints.stretch import stretch_rows
 from dc_kernels._warp.solve.constraints.target import target_rows
 from dc_kernels._warp.solve.constraints.weld import weld_rows
 from dc_kernels._warp.solve.constraints.wheel import wheel_rows
+from dc_kernels.model.config import METHODS
 from dc_kernels.model.enums import JointKind
 from dc_kernels.solve.joints import BRAKED, SMALL_TURN, STIFFNESS
 
@@ -27,6 +28,7 @@ WHEEL = wp.constant(int(JointKind.WHEEL))
 TARGET = wp.constant(int(JointKind.TARGET))
 GEAR = wp.constant(int(JointKind.GEAR))
 BROKEN = wp.constant(1)
+SUBSTEPS = wp.constant(METHODS["tgs_soft"])
 
 
 @cache
@@ -49,7 +51,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     make_general_rows = general_rows(dtype)
 
     @wp.func(module=module)
-    def stiffen(j: int, e: ends.Ends, joints: t.Joints, rows: t.Rows):
+    def stiffen(j: int, e: ends.Ends, stiff: real, joints: t.Joints, rows: t.Rows):
         """What the forces of joint j turn its bodies back by, as they pull at their arms: dt^2 r . f, summed up."""
         x = real(0.0)
         y = real(0.0)
@@ -59,8 +61,8 @@ def kernels(dtype: str) -> dict[str, Any]:
         ra = e.d + e.ra
         along_a = -(ra[0] * x + ra[1] * y)
         along_b = e.rb[0] * x + e.rb[1] * y
-        rows.stiff_inertia[e.a] += STIFF * e.dt * wp.max(along_a, real(0.0))
-        rows.stiff_inertia[e.b] += STIFF * e.dt * wp.max(along_b, real(0.0))
+        rows.stiff_inertia[e.a] += stiff * e.dt * wp.max(along_a, real(0.0))
+        rows.stiff_inertia[e.b] += stiff * e.dt * wp.max(along_b, real(0.0))
 
     @wp.kernel(module=module, enable_backward=False)
     def make_joint_rows(
@@ -79,6 +81,8 @@ def kernels(dtype: str) -> dict[str, Any]:
         meet as much inertia as makes it swing in STIFF steps a radian (Andrews et al. 2017). That inertia comes and
         goes with the force, while the body keeps its spin, so the energy of what whirls to and fro would grow: of what
         is pulled at far more than it resists by itself, and turns by SMALL_TURN in a step, the spin is taken away.
+
+        In the midst of a solve with substeps (``launch.resume``) rows are made anew, and nothing else.
         """
         w = wp.tid() + launch.world_offset
         contiguous(model)
@@ -88,14 +92,20 @@ def kernels(dtype: str) -> dict[str, Any]:
         contiguous(rows)
         if state.flags[w] != 0:
             return
-        for body in range(model.body_start[w], model.body_start[w + 1]):
-            rows.stiff_inertia[body] = real(0.0)
+        dt = motion.step_dt[w]
+        stiff = STIFF
+        if config.method == SUBSTEPS:  # each takes a share of the impulses
+            dt = dt / real(config.substeps)
+            stiff = STIFF / real(config.substeps)
+        if launch.resume == 0:
+            for body in range(model.body_start[w], model.body_start[w + 1]):
+                rows.stiff_inertia[body] = real(0.0)
         for j in range(model.joint_start[w], model.joint_start[w + 1]):
             a = joints.joint_body_a[j]
             b = joints.joint_body_b[j]
             kind = joints.joint_kind[j]
             asleep = wp.min(motion.predicted[a][3], motion.predicted[b][3]) < real(0.0)
-            e = ends_of(j, w, config, model, state, motion, joints)
+            e = ends_of(j, w, launch, config, model, state, motion, joints)
             if joints.joint_broken[j] == BROKEN:
                 for k in range(joints.joint_row_start[j], joints.joint_row_start[j + 1]):
                     idle(k, e, rows)
@@ -107,24 +117,27 @@ def kernels(dtype: str) -> dict[str, Any]:
             elif kind == REVOLUTE:
                 make_revolute_rows(j, e, config, joints, rows)
             elif kind == PRISMATIC:
-                make_prismatic_rows(j, e, config, state, joints, rows)
+                make_prismatic_rows(j, e, config, joints, rows)
             elif kind == WELD:
                 make_weld_rows(j, e, config, model, motion, joints, rows)
             elif kind == WHEEL:
-                make_wheel_rows(j, e, config, model, state, motion, joints, rows)
+                make_wheel_rows(j, e, config, model, motion, joints, rows)
             elif kind == TARGET:
                 make_target_rows(j, e, model, motion, joints, rows)
             elif kind == GEAR:
-                make_gear_rows(j, e, config, state, joints, rows)
+                make_gear_rows(j, e, config, joints, rows)
             else:
                 make_general_rows(j, e, joints, rows)
-            stiffen(j, e, joints, rows)
+            if launch.resume == 0:
+                stiffen(j, e, stiff, joints, rows)
+        if launch.resume > 0:
+            return
         for body in range(model.body_start[w], model.body_start[w + 1]):
             own = model.inertia[body]
             pulled = rows.stiff_inertia[body]
             rows.stiff_inertia[body] = wp.max(pulled - own, real(0.0))
             if own > real(0.0) and pulled > heavy * own:
-                turn = motion.step_dt[w] * state.angular_velocity[body]
+                turn = dt * state.angular_velocity[body]
                 share = turn * turn / small_square
                 v = motion.predicted[body]
                 v[2] -= wp.min(share * share, real(1.0)) * (real(1.0) - heavy * own / pulled) * v[2]

@@ -1,9 +1,19 @@
-"""Substeps with soft contacts, each followed by a sweep that relaxes them (Catto 2024, "Solver2D"; Box2D 3).
+"""Substeps with soft contacts and joints, each followed by a sweep that relaxes them (Catto 2024, "Solver2D"; Box2D 3).
 
 Pairs, contacts and rows are found once in a step. Each of its n substeps of h = dt / n applies a share of the forces,
-starts from the impulses of the substep before, sweeps once with soft contacts, moves the bodies, and sweeps once more
+starts from the impulses of the substep before, sweeps once with soft rows, moves the bodies, and sweeps once more
 without softness and bias, which takes away the velocity that the softness gave to push overlaps out. Gaps follow the
 displacements to first order. Bounces come at the end of the step.
+
+What holds a joint, and a limit beyond its end, is soft as a contact is; a limit within its range may move up to the end
+of it in a substep. Springs, motors and general rows keep their bounds and softness, those of a substep, in both sweeps;
+a spring meets in both what it was off by before the bodies moved, which is implicit Euler. Joints that are not all rods
+have their rows made anew each time that the bodies have moved: a solve is then cut at these places (``launch.resume``),
+and the rows are made between. The two rows of a hinge, a slider or a weld are solved as one block (``renew.h``).
+
+Of a spring ``rows.row_bias`` is the rate at which it draws [1/s], and ``rows.row_gap`` what it is off by [m].
+``rows.before`` holds what each row of a joint was off by when the substep began, and what share of the first row the
+second one of a pair is taken without.
 """
 
 from functools import cache
@@ -14,16 +24,22 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.native import native_code
+from dc_kernels._warp.solve.constraints.jacobian import moved_rows
 from dc_kernels._warp.solve.lanes import has_lanes, row_macros
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels._warp.solve.world import N_LANES, world_functions
 from dc_kernels.model.enums import BodyType
-from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, TOUCH
+from dc_kernels.model.fields import UNBOUNDED
+from dc_kernels.solve.iteration import NEVER
+from dc_kernels.solve.joints import PAIRED
+from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SURFACED, TOUCH
 
 STATIC = wp.constant(int(BodyType.STATIC))
 # where numbers stand in what a sweep is given: rate, mass and give of contacts with a fixed body (those of others come
-# first) and of rods; substeps a second; slop; largest bias
-FIXED, RODS, PER_STEP, SLOP, LIMIT = (wp.constant(place) for place in (3, 6, 9, 10, 11))
+# first) and of joints; substeps a second; slop; largest bias; 1 where it relaxes the rows
+FIXED, HELD, PER_STEP, SLOP, LIMIT, RELAXES = (wp.constant(place) for place in (3, 6, 9, 10, 11, 12))
+NO_PAUSE = wp.constant(NEVER)
+REVOLUTE, PRISMATIC, WELD = (wp.constant(kind) for kind in PAIRED)
 
 
 @cache
@@ -31,30 +47,37 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     """``solve_soft``; one thread a world."""
     t = group_types(dtype)
     real, vec4 = t.real, t.vec4
-    vec3, vec12 = wp.types.vector(3, real), wp.types.vector(12, real)
+    vec3, Soft = wp.types.vector(3, real), wp.types.vector(13, real)
     module = kernel_module("soft", dtype, variant)
     world, row = world_functions(dtype, variant), row_functions(dtype, variant)
-    span_of, load_impulses, apply = world.span_of, world.load_impulses, world.apply
+    span_of, load_impulses, apply, bound_rolling = world.span_of, world.load_impulses, world.apply, world.bound_rolling
     normal_speed, tangent_speed, within = row.normal_speed, row.tangent_speed, row.within
     normal_change, tangent_change, least_normal = row.normal_change, row.tangent_change, row.least_normal
+    move_rows = moved_rows(dtype, variant) if variant in OWN else None
     columns = COLUMNS[variant]
-    jointed = variant in JOINTED
+    jointed, own, surfaced = variant in JOINTED, variant in OWN, variant in SURFACED
     width = wp.constant(len(columns) * LANES)
-    EN, ET, MU, GAP = (wp.constant(columns.index(name) * LANES) for name in ("en", "et", "mu", "gap"))
+    at = {name: wp.constant(i * LANES) for i, name in enumerate(columns)}
+    EN, ET, MU, GAP, BIAS = (at[name] for name in ("en", "et", "mu", "gap", "bias"))
+    LO, HI, SOFT, HOLDS = (
+        at.get(name, 0) for name in ("lo", "hi", "soft", "held")
+    )  # those that lack one never read it
     zero, one, two_pi = real(0.0), real(1.0), real(6.283185307179586)
+    bounded = real(UNBOUNDED)
 
     headers = ("prelude.h", "solve/bodies.h", "solve/row.h", "solve/soft.h")
 
-    @wp.func_native(native_code(*headers, dtype=dtype, TOUCH=TOUCH, **row_macros(variant)))
+    @wp.func_native(native_code(*headers, dtype=dtype, TOUCH=TOUCH, UNBOUNDED=UNBOUNDED, **row_macros(variant)))
     def sweep_lanes(
         columns: wp.array(dtype=real),
         row_body: wp.array(dtype=wp.int32),
         bodies: wp.array(dtype=vec4),
         displacement: wp.array(dtype=vec4),
         impulse: wp.array(dtype=real),
+        before: wp.array(dtype=real),
         b0: wp.int32,
         b1: wp.int32,
-        soft: vec12,
+        soft: Soft,
     ) -> real: ...
 
     @wp.func(module=module)
@@ -72,7 +95,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         return vec3(turn / drag * per_step, stiff / (one + stiff), one / (one + stiff))
 
     @wp.func(module=module)
-    def sweep_soft(block: int, lane: int, rows: t.Rows, motion: t.Motion, soft: vec12):
+    def sweep_soft(block: int, lane: int, rows: t.Rows, motion: t.Motion, soft: Soft):
         """One row, as the lanes have it; the larger impulse change [N s]."""
         r = block * width + lane
         i = block * 2 * N_LANES + lane
@@ -92,12 +115,32 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             bias = wp.max(gap, zero) * soft[PER_STEP]
             mass = one
             give = zero
-        if wp.static(jointed):
-            if least_normal(rows.column, r) < zero:
-                bias = wp.min(wp.max(soft[RODS] * off, -soft[LIMIT]), soft[LIMIT])
-                mass = soft[RODS + 1]
-                give = soft[RODS + 2]
         ln0 = rows.impulse[i]
+        if wp.static(own):
+            if rows.column[r + ET] <= zero:
+                then = off  # a spring meets in both sweeps what it was off by when the substep began
+                if soft[RELAXES] > zero:
+                    then = rows.before[i]
+                rows.before[i] = then
+                bias = rows.column[r + BIAS]
+                mass = one
+                give = zero
+                low = rows.column[r + LO]
+                if rows.column[r + HOLDS] > zero:
+                    rigid = low < -bounded and rows.column[r + HI] > bounded
+                    if not rigid and ((low < zero and off < zero) or (low >= zero and off > zero)):
+                        bias = off * soft[PER_STEP]
+                    else:
+                        bias = wp.min(wp.max(soft[HELD] * off, -soft[LIMIT]), soft[LIMIT])
+                        mass = soft[HELD + 1]
+                        give = soft[HELD + 2]
+                elif rows.column[r + SOFT] > zero:
+                    bias = bias * then + rows.column[r + SOFT] * ln0
+        elif wp.static(jointed):
+            if least_normal(rows.column, r) < zero:
+                bias = wp.min(wp.max(soft[HELD] * off, -soft[LIMIT]), soft[LIMIT])
+                mass = soft[HELD + 1]
+                give = soft[HELD + 2]
         lt0 = rows.impulse[i + N_LANES]
         vn = normal_speed(rows.column, r, va, vb)
         ln = within(rows.column, r, ln0 - ((rows.column[r + EN] * mass) * (vn + bias) + give * ln0))
@@ -115,10 +158,12 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         return wp.max(wp.abs(dn), wp.abs(dt))
 
     @wp.func(module=module)
-    def sweep(span: t.Span, soft: vec12, motion: t.Motion, rows: t.Rows):
+    def sweep(span: t.Span, soft: Soft, motion: t.Motion, rows: t.Rows):
         """One sweep over all rows of a world in colour order; the largest impulse change [N s]."""
         first = span.first
         change = zero
+        if wp.static(surfaced):
+            bound_rolling(span, rows)
         if has_lanes() == 1:
             change = sweep_lanes(
                 rows.column,
@@ -126,6 +171,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 motion.solved,
                 motion.displacement,
                 rows.impulse,
+                rows.before,
                 first,
                 span.serial,
                 soft,
@@ -168,9 +214,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                     rows.change[i] = rows.change[i] + dn
 
     @wp.func(module=module)
-    def solve(
-        w: int,
-        launch: t.Launch,
+    def begin(
+        span: t.Span,
+        share: real,
         config: t.Config,
         model: t.Model,
         state: t.State,
@@ -178,33 +224,9 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         contacts: t.Contacts,
         motion: t.Motion,
         rows: t.Rows,
-        stats: t.Stats,
     ):
-        """The solve of a world; see ``solve_soft``."""
-        span = span_of(w, 0, config, model, motion, rows)
+        """Start impulses of a substep, and bodies where they are, with the velocities that they have."""
         load_impulses(span, config, joints, contacts, motion, rows)
-        share = one / real(config.substeps)
-        h = motion.step_dt[w] * share
-        per_step = one / h
-        slop = config.slop * model.length_scale[w]
-        limit = config.max_correction * model.length_scale[w] / motion.step_dt[w]
-        f = config.soft_frequency
-        both = softness(f, config.soft_damping, per_step)
-        fixed = softness(real(2.0) * f, config.soft_damping, per_step)
-        rods = softness(real(2.0) * f, real(2.0), per_step)
-        soft = vec12()
-        rigid = vec12()
-        for k in range(3):
-            soft[k] = both[k]
-            soft[FIXED + k] = fixed[k]
-            soft[RODS + k] = rods[k]
-            rigid[1 + 3 * k] = one
-        soft[PER_STEP] = per_step
-        soft[SLOP] = slop
-        soft[LIMIT] = limit
-        rigid[PER_STEP] = per_step
-        rigid[SLOP] = slop
-        rigid[LIMIT] = limit
         for i in range(span.low, span.high):
             rows.impulse[i] = rows.impulse[i] * share
             rows.change[i] = zero
@@ -215,37 +237,20 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 v = vec4(state.velocity[b][0], state.velocity[b][1], state.angular_velocity[b], p[3])
             motion.solved[b] = v
             motion.displacement[b] = vec4(zero, zero, zero, p[3])
-        change = zero
-        done = int(0)
-        while done < config.substeps:
-            for b in range(span.first_body, span.last_body):
-                p = motion.predicted[b]
-                v = motion.solved[b]
-                if model.body_type[b] != STATIC:
-                    x = v[0] + (p[0] - state.velocity[b][0]) * share
-                    y = v[1] + (p[1] - state.velocity[b][1]) * share
-                    v = vec4(x, y, v[2] + (p[2] - state.angular_velocity[b]) * share, v[3])
-                motion.solved[b] = v
-            apply(span, motion, rows, rows.impulse)
-            sweep(span, soft, motion, rows)
-            for b in range(span.first_body, span.last_body):
-                v = motion.solved[b]
-                d = motion.displacement[b]
-                motion.displacement[b] = vec4(d[0] + v[0] * h, d[1] + v[1] * h, d[2] + v[2] * h, d[3])
-            change = sweep(span, rigid, motion, rows)
-            for i in range(span.low, span.high):
-                rows.change[i] = rows.change[i] + rows.impulse[i]
-            done += 1
-        bounce(w, config, model, state, contacts, motion, rows)
+
+    @wp.func(module=module)
+    def accumulate(span: t.Span, model: t.Model, joints: t.Joints, rows: t.Rows):
+        """Impulses of a substep to those of the step, along the rows of joints as they were made."""
         for i in range(span.low, span.high):
-            rows.impulse[i] = rows.change[i]
-        sweeps = wp.where(span.last > span.first, 2 * done, 0)
-        stats.sweeps[w] = sweeps
-        stats.iteration[w].sweeps = sweeps
-        stats.iteration[w].finished = 1
-        stats.iteration[w].change = change
-        stats.change[w] = change
-        stats.residual[w] = zero
+            rows.change[i] = rows.change[i] + rows.impulse[i]
+        if wp.static(own):
+            for j in range(model.joint_start[span.world], model.joint_start[span.world + 1]):
+                kind = joints.joint_kind[j]
+                if kind == REVOLUTE or kind == PRISMATIC or kind == WELD:
+                    one_of = rows.row_slot[joints.joint_row_start[j]]
+                    other = rows.row_slot[joints.joint_row_start[j] + 1]
+                    more = rows.before[other + N_LANES] * rows.impulse[other]
+                    rows.change[one_of] = rows.change[one_of] - more
 
     @wp.kernel(module=module, enable_backward=False)
     def solve_soft(
@@ -259,10 +264,76 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         rows: t.Rows,
         stats: t.Stats,
     ):
-        """All substeps of a world: velocities, displacements, and the impulses of the whole step."""
+        """Substeps of a world: velocities, displacements, and the impulses of the whole step.
+
+        A part of the solve relaxes the rows of the substep before, and begins the next one: ``resume`` counts the parts
+        before, ``pause`` those that are done now.
+        """
         w = wp.tid() + launch.world_offset
         if state.flags[w] != 0:
             return
-        solve(w, launch, config, model, state, joints, contacts, motion, rows, stats)
+        span = span_of(w, 0, config, model, motion, rows)
+        share = one / real(config.substeps)
+        h = motion.step_dt[w] * share
+        per_step = one / h
+        f = config.soft_frequency
+        both = softness(f, config.soft_damping, per_step)
+        fixed = softness(real(2.0) * f, config.soft_damping, per_step)
+        held = softness(real(2.0) * f, real(2.0), per_step)
+        soft = Soft()
+        rigid = Soft()
+        for k in range(3):
+            soft[k] = both[k]
+            soft[FIXED + k] = fixed[k]
+            soft[HELD + k] = held[k]
+            rigid[1 + 3 * k] = one
+        soft[PER_STEP] = per_step
+        soft[SLOP] = config.slop * model.length_scale[w]
+        soft[LIMIT] = config.max_correction * model.length_scale[w] / motion.step_dt[w]
+        rigid[PER_STEP] = soft[PER_STEP]
+        rigid[SLOP] = soft[SLOP]
+        rigid[LIMIT] = soft[LIMIT]
+        rigid[RELAXES] = one
+        change = zero
+        done = launch.resume
+        last = config.substeps
+        if launch.pause < NO_PAUSE:
+            last = launch.resume + launch.pause - 1
+        if done == 0:
+            begin(span, share, config, model, state, joints, contacts, motion, rows)
+        while done <= last:
+            if wp.static(own):
+                move_rows(w, wp.where(done > 0, 1, 0), model, joints, motion, rows)
+            if done > 0:
+                change = sweep(span, rigid, motion, rows)
+                accumulate(span, model, joints, rows)
+            if done < config.substeps:
+                for b in range(span.first_body, span.last_body):
+                    p = motion.predicted[b]
+                    v = motion.solved[b]
+                    if model.body_type[b] != STATIC:
+                        x = v[0] + (p[0] - state.velocity[b][0]) * share
+                        y = v[1] + (p[1] - state.velocity[b][1]) * share
+                        v = vec4(x, y, v[2] + (p[2] - state.angular_velocity[b]) * share, v[3])
+                    motion.solved[b] = v
+                apply(span, motion, rows, rows.impulse)
+                sweep(span, soft, motion, rows)
+                for b in range(span.first_body, span.last_body):
+                    v = motion.solved[b]
+                    d = motion.displacement[b]
+                    motion.displacement[b] = vec4(d[0] + v[0] * h, d[1] + v[1] * h, d[2] + v[2] * h, d[3])
+            done += 1
+        if last < config.substeps:
+            return
+        bounce(w, config, model, state, contacts, motion, rows)
+        for i in range(span.low, span.high):
+            rows.impulse[i] = rows.change[i]
+        sweeps = wp.where(span.last > span.first, 2 * config.substeps, 0)
+        stats.sweeps[w] = sweeps
+        stats.iteration[w].sweeps = sweeps
+        stats.iteration[w].finished = 1
+        stats.iteration[w].change = change
+        stats.change[w] = change
+        stats.residual[w] = zero
 
     return {"solve_soft": solve_soft}

@@ -12,11 +12,12 @@ import numpy as np
 
 from dc_kernels._numpy.common import Array, dot, rotate, rotation
 from dc_kernels._numpy.solve.row import effective_mass
-from dc_kernels.model.config import POSITION_CORRECTIONS
+from dc_kernels.model.config import METHODS, POSITION_CORRECTIONS
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.solve.joints import NEAR_LIMIT, SMALL_TURN
 
 BAUMGARTE = POSITION_CORRECTIONS["baumgarte"]
+SUBSTEPS = METHODS["tgs_soft"]
 X, Y = np.array([1.0, 0.0]), np.array([0.0, 1.0])
 QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 
@@ -39,25 +40,37 @@ class Along:
         return replace(self, off=self.off - length)
 
 
+def body_of(body: int, launch: Any, state: Any, motion: Any) -> tuple[Array, Any, Array, Any]:
+    """Place, angle, velocity and spin of a body: those of the state, or of the substeps that have been made since."""
+    if launch.resume:
+        moved, v = motion.displacement[body], motion.solved[body]
+        return state.position[body] + moved[:2], state.angle[body] + moved[2], v[:2], v[2]
+    return state.position[body], state.angle[body], state.velocity[body], state.angular_velocity[body]
+
+
 class Ends:
     """The ends of joint j of world w, and the rows of its parts."""
 
     def __init__(
-        self, j: int, w: int, config: Any, model: Any, state: Any, motion: Any, joints: Any, rows: Any
+        self, j: int, w: int, launch: Any, config: Any, model: Any, state: Any, motion: Any, joints: Any, rows: Any
     ) -> None:
         self.model, self.motion, self.rows, self.config = model, motion, rows, config
         a, b = self.a, self.b = joints.joint_body_a[j], joints.joint_body_b[j]
+        (place_a, self.angle_a, velocity_a, self.wa), (place_b, self.angle_b, velocity_b, self.wb) = (
+            body_of(body, launch, state, motion) for body in (a, b)
+        )
         self.row = int(joints.joint_row_start[j])
-        self.ra = rotate(rotation(state.angle[a]), joints.joint_anchor_a[j])
-        self.rb = rotate(rotation(state.angle[b]), joints.joint_anchor_b[j])
-        self.d = (state.position[b] + self.rb) - (state.position[a] + self.ra)
-        self.wa, self.wb = state.angular_velocity[a], state.angular_velocity[b]
+        self.ra = rotate(rotation(self.angle_a), joints.joint_anchor_a[j])
+        self.rb = rotate(rotation(self.angle_b), joints.joint_anchor_b[j])
+        self.d = (place_b + self.rb) - (place_a + self.ra)
         of_a, of_b = self.wa * QUARTER @ self.ra, self.wb * QUARTER @ self.rb
-        self.speed = (state.velocity[b] + of_b) - (state.velocity[a] + of_a)
-        self.angle_a, self.angle_b = state.angle[a], state.angle[b]
-        self.dt, self.size = motion.step_dt[w], model.length_scale[w]
+        self.speed = (velocity_b + of_b) - (velocity_a + of_a)
+        self.step, self.size = motion.step_dt[w], model.length_scale[w]
+        self.substeps = config.method == SUBSTEPS  # which follow what the rows are off by
+        self.share = 1 / self.step.dtype.type(config.substeps if self.substeps else 1)  # of the step
+        self.dt = self.step * self.share  # in which an impulse acts
         self.most = config.max_correction * self.size
-        self.axis = rotate(rotation(state.angle[a]), joints.joint_axis[j])
+        self.axis = rotate(rotation(self.angle_a), joints.joint_axis[j])
 
     def point(self, n: Array) -> Along:
         """Along a direction of the world."""
@@ -115,7 +128,8 @@ class Ends:
     def spring(self, along: Along, frequency: Any, ratio: Any, most: Any = np.inf) -> None:
         """What a damped spring of limited impulse draws to 0, by implicit Euler (Catto 2011).
 
-        With the effective mass m, stiffness k = m w^2 and damping c = 2 m w ratio, where w = 2 pi frequency.
+        With the effective mass m, stiffness k = m w^2 and damping c = 2 m w ratio, where w = 2 pi frequency. Where
+        substeps follow what it is off by, its bias is kept for each of that.
         """
         w = 2 * np.pi * frequency
         m = effective_mass(along.jacobian, self.a, self.b, self.model, self.motion)
@@ -124,7 +138,10 @@ class Ends:
             return
         k, c, dt = m * w**2, 2 * m * w * ratio, self.dt
         soft = 1 / (dt * (c + dt * k))
-        self.write(along, along.off * dt * k * soft, -most, most, soft)
+        if self.substeps:
+            self.write(along, dt * k * soft, -most, most, soft, gap=along.off)
+        else:
+            self.write(along, along.off * dt * k * soft, -most, most, soft)
 
     def steady(self, along: Along, inertia: Any, brake: Any) -> None:
         """Inertia against a change of speed, beyond that of the bodies themselves, and a share of the speed to lose."""
@@ -157,7 +174,7 @@ class Ends:
         if self.config.position_correction == BAUMGARTE and room < 0:
             bias = max(self.config.position_factor * room, -self.most) / self.dt
         low, high = (0.0, np.inf) if sign > 0 else (-np.inf, 0.0)
-        way = self.dt * (np.abs(self.speed).sum() + self.size * (abs(self.wa) + abs(self.wb)))
+        way = self.step * (np.abs(self.speed).sum() + self.size * (abs(self.wa) + abs(self.wb)))
         if room > NEAR_LIMIT * self.size + 2 * way:
             low, high = 0.0, 0.0
         self.write(along, sign * bias, low, high, gap=sign * room, held=1)

@@ -38,4 +38,4 @@ def make_rolling_row(c: int, w: int, model: Any, motion: Any, contacts: Any, row
         return None
     zero = radius.dtype.type(0)
     rest = (zero, zero, zero, zero, zero, zero, zero)
-    return PackedRow(a, b, none, jn, np.zeros_like(jn), mass, *rest, roll=resistance, inverse=inverse)
+    return PackedRow(a, b, none, jn, np.zeros_like(jn), mass, *rest, roll=resistance, held=0.0, inverse=inverse)

@@ -30,7 +30,8 @@ def make_stretch_rows(j: int, joints: Any, ends: Ends) -> None:
         ends.limit(along, joints.joint_lower[j], joints.joint_upper[j])
     if joints.joint_parts[j] & JointPart.ACROSS:
         pull = abs(joints.joint_impulse[ends.row - 1])
-        inertia = STIFFNESS * ends.dt * pull / length if length > 0 else 0.0
+        direct = length > 0 and not ends.substeps  # it is for trees that are solved at once
+        inertia = STIFFNESS * ends.dt * pull / length if direct else 0.0
         ends.steady(
             ends.point(QUARTER @ (ends.d / length if length > 0 else X)), inertia, min((turn / SMALL_TURN) ** 4, 1)
         )

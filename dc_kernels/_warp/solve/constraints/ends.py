@@ -11,11 +11,12 @@ import warp as wp
 
 from dc_kernels._warp.common import cross, kernel_module, rotate
 from dc_kernels._warp.groups import group_types
-from dc_kernels.model.config import POSITION_CORRECTIONS
+from dc_kernels.model.config import METHODS, POSITION_CORRECTIONS
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.solve.joints import NEAR_LIMIT, SMALL_TURN
 
 BAUMGARTE = wp.constant(POSITION_CORRECTIONS["baumgarte"])
+SUBSTEPS = wp.constant(METHODS["tgs_soft"])
 
 
 @cache
@@ -46,8 +47,12 @@ def end_functions(dtype: str) -> SimpleNamespace:
         speed: vec2  # of anchor B against anchor A
         wa: real
         wb: real
+        angle_a: real
+        angle_b: real
         angle: real  # of B less that of A
-        dt: real
+        step: real
+        substeps: wp.bool  # whether there are any, which follow what the rows are off by
+        dt: real  # of the step, or a substep, in which an impulse acts
         size: real  # arm in which angles count
         most: real  # largest correction at once
 
@@ -62,21 +67,53 @@ def end_functions(dtype: str) -> SimpleNamespace:
     Ends, Along = wp.struct(Ends, module=module), wp.struct(Along, module=module)
 
     @wp.func(module=module)
-    def ends_of(j: int, w: int, config: t.Config, model: t.Model, state: t.State, motion: t.Motion, joints: t.Joints):
-        """The ends of joint j of world w."""
+    def ends_of(
+        j: int,
+        w: int,
+        launch: t.Launch,
+        config: t.Config,
+        model: t.Model,
+        state: t.State,
+        motion: t.Motion,
+        joints: t.Joints,
+    ):
+        """The ends of joint j of world w, where the state has them, or the substeps that have been made since."""
         e = Ends()
         e.a = joints.joint_body_a[j]
         e.b = joints.joint_body_b[j]
-        e.ra = rotate(wp.cos(state.angle[e.a]), wp.sin(state.angle[e.a]), joints.joint_anchor_a[j])
-        e.rb = rotate(wp.cos(state.angle[e.b]), wp.sin(state.angle[e.b]), joints.joint_anchor_b[j])
-        e.d = (state.position[e.b] + e.rb) - (state.position[e.a] + e.ra)
+        e.angle_a = state.angle[e.a]
+        e.angle_b = state.angle[e.b]
+        place_a = state.position[e.a]
+        place_b = state.position[e.b]
+        velocity_a = state.velocity[e.a]
+        velocity_b = state.velocity[e.b]
         e.wa = state.angular_velocity[e.a]
         e.wb = state.angular_velocity[e.b]
-        va = state.velocity[e.a] + e.wa * vec2(-e.ra[1], e.ra[0])
-        vb = state.velocity[e.b] + e.wb * vec2(-e.rb[1], e.rb[0])
+        if launch.resume > 0:
+            moved_a = motion.displacement[e.a]
+            moved_b = motion.displacement[e.b]
+            solved_a = motion.solved[e.a]
+            solved_b = motion.solved[e.b]
+            e.angle_a += moved_a[2]
+            e.angle_b += moved_b[2]
+            place_a += vec2(moved_a[0], moved_a[1])
+            place_b += vec2(moved_b[0], moved_b[1])
+            velocity_a = vec2(solved_a[0], solved_a[1])
+            velocity_b = vec2(solved_b[0], solved_b[1])
+            e.wa = solved_a[2]
+            e.wb = solved_b[2]
+        e.ra = rotate(wp.cos(e.angle_a), wp.sin(e.angle_a), joints.joint_anchor_a[j])
+        e.rb = rotate(wp.cos(e.angle_b), wp.sin(e.angle_b), joints.joint_anchor_b[j])
+        e.d = (place_b + e.rb) - (place_a + e.ra)
+        va = velocity_a + e.wa * vec2(-e.ra[1], e.ra[0])
+        vb = velocity_b + e.wb * vec2(-e.rb[1], e.rb[0])
         e.speed = vb - va
-        e.angle = state.angle[e.b] - state.angle[e.a]
-        e.dt = motion.step_dt[w]
+        e.angle = e.angle_b - e.angle_a
+        e.step = motion.step_dt[w]
+        e.dt = e.step
+        e.substeps = config.method == SUBSTEPS
+        if e.substeps:
+            e.dt = e.step / real(config.substeps)
         e.size = model.length_scale[w]
         e.most = config.max_correction * e.size
         return e
@@ -176,7 +213,8 @@ def end_functions(dtype: str) -> SimpleNamespace:
 
         With the effective mass m = 1 / (J M^-1 J^T), stiffness m w^2 and damping 2 m w ratio, where w = 2 pi frequency,
         its impulse makes J V + bias + softness impulse = 0 with bias = off w / (2 ratio + w dt) and
-        softness = 1 / (m w dt (2 ratio + w dt)).
+        softness = 1 / (m w dt (2 ratio + w dt)). Where substeps follow what it is off by, its bias is kept for each of
+        that, w / (2 ratio + w dt).
         """
         of_a = wp.max(motion.predicted[e.a][3], real(0.0)) * (along.ja[0] * along.ja[0] + along.ja[1] * along.ja[1])
         of_b = wp.max(motion.predicted[e.b][3], real(0.0)) * (along.jb[0] * along.jb[0] + along.jb[1] * along.jb[1])
@@ -186,7 +224,10 @@ def end_functions(dtype: str) -> SimpleNamespace:
         give = real(2.0) * ratio + rate * e.dt
         if give * rate > real(0.0):
             soft = (of_a + of_b) / (rate * e.dt * give)
-            write(k, e, along, along.off * rate / give, -most, most, soft, real(0.0), real(0.0), rows)
+            if e.substeps:
+                write(k, e, along, rate / give, -most, most, soft, along.off, real(0.0), rows)
+            else:
+                write(k, e, along, along.off * rate / give, -most, most, soft, real(0.0), real(0.0), rows)
         else:
             idle(k, e, rows)
 
@@ -249,7 +290,7 @@ def end_functions(dtype: str) -> SimpleNamespace:
             low = minus_infinity
             high = infinity
             bias = real(0.0)
-        way = e.dt * (wp.abs(e.speed[0]) + wp.abs(e.speed[1]) + e.size * (wp.abs(e.wa) + wp.abs(e.wb)))
+        way = e.step * (wp.abs(e.speed[0]) + wp.abs(e.speed[1]) + e.size * (wp.abs(e.wa) + wp.abs(e.wb)))
         if room > near * e.size + real(2.0) * way:
             low = real(0.0)
             high = real(0.0)

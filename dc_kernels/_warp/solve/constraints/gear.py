@@ -18,10 +18,10 @@ def gear_rows(dtype: str) -> Any:
     hold, turn = ends.hold, ends.turn
 
     @wp.func(module=kernel_module("joints", dtype))
-    def make_gear_rows(j: int, e: ends.Ends, config: t.Config, state: t.State, joints: t.Joints, rows: t.Rows):
+    def make_gear_rows(j: int, e: ends.Ends, config: t.Config, joints: t.Joints, rows: t.Rows):
         """The angle of B less ratio times that of A."""
         ratio = joints.joint_ratio[j]
-        off = state.angle[e.b] - ratio * state.angle[e.a] - joints.joint_reference[j]
+        off = e.angle_b - ratio * e.angle_a - joints.joint_reference[j]
         hold(joints.joint_row_start[j], e, turn(e, ratio, off), config, rows)
 
     return make_gear_rows

@@ -23,9 +23,9 @@ def prismatic_rows(dtype: str) -> Any:
     hold, limit, motor, slide, turn = ends.hold, ends.limit, ends.motor, ends.slide, ends.turn
 
     @wp.func(module=kernel_module("joints", dtype))
-    def make_prismatic_rows(j: int, e: ends.Ends, config: t.Config, state: t.State, joints: t.Joints, rows: t.Rows):
+    def make_prismatic_rows(j: int, e: ends.Ends, config: t.Config, joints: t.Joints, rows: t.Rows):
         """Across the line and in angle; then the motor, and the range of the way along it."""
-        s = rotate(wp.cos(state.angle[e.a]), wp.sin(state.angle[e.a]), joints.joint_axis[j])
+        s = rotate(wp.cos(e.angle_a), wp.sin(e.angle_a), joints.joint_axis[j])
         k = joints.joint_row_start[j]
         hold(k, e, slide(e, vec2(-s[1], s[0])), config, rows)
         hold(k + 1, e, turn(e, real(1.0), e.angle - joints.joint_reference[j]), config, rows)

@@ -30,13 +30,12 @@ def wheel_rows(dtype: str) -> Any:
         e: ends.Ends,
         config: t.Config,
         model: t.Model,
-        state: t.State,
         motion: t.Motion,
         joints: t.Joints,
         rows: t.Rows,
     ):
         """Across the line, and the spring along it; then the motor, and the range of the spring's way."""
-        s = rotate(wp.cos(state.angle[e.a]), wp.sin(state.angle[e.a]), joints.joint_axis[j])
+        s = rotate(wp.cos(e.angle_a), wp.sin(e.angle_a), joints.joint_axis[j])
         k = joints.joint_row_start[j]
         hold(k, e, slide(e, vec2(-s[1], s[0])), config, rows)
         way = slide(e, s)
