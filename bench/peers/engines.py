@@ -27,11 +27,22 @@ class Pymunk:
         self, model: dc.Model, state: dc.State, joints: dc.Joints, iterations: int, *, worlds: int = 1
     ) -> None:
         """Copy so many worlds, from the first on; each takes all its steps before the next does."""
+        import pymunk
+
+        self.spaces, self.apart = [], pymunk.ShapeFilter(mask=0)
         made = [scenes.to_pymunk((model, state, joints), world) for world in range(worlds)]
         self.spaces = [world.space for world in made]
         self.bodies = [body for world in made for body in world.bodies]
         for space in self.spaces:
             space.iterations = iterations
+
+    def __del__(self) -> None:
+        """Let contacts expire: each shape that a space frees is looked for in all contacts that the space remembers."""
+        for space in self.spaces:
+            for shape in space.shapes:
+                shape.filter = self.apart
+            for _ in range(space.collision_persistence + 2):
+                space.step(1e-3)
 
     def run(self, steps: int, dt: float) -> None:
         for space in self.spaces:
