@@ -64,7 +64,7 @@ ROWS: Mapping[str, Row] = {
         "10 000 discs at rest", scenes.Thesis(bodies=10_000), fall=800, steps=20, large=True
     ),
     "settled_discs_100000": Row(
-        "100 000 discs at rest", scenes.Thesis(bodies=10_000), fall=800, copies=10, rest=40, steps=5, large=True
+        "100 000 discs at rest", scenes.Thesis(bodies=10_000), fall=800, copies=10, steps=5, large=True
     ),
     "impact_discs_1000": Row(
         "1 000 discs fall onto each other",
