@@ -122,7 +122,6 @@ class Simulation(Driven):
         )
         state, self.joints, facts = check_scene(model, state, joints)
         joints = self.joints
-        model.fixed = joints.fixed = True
         self.model, self.state, self.built = model, state, state.copy()
         self._segments = WorldSegments(model.memory, joints.memory("joint_row_start"))
         self.dtype, self.device, self.backend = model.dtype, model.device, model.backend
@@ -160,6 +159,7 @@ class Simulation(Driven):
         self._solves: dict[tuple[SolverConfig | None, int | None, bool], list[Rounds]] = {}
         self._bind_all()
         for group in (model, joints):
+            group.fixed = True
             group.users.add(self)
 
     def __repr__(self) -> str:

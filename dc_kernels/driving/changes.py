@@ -20,7 +20,7 @@ from dc_kernels.model.assemble import Geometry
 from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import BodyType
-from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, TRAITS, Field
+from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, STATE, TRAITS, Field
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.room import rows_of
 from dc_kernels.model.rules import Number
@@ -99,11 +99,11 @@ def _given(name: str, values: Any, model: Model, joints: Joints) -> np.ndarray:
         why = "cannot be changed in a simulation; make a new one"
         if name not in {**MODEL, **JOINTS}:
             meant = [other for other in changeable if name in other] or difflib.get_close_matches(name, changeable)
-            why = (
-                f"is no field of a model or of joints (did you mean {' or '.join(meant)}?)"
-                if meant
-                else ("is no field of a model or of joints")
-            )
+            why = "is no field of a model or of joints"
+            if name in STATE:
+                why += f', but of the state, which is written at any time: sim.state.assign("{name}", values)'
+            elif meant:
+                why += f" (did you mean {' or '.join(meant)}?)"
         raise UnknownName(f"{name} {why}. It may be one of {', '.join(changeable)}")
     field = group.table[name]
     if field.per in TRAITS and not group.sizes[field.per] and group.sizes[axis := TRAITS[field.per]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Mapping
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from weakref import WeakSet
 
@@ -20,7 +20,7 @@ from dc_kernels.model.fields import CONTACTS, MODEL, STATE, TRAITS, Field
 from dc_kernels.model.rules import Number, Unit
 from dc_kernels.model.settings import UnknownName, counted, shown
 from dc_kernels.model.validate.arrays import check_rule
-from dc_kernels.model.worlds import Segments, WorldViews, by_world
+from dc_kernels.model.worlds import Segments, WorldViews, by_world, locked
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
 from dc_kernels.runtime.memory import LARGE, check_memory
@@ -266,8 +266,10 @@ class ArrayGroup:
         It is read-only where its values lead kernels through memory, and where ``assign`` refuses others.
         """
         array = self.memory(name)
-        if self.table[name].points or (self.fixed and not self.writable(name)):
-            array = array.view()
+        if self.fixed and not self.writable(name):
+            return locked(array, self._in_use(name))
+        if self.table[name].points:
+            array = array.view()  # without words: a model is made of many of them
             array.flags.writeable = False
         return array
 
@@ -312,6 +314,10 @@ class ArrayGroup:
         """Whether ``assign`` takes values of a field now."""
         return not self.fixed or (not self.table[name].points if self.live is None else name in self.live)
 
+    def _in_use(self, name: str) -> str:
+        """Why a field of a group that a simulation uses is not written to, and how it is changed."""
+        return _in_use(type(self).__name__.lower(), name, name in self.changeable)
+
     def assign(self, name: str, values: Any) -> None:
         """Copy values into a field.
 
@@ -321,13 +327,9 @@ class ArrayGroup:
                 a field that a simulation has checked, or derived others from, and goes by (``writable``); for numbers
                 out of the field's range in the others of a group that a simulation goes by.
         """
-        kind, rule = type(self).__name__.lower(), self.field(name).rule
+        rule = self.field(name).rule
         if not self.writable(name):
-            way = f"sim.change_model({name}=values) changes it there; or " if name in self.changeable else ""
-            raise ValueError(
-                f"{name} is in use by a simulation, which has checked it and derived others from it; {way}write into a "
-                f"copy ({kind}.copy()), or make a {kind} with another one, and a new simulation of it"
-            )
+            raise ValueError(self._in_use(name))
         element = elements(self.table, self.dtype)[name]
         shape = (*(self.sizes[axis] for axis in element.axes), *element.shape)
         array = check_values(name, values, shape, element.scalar)
@@ -353,6 +355,15 @@ class ArrayGroup:
             per = self.table[name].per
             total[per] = total.get(per, 0) + one.width * math.prod(self.sizes[axis] for axis in one.axes)
         return total
+
+
+@cache
+def _in_use(kind: str, name: str, changeable: bool) -> str:
+    way = f"sim.change_model({name}=values) changes it there; or " if changeable else ""
+    return (
+        f"{name} is in use by a simulation, which has checked it and derived others from it; {way}write into a "
+        f"copy, {kind}.copy(), and make a new simulation of that"
+    )
 
 
 def _filled(

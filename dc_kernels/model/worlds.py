@@ -1,7 +1,8 @@
-"""Arrays of a group world by world, in the same memory."""
+"""Views of the arrays of a group, in the same memory: those that may not be written to, and those world by world."""
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -16,6 +17,60 @@ WorldViews = np.ndarray | list[np.ndarray]
 
 
 _WITHIN = {"vertex": "shape", "joint row": "joint"}  # axes whose offsets are those of the elements of another
+
+
+class Locked(np.ndarray):
+    """A read-only view, whose errors say how its field is written; what is computed from it is a plain array."""
+
+    way = ""
+    """How, a sentence."""
+
+    def __array_wrap__(self, array: np.ndarray, context: Any = None, return_scalar: bool = False) -> Any:
+        """What has been computed."""
+        return array[()] if return_scalar else array.view(np.ndarray)
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Pickle the values."""
+        return self.view(np.ndarray).__reduce_ex__(protocol)
+
+    def __repr__(self) -> str:
+        """The values, as any array shows them."""
+        return repr(self.view(np.ndarray))
+
+    def copy(self, order: Any = "C") -> np.ndarray:  # type: ignore[override]
+        """Copy the values into a plain array."""
+        return self.view(np.ndarray).copy(order)
+
+
+def _guarded(name: str) -> Callable[..., Any]:
+    """A method of an array that writes to it, where it may be written to."""
+    method = getattr(np.ndarray, name)
+
+    @functools.wraps(method)
+    def call(self: Locked, *arguments: Any, **options: Any) -> Any:
+        if not self.flags.writeable:  # an array that was picked out of one by indices is
+            raise ValueError(f"the array is read-only: {self.way}")
+        return method(self, *arguments, **options)
+
+    return call
+
+
+OPERATORS = ("add", "sub", "mul", "truediv", "floordiv", "mod", "pow", "and", "or", "xor", "lshift", "rshift", "matmul")
+for _name in ("__setitem__", "fill", "put", "sort", "partition", *(f"__i{name}__" for name in OPERATORS)):
+    setattr(Locked, _name, _guarded(_name))
+
+
+@functools.cache
+def _locked(way: str) -> type[Locked]:
+    """The class of views with one way of writing, which their slices have too."""
+    return type("Locked", (Locked,), {"way": way})
+
+
+def locked(array: np.ndarray, way: str) -> np.ndarray:
+    """An array that cannot be written to; ``way`` is how it can be changed, which its errors say."""
+    view = array.view(_locked(way))
+    view.flags.writeable = False
+    return view
 
 
 class Segments(NamedTuple):

@@ -1,6 +1,7 @@
 """What is written takes effect or raises: fields of model, joints and state while a simulation uses them."""
 
 import io
+import pickle
 
 import numpy as np
 import pytest
@@ -109,12 +110,12 @@ def test_a_change_acts_as_in_a_simulation_that_is_built_with_it(name):
 @pytest.mark.parametrize("name", sorted(REFUSED))
 def test_other_fields_of_a_model_in_use_are_refused(name):
     sim = simulation("float64", "numpy")
-    group = sim.model if name in MODEL else sim.joints
+    group, kind = (sim.model, "model") if name in MODEL else (sim.joints, "joints")
     with pytest.raises(KeyError, match=rf"{name} cannot be changed in a simulation; make a new one. It may be one of "):
         sim.change_model(**{name: group.numpy(name)})
     with pytest.raises(ValueError, match=f"{name} is in use by a simulation"):
         group.assign(name, group.numpy(name))
-    with pytest.raises(ValueError, match="read-only"):
+    with pytest.raises(ValueError, match=rf"read-only: {name} is in use by a simulation, .* {kind}.copy\(\)"):
         group.numpy(name)[...] = 0
     with pytest.raises(AttributeError, match="cannot be replaced"):
         setattr(group, name, 0)
@@ -129,8 +130,31 @@ def test_what_is_assigned_acts_or_names_the_way(name):
         return
     with pytest.raises(ValueError, match=rf"sim\.change_model\({name}=values\) changes it there"):
         group.assign(name, group.numpy(name))
-    with pytest.raises(ValueError, match="read-only"):
+    with pytest.raises(ValueError, match=rf"read-only: {name} .* sim\.change_model\({name}=values\) changes it"):
         group.numpy(name)[...] = 0
+
+
+def test_fields_that_are_shown_are_plain_arrays_but_for_writing():
+    """Who writes in place is told how to change the field; what is computed, picked or copied may be written."""
+    sim = simulation("float64", "numpy")
+    mass = sim.model.numpy("mass")
+    for write in (
+        lambda: mass.__iadd__(1.0),
+        lambda: mass[1:].__imul__(2.0),
+        lambda: mass.fill(0.0),
+        lambda: mass[2:].sort(),
+        lambda: sim.model.worlds("mass")[0].put(0, 1.0),
+    ):
+        with pytest.raises(ValueError, match=r"read-only: mass .* sim\.change_model\(mass=values\)"):
+            write()
+    picked, copied = mass[[1, 2]], mass.copy()
+    picked += 1.0
+    picked[0] = copied[0] = 5.0
+    back = pickle.loads(pickle.dumps(mass))
+    for plain in (2.0 * mass, mass > 0.0, copied, back, copied + mass):
+        assert type(plain) is np.ndarray and plain.flags.writeable
+    assert type(mass.sum()) is np.float64 and repr(mass).startswith("array([")
+    np.testing.assert_array_equal(back, mass)
 
 
 @pytest.mark.parametrize("name", [*STATE, *dc.Model.live, "joint_anchor_a", "joint_anchor_b", "joint_length"])
@@ -366,6 +390,11 @@ def test_kernels_for_discs_give_way_to_others_and_come_back():
         ({"shape_radius": 0.0}, ValueError, r"model\.shape_radius\[\d+\] is 0\.0; it must be > 0"),
         ({"friction": 0.0}, KeyError, r"friction is no field .* \(did you mean shape_friction\?\)\. It may be one of "),
         ({"masss": 1.0}, KeyError, r"\(did you mean mass or inv_mass\?\)"),
+        (
+            {"velocity": 1.0},
+            KeyError,
+            r"velocity is no field .* but of the state, .*: sim\.state\.assign\(\"velocity\"",
+        ),
         ({"gravity": 0.0}, ValueError, r"gravity has shape \(\); it must be \(2, 2\)"),
         ({"shape_friction": "smooth"}, TypeError, "shape_friction is 'smooth'"),
     ],
