@@ -29,6 +29,7 @@ from pipeline.commands.words import chosen_scene, misspelt, refuse_empty, values
 from pipeline.data.recipe import load_recipe
 from pipeline.networks.registry import load_plugin
 from pipeline.process import terminable
+from pipeline.stepper.choice import check_stepper
 
 Command = (
     Simulate
@@ -67,6 +68,8 @@ def parse(arguments: Sequence[str] | None = None) -> Any:
     )
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     refuse_empty(arguments)
+    for stepper in values_of("--stepper", arguments):
+        check_stepper("--stepper", stepper)  # tyro would not say where a file goes
     with contextlib.redirect_stdout(sys.stderr) if "--json" in arguments else contextlib.nullcontext():
         for path in values_of("--plugin", arguments):
             load_plugin(path)  # whose scenes are subcommands

@@ -299,6 +299,11 @@ def refused(capsys, *arguments: object) -> str:
         ("explain stack --quite=3", r"--quite is no option of deep-contact explain stack; deep"),
         ("generate stack --ranges friction 0.2", r"--ranges: \['friction', '0.2'\] is not of .*: name, low, high"),
         ("generate --out=", "--out is empty"),
+        (
+            "simulate --stepper a.safetensors",
+            "--stepper is 'a.safetensors'; .* network --weights a.safetensors",
+        ),
+        ("explain thesis --stepper=net", r"--stepper is 'net'; it must be solver or network$"),
     ],
 )
 def test_a_wrong_word_is_named_with_what_there_is(arguments, message, capsys):

@@ -491,6 +491,12 @@ def test_what_no_joint_may_be_is_refused_by_name(name, values, message):
         (lambda b: b.add_revolute_joint(0, 1, motor_speed=1.0), "max_motor_torque of joint 0 is missing"),
         (lambda b: b.add_prismatic_joint(0, 1, (0, 0)), r"axis of joint 0 is \(0, 0\)"),
         (lambda b: b.add_distance_joint(0, 1, length=1.0, upper=2.0), "frequency of joint 0 is 0, and it has limits"),
+        (
+            lambda b: b.add_distance_joint(0, 1, length=1.0, frequency=2.0, across=True),
+            "across of joint 0 is True, and it is a spring; only rods",
+        ),
+        (lambda b: b.add_distance_joint(0, 1, length=1.0, frequency=2.0, across=None), "across of joint 0 is None"),
+        (lambda b: b.add_distance_joint(0, 1, length=0.0, across="no"), "across of joint 0 is 'no'; .* True or False"),
         (lambda b: b.add_distance_joint(0, 1, length=-1.0), r"length of joint 0 is -1\.0; it must be finite and >= 0"),
         (lambda b: b.add_rope_joint(0, 1, max_length=1.0, min_length=2.0), "min_length of joint 0 is 2"),
         (lambda b: b.add_weld_joint(0, 1, break_force=0.0), r"break_force of joint 0 is 0\.0; .* > 0"),

@@ -60,8 +60,8 @@ class JointBuilder:
             damping_ratio: [1] >= 0 of the spring; 1: critical damping.
             lower: [m] >= 0, least distance of a spring's ends; None: 0.
             upper: [m] > 0, largest distance of a spring's ends; None: none.
-            across: whether a rod is solved with its tree and has ``JointPart.ACROSS``, a row of its own; None: where
-                its tree weighs more than 12 times the lightest body in it.
+            across: whether a rod, not a spring, is solved with its tree and has ``JointPart.ACROSS``, a row of its own;
+                None: where its tree weighs more than 12 times the lightest body in it.
             **options: see ``JointOptions``.
         """
         where = f"joint {self._joints.count}"
@@ -77,6 +77,9 @@ class JointBuilder:
         }
         low, high, limited = self._limits(lower, upper, where, least=0.0)
         rigid = spring["frequency"] == 0.0
+        parts = IF_HEAVY if across is None else int(JointPart.ACROSS) * truth(f"across of {where}", across)
+        if parts and not rigid:
+            raise ValueError(f"across of {where} is {across}, and it is a spring; only rods have a row across")
         if rigid and limited:
             raise ValueError(
                 f"frequency of {where} is 0, and it has limits; a rod's length has none: give the frequency of a "
@@ -84,9 +87,7 @@ class JointBuilder:
             )
         if rigid and length == 0.0:
             return self._add_joint(JointKind.REVOLUTE, (a, b), anchors, where, options)
-        parts = int(JointPart.HOLD | (JointPart.LIMIT if limited else JointPart.NONE))
-        if rigid and (across is None or truth(f"across of {where}", across)):
-            parts |= IF_HEAVY if across is None else int(JointPart.ACROSS)
+        parts |= int(JointPart.HOLD | (JointPart.LIMIT if limited else JointPart.NONE))
         more = {"length": length, "lower": low, "upper": high, **spring}
         return self._add_joint(JointKind.DISTANCE, (a, b), anchors, where, options, parts, **more)
 
@@ -296,11 +297,9 @@ class JointBuilder:
         a, b = self._ends(body_a, body_b, where)
         anchors = pair("anchor_a", anchor_a, where), pair("anchor_b", anchor_b, where)
         options.setdefault("collide_connected", True)
-        more: dict[str, Any] = {
-            "strength": number("max_force", max_force, where),
-            "frequency": number("spring_frequency", frequency, where),
-            "damping_ratio": number("damping_ratio", damping_ratio, where),
-        }
+        more: dict[str, Any] = {"strength": number("max_force", max_force, where)}
+        more["frequency"] = number("spring_frequency", frequency, where)
+        more["damping_ratio"] = number("damping_ratio", damping_ratio, where)
         return self._add_joint(JointKind.TARGET, (a, b), anchors, where, options, **more)
 
     def add_gear_joint(
