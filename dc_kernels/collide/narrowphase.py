@@ -17,6 +17,7 @@ from dc_kernels.model.dtypes import aligned_zeros
 from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import LAUNCH, MOTION, ROWS
 from dc_kernels.model.room import starts
+from dc_kernels.model.settings import UnknownName, shown
 from dc_kernels.runtime.backends import Launch, bind, host_threads, kernel_file, make_kernels
 from dc_kernels.runtime.capture import Recordings, recording
 from dc_kernels.runtime.inputs import (
@@ -286,6 +287,13 @@ class Narrowphase(InPlace):
 
         Args:
             name: of an attribute with room for contacts, such as "gap".
+
+        Raises:
+            UnknownName: for any other name.
         """
+        if name not in (known := (*FOUND, "point")):
+            raise UnknownName(
+                f"name is {shown(name)}, of no array with room for contacts; there are {', '.join(known)}"
+            )
         values, first = to_numpy(getattr(self, name)), to_numpy(self.contact_start)
         return np.concatenate([values[:0], *(values[a : a + n] for a, n in zip(first, to_numpy(self.count)))])

@@ -323,6 +323,9 @@ def check_awake(config: SolverConfig) -> SolverConfig:
         raise ValueError("SolverConfig.sleep is True; only a Simulation lets bodies sleep")
     if config.continuous:
         raise ValueError("SolverConfig.continuous is True; only a Simulation follows bodies along their way")
+    for name, does in (("contact_events", "tells of events"), ("contact_switches", "switches contacts off")):
+        if getattr(config, name):
+            raise ValueError(f"SolverConfig.{name} is True; only a Simulation {does}")
     return config
 
 

@@ -222,7 +222,7 @@ def numeric(name: str, values: Any, wanted: str = "numbers", kinds: str = "iuf")
         TypeError: naming it, for anything else.
     """
     array = None
-    if not isinstance(values, str | bytes | bytearray | Set | Mapping):
+    if not isinstance(values, str | bytes | bytearray | Set | Mapping | np.ma.MaskedArray):  # whose mask would be lost
         try:
             array = np.asarray(values)
         except (TypeError, ValueError, OverflowError, RuntimeError):  # ragged, of anybody's class, of torch
@@ -279,8 +279,9 @@ def checker(hint: Any) -> Check:
     raise TypeError(f"the annotation {hint} has no check")
 
 
-def _with_article(name: str) -> str:
-    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
+def with_article(name: str) -> str:
+    """Return a noun with its article, as "a list", "an int"."""
+    return f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"
 
 
 def _plain(bound: float) -> str:
@@ -350,7 +351,7 @@ def _instance(kind: type, name: str, value: Any) -> Any:
         return value
     hint = f", such as {kind.__name__}()" if value is kind and is_dataclass(kind) else ""
     what = shown(value) if isinstance(value, type) else f"a {type(value).__name__}"
-    raise WrongType(f"{name} is {what}; it must be {_with_article(kind.__name__)}{hint}")
+    raise WrongType(f"{name} is {what}; it must be {with_article(kind.__name__)}{hint}")
 
 
 def _union(members: tuple[Any, ...]) -> Check:

@@ -12,7 +12,18 @@ import numpy as np
 from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import FLOATS
 from dc_kernels.model.rules import TIME_STEP
-from dc_kernels.model.settings import Count, Limits, NotNegative, Positive, Whole, WrongType, checker, numeric, shown
+from dc_kernels.model.settings import (
+    Count,
+    Limits,
+    NotNegative,
+    Positive,
+    Whole,
+    WrongType,
+    checker,
+    numeric,
+    shown,
+    with_article,
+)
 from dc_kernels.runtime.interop import host_view
 
 check_count = checker(Count)
@@ -73,8 +84,10 @@ def check_layout(
         ValueError: naming the argument, and what it is and must be.
     """
     array = host_view(name, array)
-    if not isinstance(array, np.ndarray):
-        raise WrongType(f"{name} is a {type(array).__name__}; it must be a numpy array, wp.array or torch tensor")
+    if not isinstance(array, np.ndarray) or isinstance(array, np.ma.MaskedArray):  # whose mask would be lost
+        raise WrongType(
+            f"{name} is {with_article(type(array).__name__)}; it must be a numpy array, wp.array or torch tensor"
+        )
     if array.dtype not in FLOATS.values() if dtype is None else array.dtype != dtype:
         raise ValueError(f"{name} has dtype {array.dtype}; it must be {dtype or ' or '.join(FLOATS)}")
     if array.ndim != len(shape) or any(b not in (None, a) for a, b in zip(array.shape, shape)):

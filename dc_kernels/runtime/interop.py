@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from dc_kernels.model.dtypes import FLOATS
-from dc_kernels.model.settings import counted
+from dc_kernels.model.settings import WrongType, counted
 
 
 class InPlace:
@@ -94,6 +94,7 @@ def host_view(name: str, array: Any) -> Any:
     """A torch tensor, ``wp.array`` or array with DLPack as numpy, the same memory; anything else as it is.
 
     Raises:
+        TypeError: for a tensor that numpy cannot show.
         ValueError: for one on a GPU, or a tensor that requires a gradient, which would be lost.
     """
     if isinstance(array, np.ndarray):
@@ -102,7 +103,7 @@ def host_view(name: str, array: Any) -> Any:
         _check_device(name, array)
         if array.requires_grad:
             raise ValueError(f"{name} requires a gradient, which would be lost; the torch operators keep it")
-        return array.numpy()
+        return _seen(name, array.numpy)
     if hasattr(array, "ptr") and hasattr(array, "is_contiguous"):
         if str(array.device) != "cpu":
             raise ValueError(f"{name} is on {array.device}; it must be on the CPU, where these kernels run")
@@ -111,8 +112,20 @@ def host_view(name: str, array: Any) -> Any:
         kind, _ = array.__dlpack_device__()
         if kind != DLPACK_CPU:
             raise ValueError(f"{name} is on a device of DLPack's type {int(kind)}; it must be on the CPU")
-        return np.from_dlpack(array)
+        return _seen(name, functools.partial(np.from_dlpack, array))
     return array
+
+
+def _seen(name: str, view: Callable[[], np.ndarray]) -> np.ndarray:
+    """The memory that a call shows.
+
+    Raises:
+        TypeError: with the name, where it is of a dtype that numpy has not, sparse, or negated when it is read.
+    """
+    try:
+        return view()
+    except (TypeError, RuntimeError, BufferError) as error:
+        raise WrongType(f"{name} is not plain numbers in memory: {error}") from None
 
 
 def tensor_array(name: str, tensor: Any) -> np.ndarray:

@@ -29,6 +29,7 @@ from dc_kernels.solve.exchange import (
     length_of,
     make_exchange,
     offsets,
+    own_lines,
     own_rows,
     refuse_incomplete,
     refuse_lacking,
@@ -169,7 +170,7 @@ class ContactSolver(InPlace):
         contacts = len(check_layout("body_a", body_a, (None,), np.dtype(np.int32)))
         self.dtype, self.device = check_layout("normal", normal, (contacts, 2)).dtype, "cpu"
         self.backend, self.schedule, self._config, self.discs = check_backend(backend), schedule, config, int(discs)
-        lines = dict(joints or {})
+        lines = own_lines(joints)
         lengths = {
             "body": length_of("inv_mass", inv_mass),
             "contact": contacts,

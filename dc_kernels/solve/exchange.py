@@ -49,6 +49,22 @@ class Exchange(ArrayGroup):
     table = EXCHANGE
 
 
+def own_lines(joints: Mapping[str, Any] | None) -> dict[str, Any]:
+    """A caller's distance joints by the names of ``LINES``; empty without any.
+
+    Raises:
+        TypeError: for what is no mapping.
+        ValueError: naming what is unknown.
+    """
+    lines = {} if joints is None else dict(check_mapping("joints", joints))
+    for name in lines:
+        if name not in (known := (*LINES, "joint_impulse")):
+            raise ValueError(
+                f"{name} is unknown; joints have {', '.join(known)}, as rods do: what else joins bodies goes in as rows"
+            )
+    return lines
+
+
 OWN_ROWS = {
     "row_body_a": None,
     "row_body_b": None,

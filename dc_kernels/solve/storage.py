@@ -11,6 +11,7 @@ from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.enums import Flag
 from dc_kernels.model.fields import ROWS, STATS
 from dc_kernels.model.room import Room
+from dc_kernels.model.settings import counted
 from dc_kernels.solve.iteration import PAST
 from dc_kernels.solve.joints import TREE_JOINT, TREE_MOVES, Apart, Forest
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, OWN, SURFACED
@@ -33,6 +34,17 @@ class SolveStats(ArrayGroup):
     """
 
     table = STATS
+
+    def __repr__(self) -> str:
+        """Worlds, what the last solve took, scalar, backend and device."""
+        sweeps, residual = self.numpy("sweeps"), self.numpy("residual")
+        last = ""
+        if len(sweeps):
+            least, most = int(sweeps.min()), int(sweeps.max())
+            last = f"{counted(most, 'sweep') if least == most else f'{least} to {most} sweeps'}, residual "
+            last += f"{residual.max():.2g}; " if len(sweeps) == 1 else f"up to {residual.max():.2g}; "
+        kind = f"{self.dtype.name}, {self.backend} on {self.device}"
+        return f"<{type(self).__name__}: {counted(len(sweeps), 'world')}; {last}{kind}>"
 
 
 def sweeps_kept(config: SolverConfig, worlds: int) -> int:

@@ -80,6 +80,8 @@ def test_contacts_are_those_of_a_simulation(dtype, backend):
             np.testing.assert_array_equal(narrowphase.numpy(name), wanted[name], err_msg=name)
         at = position[wanted["body_a"]] + wanted["arm_a"]
         np.testing.assert_array_equal(narrowphase.numpy("point"), at)
+        with pytest.raises(KeyError, match="name is 'count', of no array with room for contacts; there are key, "):
+            narrowphase.numpy("count")
         for w, (first, last) in enumerate(zip(model.numpy("body_start"), model.numpy("body_start")[1:])):
             bodies = narrowphase.numpy("body_a")[np.repeat(np.arange(3), np.asarray(narrowphase.count)) == w]
             assert ((bodies >= first) & (bodies < last)).all()

@@ -75,6 +75,9 @@ def test_objects_say_what_they_are():
     assert repr(sim.joints) == "<Joints: 1 joint, 1 joint row; float64, numpy on cpu>"
     assert repr(sim.model).startswith("<Model: 2 worlds, 22 bodies, 26 shapes, ")
     assert "contacts" in repr(sim.contacts)
+    sim.stats.assign("sweeps", [3, 7])
+    sim.stats.assign("residual", [0.5, 1e-7])
+    assert repr(sim.stats) == "<SolveStats: 2 worlds; 3 to 7 sweeps, residual up to 0.5; float64, numpy on cpu>"
 
 
 def stages():
