@@ -190,7 +190,7 @@ class Simulation(Driven):
         self.storage.share_joints()
         self._parts = config.whole_substeps
         for name, group in self.storage.groups().items():
-            setattr(self, name, group)
+            self.__dict__[name] = group
         groups = {name: getattr(self, name) for name in GROUPS}
         for group in groups.values():
             group.segments = self._segments

@@ -143,7 +143,7 @@ def load(
     if froze:  # afterwards: the constructor would refuse the force that froze a world
         check_state(values["state"], values["model"], f"{where}state/", frozen=True, backend=backend)
         _filled(state, values["state"])
-        sim.built = state.copy()
+        _filled(sim.built, values["state"])
     group = "cache"
     try:
         if cache is not None:

@@ -16,6 +16,7 @@ from dc_kernels.driving.populated import Populated
 from dc_kernels.driving.reset import Reset, check_rows, write_rows
 from dc_kernels.model.arrays import Model, State
 from dc_kernels.model.enums import Rest
+from dc_kernels.model.fields import JOINTS, MODEL, STATE
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_worlds
@@ -24,6 +25,34 @@ from dc_kernels.sleep.sleepers import Sleepers, asleep, mark
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+
+CHOSEN = ("threads", "schedule", "specialize", "dtype", "device", "backend")
+"""What is chosen when a simulation is made."""
+HELD = {
+    "model": "sim.change_model(NAME=values) changes a field of it; or make a new simulation",
+    "joints": "sim.change_model(NAME=values) changes a field of it; or make a new simulation",
+    "state": 'sim.state.assign("NAME", values) writes a field of it, and sim.reset(None, state) all',
+    "built": 'sim.built.assign("NAME", values) writes a field of it',
+    **dict.fromkeys(
+        ("motion", "pairs", "contacts", "cache", "rows", "stats", "sleepers", "overlaps", "touches", "switches"),
+        "it is written by the steps, and by restore_contacts and change_contacts",
+    ),
+}
+"""Groups whose memory kernels hold, and how they are written."""
+PARTS = frozenset((*CHOSEN, *HELD))
+RESERVED = frozenset((*PARTS, *STATE, *MODEL, *JOINTS))
+
+
+def _instead(name: str) -> str:
+    """Say what a reserved name is, and how it is changed."""
+    if name in STATE:
+        return f'is a field of the state; sim.state.assign("{name}", values) writes it'
+    if name in MODEL or name in JOINTS:
+        group = "model" if name in MODEL else "joints"
+        return f"is a field of the {group}; sim.change_model({name}=values) changes it"
+    way = HELD.get(name, f"make another one: dc.Simulation(..., {name}=...)")
+    return f"is that of this simulation, whose kernels go by it; {way}"
 
 
 class Driven(Populated):
@@ -35,6 +64,16 @@ class Driven(Populated):
     sleepers: Sleepers
     calls: OneCaller
     _reset: Reset | None
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set ``config``, or what is no part of a simulation; no step goes by other parts than it was made with.
+
+        Raises:
+            AttributeError: for such a part, or for a field of model, joints or state, saying how it is changed.
+        """
+        if name in RESERVED and not (name in PARTS and self.__dict__.get(name, value) is value):
+            raise AttributeError(f"sim.{name} {_instead(name)}")
+        object.__setattr__(self, name, value)
 
     @property
     def peak(self) -> np.ndarray:
@@ -64,7 +103,7 @@ class Driven(Populated):
     def adopt(self, parts: Parts) -> None:
         """Consist of other parts than those that were made for it: of a simulation of the same scene and options."""
         self.storage.adopt(parts.groups, parts.slots)
-        self.built, self.given_ids = parts.built, parts.ids
+        self.__dict__["built"], self.given_ids = parts.built, parts.ids
         self._turn.ran = parts.phase
         self._shards.peak[...] = parts.peak
         self._bind_all()

@@ -128,10 +128,10 @@ class ArrayGroup:
         return WeakSet()
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Set what is no field; kernels would go on with the array that a field had.
+        """Set what a group is known by; kernels would go on with the array that a field had, and see no other name.
 
         Raises:
-            AttributeError: for a field, saying how its values are written.
+            AttributeError: for a field, saying how its values are written; for a name that means nothing.
         """
         if name in self.table and value is not self.__dict__.get(name):
             kind = type(self).__name__.lower()
@@ -139,6 +139,9 @@ class ArrayGroup:
                 f"{kind}.{name} cannot be replaced, as kernels hold its memory; write into it: "
                 f'{kind}.assign("{name}", values), or {kind}.numpy("{name}")[...] = values on a CPU'
             )
+        said = name in ArrayGroup.__annotations__ or name in type(self).__annotations__
+        if not (said or name[:1] == "_" or name in self.table):
+            raise AttributeError(f"{type(self).__name__.lower()} has no {name}; it has {', '.join(self.table)}")
         object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:

@@ -430,3 +430,25 @@ def test_reset_leaves_a_body_at_rest_that_has_become_static():
     sim.run(3, DT)
     sim.reset([0])
     assert not sim.state.numpy("velocity")[3].any()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("state", r"sim\.state is that of this simulation, .*; sim\.state\.assign.* and sim\.reset\(None, state\) all"),
+        ("model", r"sim\.model is that of this simulation, .* sim\.change_model\(NAME=values\)"),
+        ("contacts", r"sim\.contacts is that of .* written by the steps, and by restore_contacts"),
+        ("threads", r"sim\.threads is .*; make another one: dc\.Simulation\(\.\.\., threads=\.\.\.\)"),
+        ("gravity", r"sim\.gravity is a field of the model; sim\.change_model\(gravity=values\) changes it"),
+        ("joint_length", r"sim\.joint_length is a field of the joints; sim\.change_model"),
+        ("velocity", r'sim\.velocity is a field of the state; sim\.state\.assign\("velocity", values\)'),
+    ],
+)
+def test_parts_and_fields_are_no_attributes_to_set(name, message):
+    sim = simulation("float64", "numpy")
+    with pytest.raises(AttributeError, match=message):
+        setattr(sim, name, 3)
+    with pytest.raises(AttributeError, match="state has no velocities; it has position, angle, velocity, "):
+        sim.state.velocities = 3
+    sim.note = "what a caller keeps"
+    sim.note = "goes by any other name"

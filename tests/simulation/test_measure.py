@@ -64,7 +64,7 @@ def test_a_body_in_parts_has_the_energy_of_its_points(vx, vy, spin):
 def with_contacts(recollided):
     sim = worlds()
     sizes = {"world": 3, "world+1": 4, "contact": 12}
-    sim.contacts = dc.Contacts(sizes, "float32", backend="numpy")
+    vars(sim)["contacts"] = dc.Contacts(sizes, "float32", backend="numpy")
     sim.contacts.contact_start[:] = (0, 4, 8, 12)
     sim.contacts.contact_count[:] = (4, 0, 2)
     sim.contacts.gap[:] = -9.0  # of unused slots
