@@ -15,7 +15,7 @@ from dc_kernels.model.fields import LAUNCH, MODEL, PAIRS, STATE
 from dc_kernels.model.room import Room, starts
 from dc_kernels.model.rules import refuse
 from dc_kernels.runtime.backends import bind, check_backend, host_threads, kernel_file, make_kernels
-from dc_kernels.runtime.capture import Recordings, recording
+from dc_kernels.runtime.capture import STALE, Recordings, recording
 from dc_kernels.runtime.inputs import (
     MAX_INDEX,
     check_count,
@@ -253,9 +253,11 @@ class Broadphase(InPlace):
                 while self._flags.any():
                     self._explain(room=self.fixed)
                     self._candidates.room.grow(self._flags, self._candidates.needed, error=False)
+                    left = to_numpy(self.count)
                     self._candidates.relayout()
                     self._flags = self._recordings.renew(self._flags, self._shards)
                     self._bind()
+                    left.fill(STALE)
                     run_shards(self._shards, self.threads)
         return self.count
 

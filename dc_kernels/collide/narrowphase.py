@@ -19,7 +19,7 @@ from dc_kernels.model.fields import LAUNCH, MOTION, ROWS
 from dc_kernels.model.room import starts
 from dc_kernels.model.settings import UnknownName, shown
 from dc_kernels.runtime.backends import Launch, bind, host_threads, kernel_file, make_kernels
-from dc_kernels.runtime.capture import Recordings, recording
+from dc_kernels.runtime.capture import STALE, Recordings, recording
 from dc_kernels.runtime.inputs import (
     MAX_INDEX,
     check_array,
@@ -226,8 +226,10 @@ class Narrowphase(InPlace):
                 while self._flags.any():
                     self._explain(room=self.fixed)
                     self._found.room.grow(self._flags, self._needed, error=False)
+                    left = to_numpy(self.count)
                     self._found.relayout()
                     self._rebind()
+                    left.fill(STALE)
                     run_shards(self._shards, self.threads)
         return self.count
 

@@ -12,7 +12,7 @@ from dc_kernels.model.arrays import kernel_array, kernel_arrays
 from dc_kernels.neighbors.cells import PADDING, ROOM, SortedCells, Workspace, allowed, shards_of
 from dc_kernels.neighbors.search import square
 from dc_kernels.runtime.backends import Launch, bind, check_backend, host_threads
-from dc_kernels.runtime.capture import Recordings, recording
+from dc_kernels.runtime.capture import STALE, Recordings, recording
 from dc_kernels.runtime.inputs import check_count, check_points, check_slots, check_start
 from dc_kernels.runtime.interop import InPlace
 from dc_kernels.runtime.sequences import as_one
@@ -146,8 +146,10 @@ class NeighborSearch(InPlace):
         full = self._found > self._room
         self._room[full] = self._found[full] + self._found[full] // 8
         self.layout_version += 1
-        self._found = self._recordings.renew(self._found, self._shards)
+        left = self._found
+        self._found = self._recordings.renew(left, self._shards)
         self._bind()
+        left.fill(STALE)
 
     def check(self, room: bool = True) -> None:
         """Raise for what went wrong in the last call or replay, which a graph cannot tell itself.

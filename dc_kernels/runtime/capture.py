@@ -38,6 +38,10 @@ def refuse_recording(what: str, why: str) -> None:
         raise RuntimeError(f"{what} cannot be recorded in a graph: {why}")
 
 
+STALE = -1
+"""Count of each world in arrays that a stage has left, as its room grew: who still reads them is to notice."""
+
+
 class Recordings:
     """Tells whether a graph was replayed that knows the arrays of a stage from before they were allocated anew."""
 

@@ -11,6 +11,7 @@ from dc_kernels.model.arrays import ArrayGroup
 from dc_kernels.model.enums import Flag
 from dc_kernels.model.rules import POSITIVE, refuse
 from dc_kernels.model.validate.arrays import Layout, check_field
+from dc_kernels.runtime.capture import STALE
 from dc_kernels.solve.exchange import BEFORE, LINES, VELOCITIES, refuse_same, view_of
 
 LOOKED_AT = ("model", "state", "joints", "contacts", "rows", "exchange")
@@ -39,7 +40,8 @@ def raise_fault(
     given = {name: view_of(exchange, name, array) for name, array in given.items()}  # as numpy
     count, room = int(exchange.numpy("count")[w]), int(start[w + 1] - start[w])
     if flags[w] & Flag.CONTACT_OVERFLOW:
-        raise ValueError(f"count[{w}] is {count}; it must lie in [0, {room}], the room of world {w}")
+        left = "; a stage whose room grew has left its arrays, take them anew" if count == STALE else ""
+        raise ValueError(f"count[{w}] is {count}; it must lie in [0, {room}], the room of world {w}{left}")
     parts = {axis: slice(int(at[w]), int(at[w + 1])) for axis, at in layout.start.items()}
     parts["contact"] = slice(int(start[w]), int(start[w]) + count)
 

@@ -167,8 +167,9 @@ def test_room_grows_or_the_lack_of_it_is_an_error():
     start = [0, 50, 100]
     wanted = brute(lower, upper, start)
     broadphase = dc.Broadphase(lower, upper, start)
-    before = broadphase.layout_version
+    before, left = broadphase.layout_version, np.asarray(broadphase.count)
     broadphase()
+    np.testing.assert_array_equal(left, -1)
     np.testing.assert_array_equal(broadphase.numpy(), wanted)
     assert broadphase.layout_version > before
     counts = np.bincount(wanted[:, 0] // 50)

@@ -210,8 +210,24 @@ def test_room_grows_or_the_lack_of_it_is_an_error():
     boxes = dc.ShapeBoxes(shapes, position, angle)
     broadphase = dc.Broadphase(boxes.lower, boxes.upper, [0, 20, 60])
     narrowphase = dc.Narrowphase(shapes, position, angle, broadphase)
+    left = {
+        name: getattr(narrowphase, name) for name in ("body_a", "body_b", "normal", "gap", "arm_a", "arm_b", "count")
+    }
     boxes(), broadphase(), narrowphase()
     assert narrowphase.layout_version > 0
+    none = np.zeros((60, 2), np.float32)
+    late = dc.ContactSolver(
+        point=None,
+        **left,
+        inv_mass=np.ones(60, np.float32),
+        inv_inertia=np.ones(60, np.float32),
+        velocity=none,
+        angular_velocity=none[:, 0].copy(),
+        body_start=[0, 20, 60],
+        contact_start=[0, 50, 150],
+    )
+    with pytest.raises(ValueError, match=r"count\[0\] is -1; .* a stage whose room grew has left its arrays"):
+        late.solve(0.01)
     count = np.asarray(narrowphase.count)
     np.testing.assert_array_equal(count, [20 * 19 // 2, 40 * 39 // 2])
     exact = dc.Narrowphase(shapes, position, angle, broadphase, max_contacts=count)
