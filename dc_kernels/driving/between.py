@@ -31,6 +31,8 @@ def check_between(sim: Any, start: Any, callback: Any, stepper: Any) -> None:
         ValueError: the stepper was made for another simulation, or the method is "tgs_soft".
         RuntimeError: within a recording, as all of them run in Python.
     """
+    if not callable(start) and callable(getattr(start, "solve", None)):
+        raise WrongType(f"start is {shown(start)}; it must be callable: what has a method solve is given as stepper")
     check_maybe_callable("start", start)
     check_maybe_callable("callback", callback)
     if stepper is not None:

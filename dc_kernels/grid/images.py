@@ -21,10 +21,10 @@ from dc_kernels.grid.scene import Scene, SceneSplat
 from dc_kernels.grid.splat import allocate_image, points_group
 from dc_kernels.grid.stencil import BILINEAR, Stencil, check_stencil
 from dc_kernels.model.arrays import kernel_array, to_numpy, to_torch
-from dc_kernels.model.settings import check_choice, checker
+from dc_kernels.model.settings import check_choice, checker, counted
 from dc_kernels.runtime.capture import HOST, refuse_recording
 from dc_kernels.runtime.inputs import check_callable, check_count, check_simulation, check_truth
-from dc_kernels.runtime.interop import address
+from dc_kernels.runtime.interop import NotCopied, address
 from dc_kernels.runtime.program import Fed, Program, Stage
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ _spec = checker(ImageSpec)
 GATHERS = 64  # kinds of gathers whose launches are kept
 
 
-class Images:
+class Images(NotCopied):
     """Persistent images of all worlds, filled from the simulation's present state and contacts.
 
     First come the bodies' channels, then the contacts', of each bin of normal directions in turn. A body is splatted at
@@ -79,6 +79,12 @@ class Images:
         self.image = self._array(self._image)
         with sim.calls:
             self._allocate()
+
+    def __repr__(self) -> str:
+        """Worlds, channels, nodes, scalar and backend."""
+        worlds, channels, rows, columns = self._image.shape
+        counts = f"{counted(worlds, 'world')}, {counted(channels, 'channel')} of {rows} x {columns} nodes"
+        return f"<{type(self).__name__}: {counts}; {self._image.dtype}, {self.sim.backend} on cpu>"
 
     def _allocate(self) -> None:
         sim, spec = self.sim, self.spec

@@ -28,7 +28,7 @@ from dc_kernels.model.settings import Limits, check_choice, checker
 from dc_kernels.runtime.backends import kernel_file, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_count, check_simulation
-from dc_kernels.runtime.interop import address
+from dc_kernels.runtime.interop import NotCopied, address
 from dc_kernels.runtime.program import Fed, Kernel, Program
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def in_flight_kernels(backend: str, dtype: str, variant: str) -> dict[str, Any]:
 _grid, _ratio = checker(Grid), checker(Annotated[float, Limits(above=0.0, size=math.inf)])
 
 
-class SolveReader:
+class SolveReader(NotCopied):
     """Reads a solve that pauses: features and images of any of its worlds, packed one world after the other.
 
     Attributes:

@@ -12,8 +12,24 @@ from dc_kernels.model.dtypes import FLOATS
 from dc_kernels.model.settings import WrongType, counted
 
 
-class InPlace:
-    """What works on arrays of others where they lie, and so is neither copied nor pickled."""
+class NotCopied:
+    """What works on the memory of others where it lies, and so is neither copied nor pickled."""
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Refuse: a copy would be of none of its arrays' owners.
+
+        Raises:
+            TypeError: saying what to do.
+        """
+        name = type(self).__name__
+        raise TypeError(
+            f"this {name} works on arrays where their owner has them, and is neither copied nor pickled; "
+            f"make another {name} on copies of them"
+        )
+
+
+class InPlace(NotCopied):
+    """What works on arrays that it is given."""
 
     dtype: np.dtype
     backend: str
@@ -27,18 +43,6 @@ class InPlace:
         """What it works on, scalar and backend."""
         counts = ", ".join(counted(number, name) for name, number in self.lengths.items())
         return f"<{type(self).__name__}: {counts}; {self.dtype}, {self.backend} on cpu>"
-
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        """Refuse: a copy would be of none of its arrays' owners.
-
-        Raises:
-            TypeError: saying what to do.
-        """
-        name = type(self).__name__
-        raise TypeError(
-            f"this {name} works on arrays where their owner has them, and is neither copied nor pickled; "
-            f"make another {name} on copies of them"
-        )
 
 
 DLPACK_CPU = 1  # of its types of devices

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -107,6 +108,14 @@ def stages():
         "NeighborSearch: 22 points, 1 world": dc.NeighborSearch(position, 0.1),
         "ContactSolver: 3 contacts, 2 bodies, 0 joints, 1 world": solver,
     }
+
+
+def test_images_say_what_they_are_and_are_not_copied():
+    images = dc.Images(worlds_of_one_size(2), dc.ImageSpec(grid=dc.Grid.thesis()))
+    assert re.fullmatch(r"<Images: 2 worlds, \d+ channels of 61 x 61 nodes; float32, warp on cpu>", repr(images))
+    for make in (copy.deepcopy, pickle.dumps):
+        with pytest.raises(TypeError, match="this Images works on arrays where their owner has them"):
+            make(images)
 
 
 def test_stages_say_what_they_are_and_are_not_copied():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -78,6 +79,8 @@ def test_what_is_no_stepper_is_refused():
     sim, other = simulation(steps=0), simulation(steps=0)
     with pytest.raises(TypeError, match="stepper is 3; it must have a method solve"):
         sim.step(0.01, stepper=3)
+    with pytest.raises(TypeError, match=r"start is .*; it must be callable: what has a method solve is given"):
+        sim.step(0.01, start=SimpleNamespace(solve=print))
     with pytest.raises(ValueError, match="the stepper was made for another simulation"):
         sim.step(0.01, stepper=Builtin(other))
 
