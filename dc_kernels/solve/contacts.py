@@ -151,7 +151,7 @@ class ContactSolver(InPlace):
             contact_start: first contact of each world and C, (W + 1,); None: one world.
             joint_start: first joint of each world and their number, (W + 1,); None: one world.
             row_start: first of each world's ``rows`` and their number, (W + 1,); None: one world.
-            length_scale: typical diameter, which the lengths of the settings are multiples of, (W,) or one [m].
+            length_scale: typical diameter, unit of lengths in the settings, (W,) or one [m]; read now, as the next two.
             weight: of a typical body, (W,) or one [N], to which ``relative_tolerance`` is relative; 0: to nothing.
             gravity: (W,) or one [m/s^2], to which the threshold of bounces is relative (``SolverConfig``); needed
                 unless ``restitution`` is the number 0 or 1.
