@@ -9,6 +9,7 @@ import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.config import CONFIG, SolverConfig
+from dc_kernels.model.dtypes import float_name
 from dc_kernels.model.fields import LAUNCH
 from dc_kernels.runtime.backends import Launch, bind, kernel_file, on_numpy
 from dc_kernels.runtime.stepping import Shards
@@ -78,7 +79,7 @@ class Binding:
 
     def _scalars(self, name: str, values: Mapping[str, Any]) -> Any:
         table = {"config": CONFIG, "launch": LAUNCH}[name]
-        return self._groups.group(name, self.model.dtype.name, table, values)
+        return self._groups.group(name, float_name(self.model.dtype), table, values)
 
     def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments for the worlds from ``first`` on, with ``changed`` settings or numbers of the launch."""

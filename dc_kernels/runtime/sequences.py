@@ -355,8 +355,10 @@ def _bind(name: str, values: dict[str, Any]) -> Any:
     """A launch of a kernel of ``_warp/runtime/sequences.py`` on numpy arrays, which it keeps alive."""
     import warp as wp
 
+    from dc_kernels.runtime.launches import shared_array
+
     arrays = {
-        key: wp.array(value, dtype=wp.dtype_from_numpy(value.dtype), shape=(value.size,), device="cpu", copy=False)
+        key: shared_array(value.reshape(-1), wp.dtype_from_numpy(value.dtype), value.__array_interface__["data"][0])
         for key, value in values.items()
         if isinstance(value, np.ndarray)
     }
