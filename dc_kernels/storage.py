@@ -73,7 +73,7 @@ class Storage:
         self.narrowphase = StepContacts(model, float(room["contacts"]), joints.sizes["joint row"])
         self.sleep = SleepStorage(model, self.narrowphase.contacts, config.sleep)
         self.events, self.switches = EventStorage(model), SwitchStorage(model)
-        self.equip(config)
+        self._allow(config)
         weight = (Facts() if facts is None else facts).recall("weight", lambda: typical_weight(model))
         self.integrator = Integrator(model, int(room["shards"]), config.method, weight)
         self._make_rows(str(room["variant"]), config, int(room["at_once"]))
@@ -253,11 +253,16 @@ class Storage:
         self.provide(config)
 
     def equip(self, config: SolverConfig) -> bool:
-        """Allocate lists of events and contacts that are off, as model and settings need them; whether any changed."""
-        before = self.events.version + self.switches.switches.version
+        """Allocate what model and settings need and is not there yet, or free it; whether there was any."""
+        before = self.version
+        self.broadphase.keep_hulls(self.model)
+        self._allow(config)
+        return self.version != before
+
+    def _allow(self, config: SolverConfig) -> None:
+        """Allocate lists of events and contacts that are off, as model and settings need them."""
         self.events.allow(self.model, config, self.broadphase.room.total, self.narrowphase.room.total)
         self.switches.allow(self.model, config, self.narrowphase.contacts)
-        return self.events.version + self.switches.switches.version != before
 
     def provide(self, config: SolverConfig) -> bool:
         """Allocate what an iteration needs and has not got yet; whether there was any."""

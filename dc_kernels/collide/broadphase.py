@@ -74,10 +74,17 @@ class CandidatePairs:
     def of_model(cls, model: Model, pairs_per_shape: float) -> CandidatePairs:
         """Reserve so many pairs for each shape of a model."""
         shapes = np.diff(model.numpy("shape_start")).astype(np.int64)
-        hulls = (model.numpy("shape_type") == ShapeType.POLYGON).any()
-        turned = model.body_count if hulls and model.device == "cpu" and model.backend == "warp" else 0
         slots = np.ceil(pairs_per_shape * shapes)
-        return cls(shapes, slots, model.dtype, model.device, model.backend, turned)
+        return cls(shapes, slots, model.dtype, model.device, model.backend, _turned_bodies(model))
+
+    def keep_hulls(self, model: Model) -> None:
+        """Allocate what is kept of pairs of hulls, where a model has got its first ones."""
+        pairs = self.pairs
+        if pairs.sizes["turned body"] == 0 and (turned := _turned_bodies(model)):
+            axes = {"turned body": turned, "kept pair": 2 * self.room.total}
+            pairs.reallocate([name for name, field in pairs.table.items() if field.per in axes], **axes)
+            pairs.fill("kept_count", np.zeros(pairs.sizes["world"], np.int32))
+            pairs.fill("kept_rebuilds", np.full(pairs.sizes["world"], -1, np.int32))
 
     def adopt(self, pairs: Pairs, slots: np.ndarray) -> None:
         """Take over the pairs of as many shapes, and their room."""
@@ -302,6 +309,12 @@ class Broadphase(InPlace):
         both = np.stack([to_numpy(self.shape_a), to_numpy(self.shape_b)], axis=1)
         first = to_numpy(self.pair_start)
         return np.concatenate([both[:0], *(both[a : a + n] for a, n in zip(first, to_numpy(self.count)))])
+
+
+def _turned_bodies(model: Model) -> int:
+    """Bodies of a model whose hulls are met by what is kept of their pairs; 0 where nothing is."""
+    recycles = model.device == "cpu" and model.backend == "warp"
+    return model.body_count if recycles and (model.numpy("shape_type") == ShapeType.POLYGON).any() else 0
 
 
 def _filter(array: Any, name: str, count: int | None, dtype: Any = np.int32) -> np.ndarray:

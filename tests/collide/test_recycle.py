@@ -143,3 +143,27 @@ def test_a_shape_that_takes_anothers_place_is_met_in_full():
     forget(sim)
     theirs = found(sim)
     assert all(np.array_equal(ours[name], theirs[name]) for name in FOUND)
+
+
+def test_hulls_that_come_to_a_scene_without_any_are_kept():
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0, 0), length_scale=1.0)
+    builder.add_discs([(3.0 + i, 0.0) for i in range(12)], 0.4)
+    sim = simulate(builder, "float32", contacts_per_body=8.0, pairs_per_shape=12.0)
+    sim.reserve(bodies=6, shapes=6, vertices=24)
+    sim.step(DT)
+    assert sim.pairs.sizes["kept pair"] == 0
+    more = sim.additions()
+    for i in range(6):
+        more.add_box(more.add_body((0.99 * (i % 3), 0.99 * (i // 3))), 0.5, 0.5)
+    grown = sim.pairs.sizes["pair"]
+    sim.add(more)
+    assert sim.pairs.sizes["pair"] == grown  # there was room
+    found(sim)
+    assert kept(sim) >= 7
+    ours = found(sim)
+    forget(sim)
+    theirs = found(sim)
+    assert len(ours["gap"]) > 12 and all(np.array_equal(ours[name], theirs[name]) for name in FOUND)
+    sim.run(3, DT)
+    assert kept(sim) >= 7

@@ -65,7 +65,7 @@ def recycling(dtype: str) -> SimpleNamespace:
     macros |= {"CHUNK": CHUNK, "FIELDS": FIELDS, "POLYGON": int(ShapeType.POLYGON)}
     around = ("prelude.h", "predicted.h", "solve/bodies.h", "side.h", "recycle/sides.h")
 
-    @wp.func_native(native_code("recycle/carry.h", dtype=dtype))
+    @wp.func_native(native_code("recycle/carry.h", dtype=dtype, LANES=LANES))
     def carry(w: wp.int32, pairs: t.Pairs): ...
 
     @wp.func_native(native_code(*around, "recycle/meet_again.h", dtype=dtype, **macros))
