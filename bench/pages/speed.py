@@ -5,7 +5,7 @@ from __future__ import annotations
 from bench.cases import SCALING_WORLDS, SWEEP_PILES
 from bench.pages.markdown import Record, figure, paragraphs, table
 from bench.peers.peers import PEER_TEXT
-from bench.speed.overhead import SIZES
+from bench.speed.overhead import SIZES, creation_rows
 from bench.speed.skips import ROWS as SKIPS
 from bench.speed.threads import SETTINGS
 from bench.speed.threads import SIZES as PILES
@@ -144,7 +144,7 @@ def startup(record: Record) -> str:
 
 
 def overhead(record: Record) -> str:
-    """Show what a step of one body costs beside its kernels, and what a second thread loses on small scenes."""
+    """Show what a step of one body costs beside its kernels, what a second thread loses, and what creation takes."""
     rows = [
         ("`step()`", record["step_us_1_body"], record["step_over_graph_us"]),
         ("`run()`, a step", record["run_us_1_body"], record["run_over_graph_us"]),
@@ -153,12 +153,14 @@ def overhead(record: Record) -> str:
     ]
     sizes = [worlds * discs for worlds, discs in SIZES]
     shared = [(figure(n), record[f"threads1_us_{n}"], record[f"threads2_us_{n}"]) for n in sizes]
+    made = [table(("one thesis world is made", "[ms]"), creation_rows(record))] if "creation_ms" in record else []
     return paragraphs(
         "A step of one disc at rest; below the graph's time lies what launching the kernels by their addresses saves.",
         table(("one body", "a step [us]", "over the graph [us]"), rows),
         f"Steps of more discs with one thread and with two, of which the largest loss is "
         f"{figure(record['threads2_penalty_us'])} us:",
         table(("discs at rest", "`threads=1` [us]", "`threads=2` [us]"), shared),
+        *made,
     )
 
 

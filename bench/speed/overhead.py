@@ -1,4 +1,4 @@
-"""What a step costs beside its kernels: Python around one body, and a second thread where the work is small.
+"""What a step costs beside its kernels: Python around one body, a second thread where the work is small, creation.
 
 The kernels' cost is that of a graph of the step, recorded by Warp, which replays it without Python.
 """
@@ -7,24 +7,34 @@ from __future__ import annotations
 
 import itertools
 import statistics
+import time
 from collections.abc import Callable
 from typing import Any
 
 from bench import timing
 
-SUMMARY = "step() and run() of one body beside the recorded graph of a step, threads=2 on small scenes [us]"
-KEYS = ("step_over_graph_us", "run_over_graph_us", "step_us_1_body", "pymunk_us_1_body", "threads2_penalty_us")
+SUMMARY = "step() and run() of one body beside the recorded graph of a step, threads=2 on small scenes [us], creation"
+KEYS = (
+    *("step_over_graph_us", "run_over_graph_us", "step_us_1_body", "pymunk_us_1_body", "threads2_penalty_us"),
+    *("creation_ms", "creation_unlike_ms"),
+)
 THREADS = 2
 
 STEPS = 200  # timed together
 ROUNDS, ROUNDS_QUICK = 31, 15
+CREATED, CREATED_QUICK = 300, 200  # worlds that are made one after the other
+PARTS = ("place", "finalize", "simulation", "first_step")
 SIZES = ((2, 1), (4, 10), (16, 40), (64, 40))  # worlds and discs of each, for the second thread
 
 
 def measure(quick: bool) -> dict[str, Any]:
     """Medians of a step [us], and the medians of differences within a round."""
     rounds = ROUNDS_QUICK if quick else ROUNDS
-    return {**measure_one_body(rounds), **measure_threads(rounds)}
+    return {
+        **measure_one_body(rounds),
+        **measure_threads(rounds),
+        **measure_creation(CREATED_QUICK if quick else CREATED),
+    }
 
 
 def resting(worlds: int, discs: int, threads: int = 1) -> Any:
@@ -104,6 +114,38 @@ def measure_threads(rounds: int) -> dict[str, Any]:
     return {**values, "threads2_penalty_us": max(lost)}
 
 
+def measure_creation(worlds: int) -> dict[str, float]:
+    """Medians of making a thesis world: all of it, its parts, and where no world has the model of one before."""
+    from dataclasses import replace
+
+    import dc_kernels as dc
+    from bench import cases
+
+    alike = cases.scenes.Thesis()
+    unlike = [replace(alike, radius=alike.radius * (1.0 + 1e-4 * i)) for i in range(worlds)]
+    spent: dict[str, list[float]] = {name: [] for name in (*PARTS, "all", "unlike")}
+    for seed in range(-3, worlds):  # some beforehand, which compile and load
+        begin = time.perf_counter()
+        builder = alike.build(1, max(seed, 0))
+        placed = time.perf_counter()
+        groups = builder.finalize()
+        finalized = time.perf_counter()
+        sim = dc.Simulation(*groups)
+        made = time.perf_counter()
+        sim.step(cases.DT)
+        stepped = time.perf_counter()
+        dc.Simulation(*unlike[seed].build(1, max(seed, 0)).finalize())
+        edges = (begin, placed, finalized, made, stepped)
+        times = (*(b - a for a, b in itertools.pairwise(edges)), made - begin, time.perf_counter() - stepped)
+        if seed >= 0:
+            for name, value in zip(spent, times, strict=True):
+                spent[name].append(value)
+        del builder, groups, sim  # before the next one is made
+    found = {name: 1e3 * value for name, value in timing.medians(spent).items()}
+    parts = {f"creation_{name}_ms": found[name] for name in (*PARTS, "unlike")}
+    return {"creation_ms": found["all"], **parts}
+
+
 def repeat(call: Callable[[], Any]) -> Callable[[], None]:
     """One call that makes ``STEPS``."""
 
@@ -112,6 +154,18 @@ def repeat(call: Callable[[], Any]) -> Callable[[], None]:
             call()
 
     return calls
+
+
+def creation_rows(values: dict[str, Any]) -> list[tuple[str, float]]:
+    """What making a world takes, part by part."""
+    return [
+        ("places, a builder, `finalize`, `Simulation`", values["creation_ms"]),
+        ("places and a builder", values["creation_place_ms"]),
+        ("`finalize`", values["creation_finalize_ms"]),
+        ("`Simulation`", values["creation_simulation_ms"]),
+        ("all of it where no model is like one before", values["creation_unlike_ms"]),
+        ("the first step, which binds the kernels", values["creation_first_step_ms"]),
+    ]
 
 
 def report(values: dict[str, Any]) -> str:
@@ -129,5 +183,6 @@ def report(values: dict[str, Any]) -> str:
         (
             timing.table(("one body at rest [us]", "median", "over the graph"), rows),
             timing.table(("discs at rest, step() [us]", "threads=1", "threads=2"), [(f"{n}", *t) for n, *t in shared]),
+            timing.table(("one thesis world [ms]", "median"), creation_rows(values)),
         )
     )
