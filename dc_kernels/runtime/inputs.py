@@ -83,7 +83,7 @@ def check_layout(
     Raises:
         ValueError: naming the argument, and what it is and must be.
     """
-    array = host_view(name, array)
+    lent, array = array, host_view(name, array)
     if not isinstance(array, np.ndarray) or isinstance(array, np.ma.MaskedArray):  # whose mask would be lost
         raise WrongType(
             f"{name} is {with_article(type(array).__name__)}; it must be a numpy array, wp.array or torch tensor"
@@ -96,7 +96,9 @@ def check_layout(
     if not array.flags.c_contiguous:
         raise ValueError(f"{name} has strides {array.strides} for shape {array.shape}; it must be contiguous")
     if writes and not array.flags.writeable:
-        raise ValueError(f"{name} is read-only; it must be writable")
+        # versions before 1.0 cannot say that memory may be written to, and numpy takes it for read-only
+        way = "" if lent is array else f" (by DLPack before 1.0? then give torch.from_dlpack({name}))"
+        raise ValueError(f"{name} is read-only{way}; it must be writable")
     return array
 
 

@@ -65,3 +65,10 @@ def test_memory_that_numpy_cannot_show_is_named():
     with pytest.raises(TypeError, match="points is a MaskedArray; it must be a numpy array"):
         dc.NeighborSearch(np.ma.masked_array(np.zeros((4, 2)), np.eye(4, 2)), 0.1)
     assert len(dc.NeighborSearch(Lent(plain), 0.1).points) == 4
+    early = Lent(wp.zeros(2, dtype=int, device="cpu"))
+    with pytest.raises(ValueError, match=r"color is read-only \(by DLPack before 1\.0\? then give torch\.from_dlpack"):
+        dc.color(np.zeros(2, np.int32), np.ones(2, np.int32), np.ones(2), color=early)
+    color = torch.from_dlpack(early)
+    color[:] = -1
+    dc.color(np.zeros(2, np.int32), np.ones(2, np.int32), np.ones(2), color=color)
+    np.testing.assert_array_equal(early.array.numpy(), [0, 1])
