@@ -35,8 +35,9 @@ SHARE_STEPS = 10  # steps whose stages are timed one by one
 CONFIGS: Mapping[str, Callable[[], dc.SolverConfig]] = {
     **{name: functools.partial(dc.SolverConfig.preset, name) for name in PRESETS},
     "sweeps_10": lambda: dc.SolverConfig(max_sweeps=10, acceleration="none"),
+    "soft_4": lambda: dc.SolverConfig(method="tgs_soft", substeps=4),
 }
-"""Settings of ours by name: the presets, and ten sweeps without acceleration."""
+"""Settings of ours by name: the presets, ten sweeps without acceleration, and four substeps with soft rows."""
 FOREIGN = "peer"
 
 

@@ -209,10 +209,6 @@ class SolverConfig(Settings):
                 f"SolverConfig.aitken_period_max is {self.aitken_period_max}; "
                 f"it must not be below aitken_period = {self.aitken_period}"
             )
-        if self.method == "tgs_soft" and self.sleep:
-            raise ValueError(
-                "SolverConfig.method is 'tgs_soft' and sleep is True; bodies sleep with other methods only"
-            )
         if self.continuous and self.contact_switches:
             raise ValueError(
                 "SolverConfig.continuous and contact_switches are both True; what switched contacts let through, "

@@ -41,6 +41,8 @@ SURFACED = ("surfaces",)
 """Variants for surfaces that move, or resist rolling."""
 TOUCH = 0.01
 """Share of the slop by which shapes must overlap for a soft contact: those that a substep let close are hard."""
+SOFT_NUMBERS = 13
+"""Numbers that a sweep of soft rows is given (``native/solve/soft.h``)."""
 ROLLING_COLOR = 32
 """Colour of the rows of rolling resistance of the contacts of colour 0, where contacts and joints have no more."""
 

@@ -7,6 +7,7 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels.model.config import check_awake
+from dc_kernels.runtime.threads import usable_cores
 from dc_kernels.solve.rows import SERIAL_COLOR
 from tests.parity.scenes import bounce, discs, pendulum, simulation, surfaces
 
@@ -196,6 +197,21 @@ def test_the_serial_colour_solves_joints_as_the_lanes_do():
         np.testing.assert_allclose(one.state.numpy(name), two.state.numpy(name), atol=1e-9, err_msg=name)
 
 
+def test_threads_within_a_world_change_no_bit():
+    """A heap in which colours have enough blocks for two threads to share."""
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, -G))
+    builder.add_box(builder.add_body(type=dc.BodyType.STATIC), 100.0, 0.5, center=(0.0, -0.5))
+    builder.add_discs([(0.99 * (i % 100) + 0.3 * (i // 100 % 2), 0.5 + 0.95 * (i // 100)) for i in range(2100)], 0.5)
+    groups = builder.finalize("float64")
+    one, two = (dc.Simulation(groups[0], groups[1].copy(), config=SOFT, threads=threads) for threads in (1, 2))
+    for sim in (one, two):
+        sim.run(6, DT)
+    assert two.threads == min(2, usable_cores())
+    for name in ("position", "angle", "velocity"):
+        assert one.state.numpy(name).tobytes() == two.state.numpy(name).tobytes(), name
+
+
 def test_a_method_may_follow_another_between_steps():
     sim = boxes("numpy", 2, dc.SolverConfig())
     sim.run(3, DT)
@@ -214,8 +230,6 @@ def test_a_method_may_follow_another_between_steps():
 def test_what_it_has_not_got_is_said():
     with pytest.raises(ValueError, match="schedule is 'color'; method 'tgs_soft' runs with 'world' only"):
         dc.Simulation(*dc_scene(), config=SOFT, schedule="color")
-    with pytest.raises(ValueError, match="sleep is True; bodies sleep with other methods only"):
-        dc.SolverConfig(method="tgs_soft", sleep=True)
     with pytest.raises(ValueError, match="only a solve of sweeps can pause"):
         sim = dc.Simulation(*dc_scene(), config=SOFT)
         sim.collide(DT)

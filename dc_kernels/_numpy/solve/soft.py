@@ -86,6 +86,9 @@ def kernels(dtype: str, variant: str) -> Kernels:
             if k == n:
                 bounce(world, state, contacts)
                 world.impulse[:] = world.change
+                for j in range(rows.line_start[w], rows.line_start[w + 1]):  # rods of sleepers keep every bit
+                    if solved[[joints.joint_body_a[j], joints.joint_body_b[j]], 3].min() < 0:
+                        rows.impulse[rows.joint_slot[j]] = joints.joint_impulse[j]
                 stats.sweeps[w] = world.iteration.sweeps = 2 * n if world.own_rows else 0
                 world.iteration.finished, stats.residual[w] = 1, 0.0
                 return

@@ -22,7 +22,7 @@ from dc_kernels._warp.native import SCALARS, in_parts, native_code
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.runtime.sequences import SEATS
 from dc_kernels.solve.iteration import ASTRAY, FAR, MOST_SUMS, MOVING, SUMMED
-from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SERIAL_COLOR, SURFACED
+from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SERIAL_COLOR, SOFT_NUMBERS, SURFACED, TOUCH
 
 
 def row_macros(variant: str) -> dict[str, Any]:
@@ -69,6 +69,20 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         colors: wp.array(dtype=wp.int32),
         at: wp.int32,
         omega: real,
+        team: wp.uint64,
+    ) -> real: ...
+
+    @wp.func_native(by_color("soft", "displacement", "impulse", "before", TOUCH=TOUCH, UNBOUNDED=UNBOUNDED))
+    def sweep_soft(
+        columns: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        bodies: wp.array(dtype=vec4),
+        displacement: wp.array(dtype=vec4),
+        impulse: wp.array(dtype=real),
+        before: wp.array(dtype=real),
+        colors: wp.array(dtype=wp.int32),
+        at: wp.int32,
+        soft: wp.types.vector(SOFT_NUMBERS, real),
         team: wp.uint64,
     ) -> real: ...
 
@@ -180,6 +194,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     return SimpleNamespace(
         sweep=sweep,
+        sweep_soft=sweep_soft,
         apply=apply,
         push=push,
         extrapolate=extrapolate,

@@ -23,16 +23,15 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
-from dc_kernels._warp.native import native_code
 from dc_kernels._warp.solve.constraints.jacobian import moved_rows
-from dc_kernels._warp.solve.lanes import has_lanes, row_macros
+from dc_kernels._warp.solve.lanes import has_lanes, lane_functions
 from dc_kernels._warp.solve.row import row_functions
-from dc_kernels._warp.solve.world import N_LANES, world_functions
+from dc_kernels._warp.solve.world import ENDS, N_LANES, world_functions
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.solve.iteration import NEVER
 from dc_kernels.solve.joints import PAIRED
-from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SURFACED, TOUCH
+from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SOFT_NUMBERS, SURFACED, TOUCH
 
 STATIC = wp.constant(int(BodyType.STATIC))
 # where numbers stand in what a sweep is given: rate, mass and give of contacts with a fixed body (those of others come
@@ -47,10 +46,11 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     """``solve_soft``; one thread a world."""
     t = group_types(dtype)
     real, vec4 = t.real, t.vec4
-    vec3, Soft = wp.types.vector(3, real), wp.types.vector(13, real)
+    vec3, Soft = wp.types.vector(3, real), wp.types.vector(SOFT_NUMBERS, real)
     module = kernel_module("soft", dtype, variant)
     world, row = world_functions(dtype, variant), row_functions(dtype, variant)
     span_of, load_impulses, apply, bound_rolling = world.span_of, world.load_impulses, world.apply, world.bound_rolling
+    sweep_lanes = lane_functions(dtype, variant).sweep_soft
     normal_speed, tangent_speed, within = row.normal_speed, row.tangent_speed, row.within
     normal_change, tangent_change, least_normal = row.normal_change, row.tangent_change, row.least_normal
     move_rows = moved_rows(dtype, variant) if variant in OWN else None
@@ -64,21 +64,6 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     )  # those that lack one never read it
     zero, one, two_pi = real(0.0), real(1.0), real(6.283185307179586)
     bounded = real(UNBOUNDED)
-
-    headers = ("prelude.h", "solve/bodies.h", "solve/row.h", "solve/soft.h")
-
-    @wp.func_native(native_code(*headers, dtype=dtype, TOUCH=TOUCH, UNBOUNDED=UNBOUNDED, **row_macros(variant)))
-    def sweep_lanes(
-        columns: wp.array(dtype=real),
-        row_body: wp.array(dtype=wp.int32),
-        bodies: wp.array(dtype=vec4),
-        displacement: wp.array(dtype=vec4),
-        impulse: wp.array(dtype=real),
-        before: wp.array(dtype=real),
-        b0: wp.int32,
-        b1: wp.int32,
-        soft: Soft,
-    ) -> real: ...
 
     @wp.func(module=module)
     def softness(frequency: real, damping: real, per_step: real):
@@ -172,9 +157,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 motion.displacement,
                 rows.impulse,
                 rows.before,
-                first,
-                span.serial,
+                rows.color_block,
+                span.world * ENDS,
                 soft,
+                span.team,
             )
             first = span.serial  # the lanes have done the colours before it
         for k in range(first * N_LANES, span.last * N_LANES):
@@ -273,6 +259,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if state.flags[w] != 0:
             return
         span = span_of(w, 0, config, model, motion, rows)
+        span.team = launch.team
         share = one / real(config.substeps)
         h = motion.step_dt[w] * share
         per_step = one / h
@@ -328,6 +315,10 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         bounce(w, config, model, state, contacts, motion, rows)
         for i in range(span.low, span.high):
             rows.impulse[i] = rows.change[i]
+        if wp.static(jointed):
+            for j in range(rows.line_start[w], rows.line_start[w + 1]):  # rods of sleepers keep every bit
+                if wp.min(motion.solved[joints.joint_body_a[j]][3], motion.solved[joints.joint_body_b[j]][3]) < zero:
+                    rows.impulse[rows.joint_slot[j]] = joints.joint_impulse[j]
         sweeps = wp.where(span.last > span.first, 2 * config.substeps, 0)
         stats.sweeps[w] = sweeps
         stats.iteration[w].sweeps = sweeps

@@ -1,6 +1,6 @@
-// A sweep of soft contacts and joints over the blocks b0 .. b1; the largest impulse change [N s]. Each row has its bias
+// A sweep of soft contacts and joints over the blocks first .. last of a colour; the largest impulse change [N s]. Each row has its bias
 // from the gap after the displacements so far, to first order in them. Parameters: columns, row_body, bodies,
-// displacement, impulse, before, b0, b1, soft: rate of the bias [1/s], share of the mass, share of the impulse that is
+// displacement, impulse, before, first, last, soft: rate of the bias [1/s], share of the mass, share of the impulse that is
 // given back, for contacts of two moving bodies, for those with a fixed one, and for joints; then substeps a second,
 // the slop, the largest bias [m/s], and 1 where the sweep relaxes the rows. Macro TOUCH: share of the slop that an
 // overlap must exceed to be soft.
@@ -10,7 +10,7 @@ return 0;  // a GPU solves row by row
 const Real per_step = soft[9], slop = soft[10], limit = soft[11];
 const Real* const moved = (const Real*)displacement.data;
 Vector most = zero;
-for (int b = b0; b < b1; ++b) {
+for (int b = first; b < last; ++b) {
     const int* const index = row_body.data + (size_t)b * 2 * LANES;
     const Real* const block = columns.data + (size_t)b * COLUMNS * LANES;
     Bodies A = load_bodies(index), B = load_bodies(index + LANES);
