@@ -72,7 +72,7 @@ STEP = (
         "sweeps from the start impulses to the tolerance", "a world without rows",
     ),
     Stage(
-        "solve", "unpack_impulses", "solve.pack", ("variant",), ("model", "state", "rows"), ("contacts", "joints"),
+        "solve", "unpack_impulses", "solve.pack", ("variant",), ("model", "state"), ("contacts", "joints", "rows"),
         "solved impulses back to contacts and joints",
     ),
     Stage(

@@ -30,6 +30,9 @@ SCRATCH = {
     "color_mask",
     "parent",
     "island_time",
+    "tree_factor",
+    "tree_wanted",
+    "tree_moves",
 }
 """Arrays that a kernel leaves in a state of its own."""
 COUNTED = {"shape_a": "count", "shape_b": "count", "near_a": "near_count", "near_b": "near_count"}
