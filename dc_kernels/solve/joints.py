@@ -11,7 +11,7 @@ from dc_kernels.model.arrays import Fielded, Model
 from dc_kernels.model.enums import BodyType, JointKind, JointPart
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.model.joints.groups import HELD, Joints
-from dc_kernels.model.joints.heavy import LOOP_SHARE
+from dc_kernels.model.joints.heavy import LOOP_SHARE, Together
 
 STIFFNESS = 4.0
 """Rows of joints have at least this times dt^2 r . f of inertia at a body that a force f pulls at by the arm r [1]."""
@@ -99,25 +99,17 @@ def plant(model: Model, joints: Joints) -> Forest:
     dynamic = model.numpy("body_type") == BodyType.DYNAMIC
     a, b = joints.numpy("joint_body_a")[held], joints.numpy("joint_body_b")[held]
     links: dict[int, list[tuple[int, int]]] = {}  # of each body: other body, -1 where it is not dynamic, and joint
-    root = np.arange(model.body_count)
+    together = Together()
     loops: list[int] = []  # a body of each joint that closes one
-
-    def find(body: int) -> int:
-        while root[body] != body:
-            root[body] = root[root[body]]
-            body = int(root[body])
-        return body
-
     for j, p, c in zip(held.tolist(), a.tolist(), b.tolist(), strict=True):
         if dynamic[p] and dynamic[c]:
-            if find(p) == find(c):
+            if not together.join(p, c):
                 loops.append(p)
                 continue
-            root[find(c)] = find(p)
             links.setdefault(c, []).append((p, j))
         one, other = (p, c if dynamic[c] else -1) if dynamic[p] else (c, -1)
         links.setdefault(one, []).append((other, j))
-    loops_of = Counter(find(body) for body in loops)  # of each root
+    loops_of = Counter(map(together.group_of, loops))
     order: list[tuple[int, int, int, int]] = []  # joint, parent, child, root, from the roots on
     seen: set[int] = set()
     for first in sorted(links):
@@ -131,7 +123,7 @@ def plant(model: Model, joints: Joints) -> Forest:
                     seen.add(other)
                     bodies.append(other)
         fixed = sum(other < 0 for body in bodies for other, _ in links[body])
-        if LOOP_SHARE * loops_of[find(first)] > len(bodies) - 1 + fixed:
+        if LOOP_SHARE * loops_of[together.group_of(first)] > len(bodies) - 1 + fixed:
             continue
         middle = _middle({body: [other for other, _ in links[body] if other >= 0] for body in bodies})
         queue, parent = [middle], {middle: -1}

@@ -19,6 +19,27 @@ IF_HEAVY = 16
 """Bit of a builder's column of parts: a rod that has a row across if what it is joined to is heavy."""
 
 
+class Together:
+    """Groups of bodies that joints hold together (union-find)."""
+
+    def __init__(self) -> None:
+        """Begin with each body by itself."""
+        self._next: dict[int, int] = {}  # from a body towards the one that its group is named by
+
+    def group_of(self, body: int) -> int:
+        """The body that a group is named by."""
+        while (after := self._next.get(body, body)) != body:
+            self._next[body] = self._next.get(after, after)
+            body = self._next[body]
+        return body
+
+    def join(self, a: int, b: int) -> bool:
+        """Put two bodies into one group, named as that of a; False where they are in one already."""
+        a, b = self.group_of(a), self.group_of(b)
+        self._next[b] = a
+        return a != b
+
+
 def with_rows_across(fields: Mapping[str, np.ndarray], body_type: np.ndarray, mass: np.ndarray) -> np.ndarray:
     """Parts of joints, with ``JointPart.ACROSS`` for rods that ask for it in trees under a heavy load, (j,).
 
@@ -37,7 +58,11 @@ def with_rows_across(fields: Mapping[str, np.ndarray], body_type: np.ndarray, ma
     dynamic = body_type == BodyType.DYNAMIC
     a, b = fields["joint_body_a"][holds], fields["joint_body_b"][holds]
     inner = dynamic[a] & dynamic[b]
-    group = _groups(len(mass), a[inner], b[inner])
+    together, group = Together(), np.arange(len(mass))
+    for pair in zip(a[inner].tolist(), b[inner].tolist(), strict=True):
+        together.join(*pair)
+    for body in np.unique([a[inner], b[inner]]).tolist():
+        group[body] = together.group_of(body)
     of_joint = group[np.where(dynamic[a], a, b)]
     count = len(mass)
     total = np.bincount(group[dynamic], mass[dynamic], count)
@@ -49,17 +74,3 @@ def with_rows_across(fields: Mapping[str, np.ndarray], body_type: np.ndarray, ma
     heavy = np.zeros(len(kind), bool)
     heavy[holds] = chosen[of_joint]
     return np.where(rods & heavy, parts | int(JointPart.ACROSS), parts)
-
-
-def _groups(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The least index of the group that each of ``count`` things is in, where a and b belong together, (count,)."""
-    group = np.arange(count)
-    while len(a):
-        least = np.minimum(group[a], group[b])
-        before = group.copy()
-        for ends in (a, b):
-            np.minimum.at(group, group[ends], least)
-        group = group[group]
-        if (group == before).all():
-            break
-    return group
