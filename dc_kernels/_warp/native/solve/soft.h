@@ -1,9 +1,9 @@
-// A sweep of soft contacts and joints over the blocks first .. last of a colour; the largest impulse change [N s]. Each row has its bias
-// from the gap after the displacements so far, to first order in them. Parameters: columns, row_body, bodies,
-// displacement, impulse, before, first, last, soft: rate of the bias [1/s], share of the mass, share of the impulse that is
-// given back, for contacts of two moving bodies, for those with a fixed one, and for joints; then substeps a second,
-// the slop, the largest bias [m/s], and 1 where the sweep relaxes the rows. Macro TOUCH: share of the slop that an
-// overlap must exceed to be soft.
+// A sweep of soft contacts and joints over the blocks first .. last of a colour; the largest impulse change [N s]. Each
+// row has its bias from the gap after the displacements so far, to first order in them. Parameters: columns, row_body,
+// bodies, displacement, impulse, before, first, last, soft: rate of the bias [1/s], share of the mass, share of the
+// impulse that is given back, for contacts of two moving bodies, for those with a fixed one, and for joints; then
+// substeps a second, the slop, the largest bias [m/s], and 1 where the sweep relaxes the rows. Macro TOUCH: share of
+// the slop that an overlap must exceed to be soft.
 #if defined(__CUDA_ARCH__)
 return 0;  // a GPU solves row by row
 #else
