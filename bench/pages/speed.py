@@ -77,12 +77,15 @@ def threads(record: Record) -> str:
         if f"ratio_{bodies}_default" in record
     ]
     header = ("discs", "threads used", "default [ms a step]", "one over two", "10 sweeps [ms a step]", "one over two")
+    trip = ""
+    if "round_trip_ns" in record:
+        trip = f" A line of a cache took {record['round_trip_ns']:.0f} ns from one core to the other and back."
     return paragraphs(
         "Whole steps of one world, settled piles side by side, on one thread and with `threads=2`; small worlds take "
         "one by themselves.",
         table(header, rows),
         f"With every core kept busy by others, two threads take {record['oversubscribed_slowdown']:.2f} times as "
-        "long as one.",
+        "long as one." + trip,
     )
 
 
