@@ -158,7 +158,7 @@ def test_a_member_that_never_comes_is_not_waited_for(monkeypatch):
     assert jobs_of(sim) == 0
     alone.run(STEPS, 0.01)
     assert ends(sim) == ends(alone)
-    monkeypatch.setattr(sequences, "PATIENCE", -10_000)
+    monkeypatch.setattr(sequences, "PATIENCE", -100_000)
     hasty = heap(threads=2)
     hasty.run(STEPS, 0.01)
     assert ends(hasty) == ends(alone)

@@ -5,7 +5,7 @@ from typing import Any
 
 import warp as wp
 
-from dc_kernels._warp.collide.pairs import code, pair_functions
+from dc_kernels._warp.collide.pairs import code, pair_functions, shared_code
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import contiguity, contiguous_groups, group_types, struct_type
 from dc_kernels.collide.fields import BOXES
@@ -29,9 +29,15 @@ def kernels(dtype: str) -> dict[str, Any]:
     contiguous = contiguous_groups(dtype)
     renew_pairs = pair_functions(dtype).renew_pairs
 
-    @wp.func_native(code(dtype, "box_of", "swept", "sweep"))
+    @wp.func_native(shared_code(dtype, "box_of", "swept", "sweep"))
     def sweep(
-        w: wp.int32, spare: real, model: t.Model, state: t.State, motion: t.Motion, pairs: t.Pairs
+        w: wp.int32,
+        spare: real,
+        model: t.Model,
+        state: t.State,
+        motion: t.Motion,
+        pairs: t.Pairs,
+        team: wp.uint64,
     ) -> wp.int32: ...
 
     @wp.func_native(code(dtype, "box_of", "swept", "widen", PREDICT_STEPS=PREDICT_STEPS, FAST_STEPS=FAST_STEPS))
@@ -39,8 +45,8 @@ def kernels(dtype: str) -> dict[str, Any]:
         w: wp.int32, left: wp.int32, margin: real, model: t.Model, state: t.State, motion: t.Motion, pairs: t.Pairs
     ): ...
 
-    @wp.func_native(code(dtype, "cull"))
-    def cull(w: wp.int32, pairs: t.Pairs): ...
+    @wp.func_native(shared_code(dtype, "cull"))
+    def cull(w: wp.int32, pairs: t.Pairs, team: wp.uint64): ...
 
     @wp.kernel(module=module, enable_backward=False)
     def update_pairs(
@@ -65,7 +71,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             return
         shapes = model.shape_start[w + 1] - model.shape_start[w]
         margin = config.margin * model.length_scale[w]
-        left = sweep(w, real(SOON) * margin, model, state, motion, pairs)
+        left = sweep(w, real(SOON) * margin, model, state, motion, pairs, launch.team)
         if pairs.valid[w] == 0 or left > shapes // MOST:
             left = shapes
         if pairs.valid[w] == 0 or left > 0:
@@ -76,7 +82,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             )
             if state.flags[w] != 0:
                 return
-        cull(w, pairs)
+        cull(w, pairs, launch.team)
 
     return {"update_pairs": update_pairs}
 

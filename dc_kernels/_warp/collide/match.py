@@ -7,7 +7,7 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import contiguous_groups, group_types
-from dc_kernels._warp.native import native_code
+from dc_kernels._warp.solve.ranges import ranges_code
 
 
 @cache
@@ -18,8 +18,16 @@ def kernels(dtype: str) -> dict[str, Any]:
     module = kernel_module("match", dtype)
     contiguous = contiguous_groups(dtype)
 
-    @wp.func_native(native_code("collide/match.h", dtype=dtype))
-    def match_keys(contacts: t.Contacts, cache: t.Cache, scale: real, i0: wp.int32, i1: wp.int32, end: wp.int32): ...
+    @wp.func_native(ranges_code(dtype, "collide/match.h"))
+    def match_keys(
+        contacts: t.Contacts,
+        cache: t.Cache,
+        scale: real,
+        i0: wp.int32,
+        i1: wp.int32,
+        end: wp.int32,
+        team: wp.uint64,
+    ): ...
 
     @wp.kernel(module=module, enable_backward=False)
     def match_contacts(
@@ -46,7 +54,8 @@ def kernels(dtype: str) -> dict[str, Any]:
         if config.start != 0 and contacts.contact_dt[w] > real(0.0):
             scale = motion.step_dt[w] / contacts.contact_dt[w]
         start = contacts.contact_start[w]
-        match_keys(contacts, cache, scale, start, start + contacts.contact_count[w], start + cache.count[w])
+        end = start + contacts.contact_count[w]
+        match_keys(contacts, cache, scale, start, end, start + cache.count[w], launch.team)
         joint = model.joint_start[w]
         last_joint = model.joint_start[w + 1]
         if joint < last_joint:  # two loads less in a world without joints

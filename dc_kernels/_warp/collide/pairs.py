@@ -13,6 +13,7 @@ import warp as wp
 
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.native import native_code
+from dc_kernels._warp.solve.ranges import RANGES
 from dc_kernels.model.enums import BodyType, Flag, ShapeType
 
 DISC, SEGMENT = int(ShapeType.DISC), int(ShapeType.SEGMENT)
@@ -29,8 +30,15 @@ ROUNDINGS = 16  # units in the last place of a coordinate that a box's centre ma
 
 def code(dtype: str, *names: str, **macros: object) -> str:
     """The native code of headers in ``native/collide`` for boxes."""
-    files = (f"collide/{name}.h" for name in ("quad", *names))
-    return native_code(*files, dtype=dtype, DISC=DISC, SEGMENT=SEGMENT, **macros)
+    files = (f"collide/{name}.h" for name in names)
+    return native_code("collide/quad.h", *files, dtype=dtype, DISC=DISC, SEGMENT=SEGMENT, **macros)
+
+
+def shared_code(dtype: str, *names: str) -> str:
+    """The native code of headers in ``native/collide`` for boxes, where threads share the loops of a world."""
+    loops = ("collide/quad.h", "runtime/team.h", "runtime/ranges.h")
+    files = (f"collide/{name}.h" for name in names)
+    return native_code(*loops, *files, dtype=dtype, DISC=DISC, SEGMENT=SEGMENT, **RANGES)
 
 
 @cache

@@ -7,11 +7,9 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import contiguous_groups, group_types
-from dc_kernels._warp.native import native_code
+from dc_kernels._warp.solve.ranges import ranges_code
 from dc_kernels.model.enums import BodyType, Flag
 
-STATIC = wp.constant(int(BodyType.STATIC))
-DYNAMIC = wp.constant(int(BodyType.DYNAMIC))
 NONFINITE = wp.constant(int(Flag.NONFINITE))
 
 
@@ -19,24 +17,34 @@ NONFINITE = wp.constant(int(Flag.NONFINITE))
 def kernels(dtype: str, traits: bool = False) -> dict[str, Any]:
     """``predict``, ``displace`` and ``commit``; one thread a world; ``traits``: bodies have damping, gravity scales."""
     t = group_types(dtype)
-    real, vec2, vec4 = t.real, t.vec2, t.vec4
+    real = t.real
     module = kernel_module("integrate", dtype, *(["traits"] if traits else []))
     contiguous = contiguous_groups(dtype)
 
-    @wp.func_native(native_code("collide/copy_contacts.h", dtype=dtype))
-    def copy_contacts(contacts: t.Contacts, cache: t.Cache, i0: wp.int32, i1: wp.int32): ...
+    kinds = {"STATIC": int(BodyType.STATIC), "DYNAMIC": int(BodyType.DYNAMIC), "TRAITS": traits}
 
-    @wp.func(module=module)
-    def damped(v: Any, a: Any, rate: real, dt: real):
-        """What v has become after dt where dv/dt = a - rate v: exact, whatever rate and dt."""
-        x = rate * dt
-        kept = wp.exp(-x)
-        share = (real(1.0) - kept) / wp.max(x, real(0.1))  # of dt, in which a acts undamped
-        if x < real(0.1):  # the difference above has few digits: Taylor's series of (1 - exp(-x)) / x
-            share = real(1.0) - x / real(7.0)
-            for k in range(6, 1, -1):
-                share = real(1.0) - x / real(k) * share
-        return v * kept + a * (dt * share)
+    @wp.func_native(ranges_code(dtype, "integrate/predict.h", **kinds))
+    def accelerate_bodies(
+        w: wp.int32,
+        b0: wp.int32,
+        b1: wp.int32,
+        config: t.Config,
+        model: t.Model,
+        state: t.State,
+        motion: t.Motion,
+        team: wp.uint64,
+    ) -> wp.bool: ...
+
+    @wp.func_native(ranges_code(dtype, "integrate/displace.h"))
+    def displace_bodies(b0: wp.int32, b1: wp.int32, dt: real, motion: t.Motion, team: wp.uint64): ...
+
+    @wp.func_native(ranges_code(dtype, "integrate/move.h", **kinds))
+    def move_bodies(
+        b0: wp.int32, b1: wp.int32, model: t.Model, state: t.State, motion: t.Motion, team: wp.uint64
+    ) -> wp.bool: ...
+
+    @wp.func_native(ranges_code(dtype, "collide/copy_contacts.h"))
+    def copy_contacts(contacts: t.Contacts, cache: t.Cache, i0: wp.int32, i1: wp.int32, team: wp.uint64): ...
 
     @wp.kernel(module=module, enable_backward=False)
     def predict(
@@ -58,48 +66,9 @@ def kernels(dtype: str, traits: bool = False) -> dict[str, Any]:
         contiguous(motion)
         if state.flags[w] != 0:
             return
-        dt = motion.step_dt[w]
-        g = model.gravity[w]
-        # x - x is 0 for a finite x, NaN for inf and NaN
-        check = real(0.0)
-        fastest = real(0.0)
-        squares = real(0.0)
-        moving = int(0)
-        for b in range(model.body_start[w], model.body_start[w + 1] - motion.empty_bodies[w]):
-            kind = model.body_type[b]
-            if kind == DYNAMIC:
-                m = model.inv_mass[b]
-                if wp.static(traits):
-                    a = g * model.gravity_scale[b] + state.force[b] * m
-                    v = damped(state.velocity[b], a, model.linear_damping[b], dt)
-                    turning = state.torque[b] * model.inv_inertia[b]
-                    spin = damped(state.angular_velocity[b], turning, model.angular_damping[b], dt)
-                else:
-                    v = state.velocity[b] + (g + state.force[b] * m) * dt
-                    spin = state.angular_velocity[b] + state.torque[b] * model.inv_inertia[b] * dt
-                motion.predicted[b] = vec4(v[0], v[1], spin, m)
-            elif kind == STATIC:
-                motion.predicted[b] = vec4(real(0.0), real(0.0), real(0.0), real(0.0))
-            else:
-                motion.predicted[b] = vec4(
-                    state.velocity[b][0], state.velocity[b][1], state.angular_velocity[b], real(0.0)
-                )
-            p = motion.predicted[b]
-            check += (p[0] - p[0]) + (p[1] - p[1]) + (p[2] - p[2])
-            square = p[0] * p[0] + p[1] * p[1]
-            fastest = wp.max(fastest, square)
-            if kind == DYNAMIC:
-                squares += square
-                moving += 1
-        if check != real(0.0):
+        last = model.body_start[w + 1] - motion.empty_bodies[w]
+        if not accelerate_bodies(w, model.body_start[w], last, config, model, state, motion, launch.team):
             state.flags[w] = NONFINITE
-            return
-        if moving > 0:
-            fastest = wp.min(fastest, real(16.0) * squares / real(moving))
-        scale = model.length_scale[w]
-        motion.reach[w] = wp.max(
-            wp.min(wp.sqrt(fastest) * dt, config.speculative_max * scale), config.speculative * scale
-        )
 
     @wp.kernel(module=module, enable_backward=False)
     def displace(
@@ -115,10 +84,8 @@ def kernels(dtype: str, traits: bool = False) -> dict[str, Any]:
         contiguous(motion)
         if state.flags[w] != 0:
             return
-        dt = motion.step_dt[w]
-        for b in range(model.body_start[w], model.body_start[w + 1] - motion.empty_bodies[w]):
-            v = motion.solved[b]
-            motion.displacement[b] = vec4(v[0] * dt, v[1] * dt, v[2] * dt, v[3])
+        last = model.body_start[w + 1] - motion.empty_bodies[w]
+        displace_bodies(model.body_start[w], last, motion.step_dt[w], motion, launch.team)
 
     @wp.kernel(module=module, enable_backward=False)
     def commit(
@@ -142,28 +109,13 @@ def kernels(dtype: str, traits: bool = False) -> dict[str, Any]:
             return
         first = model.body_start[w]
         last = model.body_start[w + 1] - motion.empty_bodies[w]
-        check = real(0.0)
-        for b in range(first, last):
-            v = motion.solved[b]
-            d = motion.displacement[b]
-            x = state.position[b] + vec2(d[0], d[1])
-            a = state.angle[b] + d[2]
-            check += (v[0] - v[0]) + (v[1] - v[1]) + (v[2] - v[2]) + (x[0] - x[0]) + (x[1] - x[1]) + (a - a)
-        if check != real(0.0):
+        if not move_bodies(first, last, model, state, motion, launch.team):
             state.flags[w] = NONFINITE
             return
-        for b in range(first, last):
-            if model.body_type[b] != STATIC:
-                v = motion.solved[b]
-                d = motion.displacement[b]
-                state.position[b] = state.position[b] + vec2(d[0], d[1])
-                state.angle[b] = state.angle[b] + d[2]
-                state.velocity[b] = vec2(v[0], v[1])
-                state.angular_velocity[b] = v[2]
         state.time[w] = state.time[w] + wp.float64(motion.step_dt[w])
         start = contacts.contact_start[w]
         n = contacts.contact_count[w]
-        copy_contacts(contacts, cache, start, start + n)
+        copy_contacts(contacts, cache, start, start + n, launch.team)
         joint = model.joint_start[w]
         last_joint = model.joint_start[w + 1]
         if joint < last_joint:  # two loads less in a world without joints

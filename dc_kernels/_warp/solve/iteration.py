@@ -9,7 +9,7 @@ from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.accelerate import accelerate_functions, adaptive
 from dc_kernels._warp.solve.ranges import range_functions
-from dc_kernels._warp.solve.world import world_functions
+from dc_kernels._warp.solve.world import ENDS, world_functions
 from dc_kernels.model.config import ACCELERATIONS, METHODS, STOPS
 from dc_kernels.solve.iteration import BEST, GROWTH, NEVER, RETREAT, Stretch
 from dc_kernels.solve.rows import OWN, SURFACED
@@ -105,10 +105,10 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         best = span.past_at + AT_BEST * (span.high - span.low)
         if (first or 2 * sweeps > config.max_sweeps) and change < real(0.9) * iteration[w].least_change:
             iteration[w].least_change = change
-            copy(rows.impulse, span.low, rows.past, best, span.high - span.low, span.team)
+            copy(rows.impulse, span.low, rows.past, best, rows.color_block, w * ENDS, span.team)
         least = iteration[w].least_change
         if sweeps >= config.max_sweeps and least < huge and not (change <= real(RETREAT) * least):
-            copy(rows.past, best, rows.impulse, span.low, span.high - span.low, span.team)
+            copy(rows.past, best, rows.impulse, span.low, rows.color_block, w * ENDS, span.team)
             iteration[w].change = least
             return 1
         return 0
@@ -126,7 +126,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             return 0
         if iteration[w].least_change < huge:
             best = span.past_at + AT_BEST * (span.high - span.low)
-            copy(rows.past, best, rows.impulse, span.low, span.high - span.low, span.team)
+            copy(rows.past, best, rows.impulse, span.low, rows.color_block, w * ENDS, span.team)
         forbid(w, iteration)
         return 1
 
@@ -179,11 +179,11 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             return PAUSES
         if sweeps >= span.pause_at - 1 and (config.acceleration != AITKEN or inside + 1 < 0):
             stats.iteration[w].step_before = stats.iteration[w].step_last
-            stats.iteration[w].step_last = squares(rows.change, span.low, span.high, span.team)
+            stats.iteration[w].step_last = squares(rows.change, rows.color_block, w * ENDS, span.team)
             if sweeps >= span.pause_at and stats.iteration[w].measured == sweeps - 1:
                 return PAUSES
             stats.iteration[w].measured = sweeps
-            copy(rows.change, span.low, rows.before, span.low, span.high - span.low, span.team)
+            copy(rows.change, span.low, rows.before, span.low, rows.color_block, w * ENDS, span.team)
         return GOES_ON
 
     @wp.func(module=module)

@@ -19,9 +19,10 @@ import warp as wp
 
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.native import SCALARS, in_parts, native_code
+from dc_kernels._warp.solve.ranges import RANGES
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.runtime.sequences import SEATS
-from dc_kernels.solve.iteration import ASTRAY, FAR, MOST_SUMS, MOVING, SUMMED
+from dc_kernels.solve.iteration import ASTRAY, FAR, MOVING
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SERIAL_COLOR, SOFT_NUMBERS, SURFACED, TOUCH
 
 
@@ -134,18 +135,6 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         alpha: real,
     ): ...
 
-    @wp.func_native(code("bodies", "moving", ASTRAY=ASTRAY, FAR=FAR, MOVING=MOVING))
-    def moving(
-        columns: wp.array(dtype=real),
-        row_body: wp.array(dtype=wp.int32),
-        bodies: wp.array(dtype=vec4),
-        predicted: wp.array(dtype=vec4),
-        change: wp.array(dtype=real),
-        span: t.Span,
-        share: real,
-        least: real,
-    ) -> wp.int32: ...
-
     @wp.func_native(code("lacking", UNBOUNDED=UNBOUNDED))
     def lacking(
         columns: wp.array(dtype=real),
@@ -156,11 +145,40 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         enough: wp.int32,
     ) -> wp.int32: ...
 
-    sizes = {"LANES": LANES, "SEATS": SEATS, "SUMMED": SUMMED, "MOST_SUMS": MOST_SUMS}
-    summed = native_code("runtime/team.h", "runtime/ranges.h", "runtime/sum_blocks.h", dtype=dtype, **sizes)
+    summed = native_code(
+        "runtime/team.h", "runtime/ranges.h", "runtime/sum_blocks.h", dtype=dtype, SERIAL=SERIAL_COLOR, **RANGES
+    )
+
+    counted = native_code(
+        "runtime/team.h", "runtime/ranges.h", "runtime/count_rows.h", dtype=dtype, ASTRAY=ASTRAY, **RANGES
+    )
+    moved = in_parts(
+        code("bodies", "moving", ASTRAY=ASTRAY, FAR=FAR, MOVING=MOVING),
+        "int",
+        counted,
+        ("columns", "row_body", "bodies", "predicted", "change"),
+    )
+
+    @wp.func_native(moved)
+    def moving(
+        columns: wp.array(dtype=real),
+        row_body: wp.array(dtype=wp.int32),
+        bodies: wp.array(dtype=vec4),
+        predicted: wp.array(dtype=vec4),
+        change: wp.array(dtype=real),
+        span: t.Span,
+        share: real,
+        least: real,
+        colors: wp.array(dtype=wp.int32),
+        at: wp.int32,
+    ) -> wp.int32: ...
 
     mapped = in_parts(
-        code("bodies", "row", "natural_map"), SCALARS[dtype], summed, ("columns", "row_body", "bodies", "impulse")
+        code("bodies", "row", "natural_map"),
+        SCALARS[dtype],
+        summed,
+        ("columns", "row_body", "bodies", "impulse"),
+        more=f", {SCALARS[dtype]} sum",
     )
 
     @wp.func_native(mapped)
@@ -169,8 +187,8 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         row_body: wp.array(dtype=wp.int32),
         bodies: wp.array(dtype=vec4),
         impulse: wp.array(dtype=real),
-        b0: wp.int32,
-        b1: wp.int32,
+        colors: wp.array(dtype=wp.int32),
+        at: wp.int32,
         team: wp.uint64,
     ) -> real: ...
 

@@ -1,4 +1,4 @@
-"""Sums and combinations over the impulses i0 .. i1 of a world, in native code; the length is a multiple of LANES.
+"""Sums and combinations over the impulses of a world, in native code.
 
 Sums are taken in LANES parts whose order is fixed, so that they have the same bits on every CPU, and for any number of
 threads: a range of more than ``SUMMED`` numbers is cut into pieces, whose sums are added in order.
@@ -13,14 +13,16 @@ from dc_kernels._warp.common import scalar_types
 from dc_kernels._warp.native import native_code
 from dc_kernels.runtime.sequences import SEATS
 from dc_kernels.solve.iteration import MOST_SUMS, SUMMED
-from dc_kernels.solve.rows import LANES
+from dc_kernels.solve.rows import COLORS, LANES
+
+RANGES = {"LANES": LANES, "COLORS": COLORS, "SEATS": SEATS, "SUMMED": SUMMED, "MOST_SUMS": MOST_SUMS}
+"""Macros of ``runtime/team.h`` and ``runtime/ranges.h``."""
 
 
 def ranges_code(dtype: str, *names: str, **macros: object) -> str:
     """The body of a native function of headers that stand behind ``runtime/ranges.h``."""
     headers = ("prelude.h", "runtime/team.h", "runtime/ranges.h", *names)
-    values = {"LANES": LANES, "SEATS": SEATS, "SUMMED": SUMMED, "MOST_SUMS": MOST_SUMS, **macros}
-    return native_code(*headers, dtype=dtype, **values)
+    return native_code(*headers, dtype=dtype, **{**RANGES, **macros})
 
 
 @cache
@@ -30,9 +32,8 @@ def range_functions(dtype: str) -> SimpleNamespace:
     ``squares`` is the sum of squares, ``along`` the product of a change with the move before; ``conjugate`` makes a
     step of nonlinear CG, ``onward`` and ``onward_bodies`` one of momentum; ``products``, ``remember`` and ``combine``
     are the parts of Anderson's update; ``beyond`` is what bodies were given; ``copy`` and
-    ``copy_bodies`` keep numbers for later,
-    ``restore`` goes back to the predicted velocities. Each is described at the
-    top of its header.
+    ``copy_bodies`` keep numbers for later, ``restore`` goes back to the predicted velocities. ``first_color`` is where
+    the world's colours begin in ``colors``, the first block of each. Each is described at the top of its header.
     """
     t = scalar_types(dtype)
     real, vec4 = t.real, t.vec4
@@ -42,7 +43,12 @@ def range_functions(dtype: str) -> SimpleNamespace:
         return ranges_code(dtype, f"solve/{name}.h")
 
     @wp.func_native(code("squares"))
-    def squares(x: wp.array(dtype=real), i0: wp.int32, i1: wp.int32, team: wp.uint64) -> real: ...
+    def squares(
+        x: wp.array(dtype=real),
+        colors: wp.array(dtype=wp.int32),
+        first_color: wp.int32,
+        team: wp.uint64,
+    ) -> real: ...
 
     @wp.func_native(code("beyond"))
     def beyond(
@@ -59,9 +65,9 @@ def range_functions(dtype: str) -> SimpleNamespace:
         x: wp.array(dtype=real),
         change: wp.array(dtype=real),
         direction: wp.array(dtype=real),
-        i0: wp.int32,
-        i1: wp.int32,
         beta: real,
+        colors: wp.array(dtype=wp.int32),
+        first_color: wp.int32,
         team: wp.uint64,
     ): ...
 
@@ -71,8 +77,8 @@ def range_functions(dtype: str) -> SimpleNamespace:
         x: wp.array(dtype=real),
         before: wp.array(dtype=real),
         at: wp.int32,
-        i0: wp.int32,
-        i1: wp.int32,
+        colors: wp.array(dtype=wp.int32),
+        first_color: wp.int32,
         team: wp.uint64,
     ) -> real: ...
 
@@ -81,9 +87,9 @@ def range_functions(dtype: str) -> SimpleNamespace:
         x: wp.array(dtype=real),
         before: wp.array(dtype=real),
         at: wp.int32,
-        i0: wp.int32,
-        i1: wp.int32,
         beta: real,
+        colors: wp.array(dtype=wp.int32),
+        first_color: wp.int32,
         team: wp.uint64,
     ): ...
 
@@ -104,9 +110,9 @@ def range_functions(dtype: str) -> SimpleNamespace:
         change: wp.array(dtype=real),
         history: wp.array(dtype=real),
         at: wp.int32,
-        i0: wp.int32,
-        i1: wp.int32,
         kept: wp.int32,
+        colors: wp.array(dtype=wp.int32),
+        first_color: wp.int32,
         team: wp.uint64,
     ) -> vec8: ...
 
@@ -116,11 +122,11 @@ def range_functions(dtype: str) -> SimpleNamespace:
         change: wp.array(dtype=real),
         history: wp.array(dtype=real),
         at: wp.int32,
-        i0: wp.int32,
-        i1: wp.int32,
         kept: wp.int32,
         a: real,
         b: real,
+        colors: wp.array(dtype=wp.int32),
+        first_color: wp.int32,
         team: wp.uint64,
     ): ...
 
@@ -130,8 +136,8 @@ def range_functions(dtype: str) -> SimpleNamespace:
         change: wp.array(dtype=real),
         history: wp.array(dtype=real),
         at: wp.int32,
-        i0: wp.int32,
-        i1: wp.int32,
+        colors: wp.array(dtype=wp.int32),
+        first_color: wp.int32,
         team: wp.uint64,
     ): ...
 
@@ -141,7 +147,8 @@ def range_functions(dtype: str) -> SimpleNamespace:
         source_at: wp.int32,
         target: wp.array(dtype=real),
         target_at: wp.int32,
-        count: wp.int32,
+        colors: wp.array(dtype=wp.int32),
+        first_color: wp.int32,
         team: wp.uint64,
     ): ...
 

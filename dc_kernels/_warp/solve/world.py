@@ -211,7 +211,9 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         first = span.first
         total = real(0.0)
         if has_lanes() == 1:
-            total = natural_map_lanes(rows.column, rows.body, bodies, rows.impulse, first, span.serial, span.team)
+            total = natural_map_lanes(
+                rows.column, rows.body, bodies, rows.impulse, rows.color_block, span.world * ENDS, span.team
+            )
             first = span.serial  # the lanes have done the colours before it
         for k in range(first * N_LANES, span.last * N_LANES):
             total += natural_map_row(k / N_LANES, k % N_LANES, rows, bodies)
@@ -289,6 +291,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                 span,
                 share,
                 least,
+                rows.color_block,
+                span.world * ENDS,
             )
         else:
             count = int(0)

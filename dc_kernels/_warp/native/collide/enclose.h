@@ -1,6 +1,7 @@
 // The box of each shape of world w, larger by boxes.margin on each side. Parameters: w, model, state, boxes.
+Turned turned;
 for (int shape = model.shape_start.data[w]; shape < model.shape_start.data[w + 1]; ++shape) {
-    const Quad box = box_of(shape, model.shape_radius.data[shape] + boxes.margin);
+    const Quad box = box_of(shape, model.shape_radius.data[shape] + boxes.margin, turned);
     Real* const lower = (Real*)(boxes.lower.data + shape);
     Real* const upper = (Real*)(boxes.upper.data + shape);
     lower[0] = box.x;

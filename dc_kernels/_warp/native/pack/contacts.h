@@ -231,6 +231,25 @@ for (int k = 0; k <= used; ++k) {
     for (int i = lanes; i < LANES; ++i) between[i] = between[LANES + i] = padding_body;
 }
 #endif
+#if !defined(__CUDA_ARCH__)
+if (members) {
+    // contacts are sorted by body A, one that does not move in front or behind: so are the blocks of each colour
+    const Real* const given = (const Real*)bodies.data;
+    auto is_fixed = [=](int block) { return given[4 * (size_t)ends[(size_t)block * 2 * LANES] + 3] == 0; };
+    for (int k = 0; k < COLORS; ++k) {
+        int low = first[k], high = k <= used ? first[k] + (filled[k] + LANES - 1) / LANES : low;
+        const bool fixed = low < high && is_fixed(low);
+        while (low < high) {
+            const int middle = (low + high) / 2;
+            if (is_fixed(middle) == fixed)
+                low = middle + 1;
+            else
+                high = middle;
+        }
+        members->split[k] = low - first[k];
+    }
+}
+#endif
 Real sum = 0;
 for (int c = i0; c < i1; ++c) sum += square[c];
 return sum;

@@ -8,6 +8,7 @@ if (!team) return part(colors.data[at], colors.data[at + SERIAL]);
 Phases phases;
 phases.first[0] = colors.data[at];
 const int fewest = 8;  // blocks of a part: half a microsecond
-for (int k = 1; k <= SERIAL; ++k) phases.add(colors.data[at + k], ((Team*)team)->size, fewest);
+for (int k = 0; k < SERIAL; ++k)
+    phases.add(colors.data[at + k + 1], ((Team*)team)->size, fewest, ((Team*)team)->split[k]);
 return take_phases((Team*)team, phases, part);
 #endif

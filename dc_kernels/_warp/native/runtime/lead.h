@@ -34,10 +34,15 @@ struct Lead {
         if (latest >= number ||
             !__atomic_compare_exchange_n(&seat.claimed, &latest, number, false, __ATOMIC_ACQ_REL, __ATOMIC_RELAXED))
             return false;
-        const int parts = job.phases.parts[k + 1] - job.phases.parts[k], first = job.phases.first[k];
-        const long long items = job.phases.first[k + 1] - first;
-        const double found =
-            job.part(job.given, first + (int)(items * p / parts), first + (int)(items * (p + 1) / parts));
+        const Phases& phases = job.phases;
+        const Share share(phases.first[k], phases.first[k + 1] - phases.first[k], phases.split[k], p,
+                          phases.parts[k + 1] - phases.parts[k]);
+        double found = 0;
+        for (int i = 0; i < 2; ++i) {
+            if (share.first[i] == share.last[i]) continue;
+            const double here = job.part(job.given, share.first[i], share.last[i]);
+            if (here > found) found = here;
+        }
         if (seat.job != job.number) {
             seat.job = job.number;
             seat.largest = 0;
@@ -81,15 +86,16 @@ struct Lead {
         if (missed) rest(team, now() - from);
         return false;
     }
-    // Open no job for sixteen times as long as somebody was waited for, and for twice as long as the last time where
-    // that was not long ago, up to a thousand times: a machine with too few cores is then hardly slower than for one
-    // thread.
+    // Open no job for as long as somebody was waited for; where he had not been there for sixteen times as long before,
+    // as others keep the cores busy, for sixteen times as long, and for twice as long as the last time, up to a
+    // thousand times: a machine with too few cores is then hardly slower than for one thread, and one that is disturbed
+    // now and then hardly slower than if it were not.
     static void rest(Team& team, Ticks waited) {
         const Ticks time = now(), least = 16 * waited, most = 1024 * waited;
         if (time >= team.rest_until) {  // else in a job in which somebody was missed already
-            const bool again = team.rest && time - team.rest_until < 4 * team.rest;
             const Ticks twice = 2 * team.rest < most ? 2 * team.rest : most;
-            team.rest = again && twice > least ? twice : least;
+            const bool soon = time - team.rest_until < least;
+            team.rest = !soon ? waited : twice > least ? twice : least;
         }
         __atomic_store_n(&team.rest_until, time + team.rest, __ATOMIC_RELAXED);
     }
@@ -163,6 +169,7 @@ struct Lead {
         for (int k = 0; k <= job.phases.count; ++k) {
             job.phases.first[k] = read(phases.first[k]);
             job.phases.parts[k] = read(phases.parts[k]);
+            if (k < job.phases.count) job.phases.split[k] = read(phases.split[k]);
         }
         __atomic_thread_fence(__ATOMIC_ACQUIRE);
         if (__atomic_load_n(&team.job, __ATOMIC_RELAXED) != open) return known;

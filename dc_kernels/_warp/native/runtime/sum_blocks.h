@@ -1,6 +1,7 @@
-// Sum of what `part` gives for the blocks b0 .. b1. Stands behind ranges.h and `part`. Parameters: b0, b1, team.
+// Sum of what `part` adds to a sum for the blocks of a world's colours but the serial one. Stands behind ranges.h and
+// `part`. Parameters: colors, at (of the world's first colour), team. Macros: REAL, SERIAL.
 #if defined(__CUDA_ARCH__)
-return part(b0, b1);
+return 0;  // a GPU sums row by row
 #else
-return sum_range(team, b0, b1, 2 * LANES, part);
+return sum_rows(team, colors.data + at, SERIAL, 1, 2 * LANES, (REAL)0, part);
 #endif

@@ -39,17 +39,35 @@ struct Team {
         double largest;   // of what these parts gave
         char apart_of_ended[40];
     } seat[SEATS];
+    // of the leader: blocks of each colour before which bodies A do not move, or else do (pack/contacts.h): whom ground
+    // and walls are in contact with is everywhere, so that threads share these blocks, and the others, each by place
+    int split[MOST_PHASES];
+};
+// What belongs to part p of so many parts of `items` from `begin` on, of which so many in front are of the first kind:
+// from first[i] to last[i] of either kind.
+struct Share {
+    int first[2], last[2];
+    Share(int begin, int items, int of_first_kind, int p, int parts) {
+        const int of[] = {of_first_kind < items ? of_first_kind : items, items};
+        for (int i = 0, from = 0; i < 2; from = of[i++]) {
+            const long long count = of[i] - from;
+            first[i] = begin + from + (int)(count * p / parts);
+            last[i] = begin + from + (int)(count * (p + 1) / parts);
+        }
+    }
 };
 struct Phases {
     int count = 0;
     int first[MOST_PHASES + 1];        // item of each phase, and behind the last
     int parts[MOST_PHASES + 1] = {0};  // of all phases before each, and of all
+    int split[MOST_PHASES];            // of each phase: items of the first kind, shared apart from the others
 
     // One more phase, up to an item; in parts of not less than so many. No phase where there are no items.
-    void add(int end, int size, int least) {
+    void add(int end, int size, int least, int of_first_kind = 0) {
         const int items = end - first[count], most = items / least;
         if (items <= 0) return;
         parts[count + 1] = parts[count] + (most < 1 ? 1 : most < size ? most : size);
+        split[count] = of_first_kind;
         first[++count] = end;
     }
 };

@@ -1,8 +1,9 @@
 // Anderson's update into change, -(a e1 + b e2), and the latest iterate remembered.
-// Parameters: x, change, history, at, i0, i1, kept, a, b, team. Stands behind runtime/ranges.h.
+// Parameters: x, change, history, at, kept, a, b, colors, first_color, team. Stands behind runtime/ranges.h.
+const int i0 = colors.data[first_color] * 2 * LANES, i1 = colors.data[first_color + COLORS] * 2 * LANES;
 const int stride = i1 - i0;
 Real *const now = x.data, *const step = change.data, *const past = history.data + at - i0;
-take_range(team, i0, i1, 2048, [=](int first, int last) {
+take_rows(team, colors.data + first_color, [=](int first, int last) {
     for (int i = first; i < last; ++i) {
         Real* const of = past + i;
         const Real v = now[i], d = step[i];

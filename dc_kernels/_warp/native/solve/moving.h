@@ -1,14 +1,14 @@
-// MOVING times the rows of a world that the last sweep still moved, less all rows that can move; ASTRAY where it moved
-// one by FAR times as much. Moved is a row whose speed it changed by more than span.still + share times what the
-// impulses of the step have changed the velocity of the faster body by, beyond span.fall, or than span.still + least
-// where that is more. Parameters: columns, row_body, bodies, predicted, change, span, share, least. Stands behind
-// prelude.h, bodies.h.
+// MOVING times the rows of the blocks first .. last that the last sweep still moved, less all rows that can move;
+// ASTRAY where it moved one by FAR times as much. Moved is a row whose speed it changed by more than span.still + share
+// times what the impulses of the step have changed the velocity of the faster body by, beyond span.fall, or than
+// span.still + least where that is more. Parameters: columns, row_body, bodies, predicted, change, first, last, span,
+// share, least. Stands behind prelude.h, bodies.h.
 #if defined(__CUDA_ARCH__)
 return 0;  // a GPU counts row by row
 #else
 const Real* const before = (const Real*)predicted.data;
 int count = 0;
-for (int b = span.first; b < span.last; ++b) {
+for (int b = first; b < last; ++b) {
     const int* const index = row_body.data + (size_t)b * 2 * LANES;
     const Real* const block = columns.data + (size_t)b * COLUMNS * LANES;
     const Real* const d = change.data + (size_t)b * 2 * LANES;

@@ -1,10 +1,9 @@
-// Sum of the squared natural maps of the rows of the blocks first .. last [(N s)^2], row after row, as laws.py has it.
-// Parameters: columns, row_body, bodies, impulse, first, last. Stands behind prelude.h, bodies.h and row.h.
+// The sum and the squared natural maps of the rows of the blocks first .. last [(N s)^2], row after row, as laws.py has
+// it. Parameters: columns, row_body, bodies, impulse, first, last, sum. Stands behind prelude.h, bodies.h and row.h.
 #if defined(__CUDA_ARCH__)
 return 0;  // a GPU sums row by row
 #else
 const Vector one = (Real)1;
-Real sum = 0;
 for (int b = first; b < last; ++b) {
     const int* const index = row_body.data + (size_t)b * 2 * LANES;
     const Real* const block = columns.data + (size_t)b * COLUMNS * LANES;

@@ -1,6 +1,7 @@
 // The scalar products that Anderson's least squares needs, of differences to the remembered iterates and steps: f1 f1,
 // f1 f2, f2 f2, f1 d, f2 d, e1 e1, e1 e2, e2 e2, with d the step, f of steps, e of iterates.
-// Parameters: x, change, history, at, i0, i1, kept, team. Stands behind runtime/ranges.h.
+// Parameters: x, change, history, at, kept, colors, first_color, team. Stands behind runtime/ranges.h.
+const int i0 = colors.data[first_color] * 2 * LANES, i1 = colors.data[first_color + COLORS] * 2 * LANES;
 const int stride = i1 - i0;
 const Real *const now = x.data, *const step = change.data, *const before = history.data + at - i0;
 #if defined(__CUDA_ARCH__)
@@ -16,9 +17,9 @@ struct Sums {
         for (int k = 0; k < 8; ++k) of[k] += other.of[k];
     }
 };
-auto part = [=](int first, int last) {
-    Sums sums;
-    for (int k = 0; k < 8; ++k) sums.of[k] = (Real)0;
+Sums none;
+for (int k = 0; k < 8; ++k) none.of[k] = (Real)0;
+auto part = [=](int first, int last, Sums sums) {
     for (int i = first; i < last; i += PART) {
         auto read = [](const Real* p) { return *(const Number*)p; };
         const Real* const past = before + i;
@@ -42,10 +43,10 @@ auto part = [=](int first, int last) {
 };
 wp::vec_t<8, Real> found;
 #if defined(__CUDA_ARCH__)
-const Sums sums = part(i0, i1);
+const Sums sums = part(i0, i1, none);
 for (int k = 0; k < 8; ++k) found[k] = sums.of[k];
 #else
-const Sums sums = sum_range(team, i0, i1, 1, part);
+const Sums sums = sum_rows(team, colors.data + first_color, COLORS, 2 * LANES, 1, none, part);
 for (int k = 0; k < 8; ++k) found[k] = total(sums.of[k]);
 #endif
 return found;

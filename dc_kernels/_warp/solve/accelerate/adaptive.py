@@ -33,7 +33,7 @@ from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.accelerate import aitken, anderson, momentum
 from dc_kernels._warp.solve.ranges import range_functions
-from dc_kernels._warp.solve.world import world_functions
+from dc_kernels._warp.solve.world import ENDS, world_functions
 from dc_kernels.solve.iteration import NEVER, Stretch
 
 AITKEN = wp.constant(int(Stretch.AITKEN))
@@ -90,7 +90,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
     ):
         """Judge the stretch before by the squared step of the sweep after it, and choose the next method."""
         w = span.world
-        now = squares(rows.change, span.low, span.high, span.team)
+        now = squares(rows.change, rows.color_block, w * ENDS, span.team)
         length = iteration[w].stretch_length
         chosen = iteration[w].stretch_method
         rates = iteration[w].rate
@@ -147,7 +147,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
             iteration[w].inside = inside
             period = iteration[w].period
             if inside == period - 1:
-                iteration[w].before_end = squares(rows.change, span.low, span.high, span.team)
+                iteration[w].before_end = squares(rows.change, rows.color_block, w * ENDS, span.team)
             if inside >= period:
                 updated = int(0)
                 if chosen == ANDERSON:

@@ -13,7 +13,7 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.ranges import range_functions
-from dc_kernels._warp.solve.world import world_functions
+from dc_kernels._warp.solve.world import ENDS, world_functions
 
 
 @wp.func
@@ -65,7 +65,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         w = span.world
         # squared steps: before_end is that of the period's last sweep but one, at_end that of the period before's last
         before = iteration[w].before_end
-        now = squares(rows.change, span.low, span.high, span.team)
+        now = squares(rows.change, rows.color_block, w * ENDS, span.team)
         if now < before and move == 1:
             alpha = series_limit(wp.sqrt(now / before), config.aitken_cap)
             extrapolate(span, alpha, motion, rows)
@@ -103,14 +103,14 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         iteration[w].inside = inside
         period = iteration[w].period
         if inside == period - 1:
-            iteration[w].before_end = squares(rows.change, span.low, span.high, span.team)
+            iteration[w].before_end = squares(rows.change, rows.color_block, w * ENDS, span.team)
             if sweeps >= span.pause_at - 1:
-                copy(rows.change, span.low, rows.before, span.low, span.high - span.low, span.team)
+                copy(rows.change, span.low, rows.before, span.low, rows.color_block, w * ENDS, span.team)
         if inside >= period:
             if sweeps >= span.pause_at:  # the extrapolation waits: it is made when the solve goes on
                 iteration[w].postponed = 1
                 iteration[w].step_before = iteration[w].before_end
-                iteration[w].step_last = squares(rows.change, span.low, span.high, span.team)
+                iteration[w].step_last = squares(rows.change, rows.color_block, w * ENDS, span.team)
                 return 1
             end_period(span, config.aitken_patience, 1, config, motion, rows, iteration)
         return 0

@@ -12,7 +12,7 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.ranges import range_functions
-from dc_kernels._warp.solve.world import world_functions
+from dc_kernels._warp.solve.world import ENDS, world_functions
 from dc_kernels.solve.iteration import ANDERSON_PERIOD, ANDERSON_REST, ANDERSON_REST_MAX
 
 PERIOD = wp.constant(ANDERSON_PERIOD)
@@ -81,7 +81,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
     ):
         """The end of a period: update from this and two remembered iterates, then 1; 0 while that rests."""
         w = span.world
-        now = squares(rows.change, span.low, span.high, span.team)
+        now = squares(rows.change, rows.color_block, w * ENDS, span.team)
         if iteration[w].updated == 1 and now > iteration[w].before_update:  # the update did harm
             iteration[w].remembered = 0
             iteration[w].rest = iteration[w].next_rest
@@ -94,9 +94,26 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         rest = iteration[w].rest
         iteration[w].rest = wp.max(rest - 1, 0)
         if rest > 0 or kept == 0:
-            remember(rows.impulse, rows.change, rows.past, span.past_at, span.low, span.high, span.team)
+            remember(
+                rows.impulse,
+                rows.change,
+                rows.past,
+                span.past_at,
+                rows.color_block,
+                w * ENDS,
+                span.team,
+            )
             return 0
-        s = products(rows.impulse, rows.change, rows.past, span.past_at, span.low, span.high, kept, span.team)
+        s = products(
+            rows.impulse,
+            rows.change,
+            rows.past,
+            span.past_at,
+            kept,
+            rows.color_block,
+            w * ENDS,
+            span.team,
+        )
         iteration[w].products = s
         ab = coefficients(s, kept)
         a = ab[0]
@@ -111,11 +128,11 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
             rows.change,
             rows.past,
             span.past_at,
-            span.low,
-            span.high,
             kept,
             a * scale,
             b * scale,
+            rows.color_block,
+            w * ENDS,
             span.team,
         )
         iteration[w].before_update = now

@@ -14,6 +14,7 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.ranges import range_functions
+from dc_kernels._warp.solve.world import ENDS
 from dc_kernels.solve.iteration import PAST
 
 N_PAST = wp.constant(PAST)
@@ -48,7 +49,7 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         w = span.world
         iteration[w].momentum = one
         length = span.high - span.low
-        copy(rows.impulse, span.low, rows.past, span.past_at, length, span.team)
+        copy(rows.impulse, span.low, rows.past, span.past_at, rows.color_block, w * ENDS, span.team)
         copy_bodies(
             motion.solved, rows.past, span.past_at + N_PAST * length, span.first_body, span.last_body, span.team
         )
@@ -63,12 +64,28 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
         """Move impulses and velocities on by beta times their last move; begin anew where the sweep goes against it."""
         w = span.world
         before = iteration[w].momentum
-        if along(rows.change, rows.impulse, rows.past, span.past_at, span.low, span.high, span.team) < real(0.0):
+        if along(
+            rows.change,
+            rows.impulse,
+            rows.past,
+            span.past_at,
+            rows.color_block,
+            w * ENDS,
+            span.team,
+        ) < real(0.0):
             before = one
         after = nesterov(before)
         beta = (before - one) / after
         iteration[w].momentum = after
-        onward(rows.impulse, rows.past, span.past_at, span.low, span.high, beta, span.team)
+        onward(
+            rows.impulse,
+            rows.past,
+            span.past_at,
+            beta,
+            rows.color_block,
+            w * ENDS,
+            span.team,
+        )
         h = span.past_at + N_PAST * (span.high - span.low)
         onward_bodies(motion.solved, rows.past, h, span.first_body, span.last_body, beta, span.team)
 

@@ -8,7 +8,7 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.ranges import range_functions
-from dc_kernels._warp.solve.world import world_functions
+from dc_kernels._warp.solve.world import ENDS, world_functions
 
 
 @cache
@@ -36,12 +36,20 @@ def functions(dtype: str, variant: str) -> SimpleNamespace:
     ):
         """Move on along the conjugate direction; start anew where the step has grown. It never pauses: 0."""
         w = span.world
-        now = squares(rows.change, span.low, span.high, span.team)
+        now = squares(rows.change, rows.color_block, w * ENDS, span.team)
         beta = real(0.0)
         if iteration[w].sweeps > 1 and now <= iteration[w].at_end and iteration[w].at_end > real(0.0):
             beta = now / iteration[w].at_end
         iteration[w].at_end = now
-        conjugate(rows.impulse, rows.change, rows.direction, span.low, span.high, beta, span.team)
+        conjugate(
+            rows.impulse,
+            rows.change,
+            rows.direction,
+            beta,
+            rows.color_block,
+            w * ENDS,
+            span.team,
+        )
         if beta > real(0.0):
             apply(span, motion, rows, rows.change)
         return 0
