@@ -16,7 +16,7 @@ from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.validate.known import Facts
 from dc_kernels.solve.joints import are_rods, joint_kernels
-from dc_kernels.solve.rows import has_traits, only_centred_discs, variant_of
+from dc_kernels.solve.rows import has_traits, only_centred_discs, rolling_kernels, variant_of
 from dc_kernels.stages import files_of, kernel_table
 
 
@@ -28,7 +28,7 @@ class Choice(NamedTuple):
     variant: str
     """Layout of solver rows, a key of ``rows.COLUMNS``."""
     added_kernels: tuple[str, ...]
-    """Those that joints and events need beside those of every step (``stages.LINKED``, ``stages.EVENTS``)."""
+    """Those that scene and settings need beside those of every step (``stages.ADDED``)."""
     kernels: dict[str, Any]
     """All by name."""
 
@@ -59,7 +59,7 @@ def need_of(model: Fielded, joints: Fielded, config: SolverConfig, specialize: b
     """What the kernels that a scene needs depend on; see ``choose_kernels``."""
     rods, found = are_rods(joints), only_centred_discs(model)
     added = (*joint_kernels(joints, rods), *event_kernels(model, config), *switch_kernels(model, config))
-    added += continuous_kernels(config)
+    added += (*continuous_kernels(config), *rolling_kernels(model))
     return Need(found, variant_of(model, found and specialize, rods), added)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup
+from dc_kernels.model.fields import PER_CONTACT
 from dc_kernels.storage import Storage
 
 
@@ -22,7 +23,7 @@ def capacity(storage: Storage, peak: np.ndarray) -> dict[str, dict[str, int]]:
 def memory(groups: Iterable[ArrayGroup]) -> dict[str, int]:
     """Bytes allocated: by what they grow with (bodies with their shapes and pairs, contacts with their rows)."""
     total = {"body_bytes": 0, "contact_bytes": 0, "joint_bytes": 0}
-    owner = {"contact": "contact_bytes"}
+    owner = dict.fromkeys(PER_CONTACT, "contact_bytes")
     for group in groups:
         for axis, size in group.nbytes_by_axis().items():
             key = "contact_bytes" if axis.startswith("row") else owner.get(axis, "body_bytes")

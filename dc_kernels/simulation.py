@@ -177,7 +177,7 @@ class Simulation(Driven):
         self._choose_kernels(self._config)
         if variant != self.variant or self.storage.general == are_rods(self.joints):
             self.storage.use(self.variant, self._config)
-        stale |= self.storage.equip(self._config)
+        stale |= self.storage.roll() | self.storage.equip(self._config)
         stale |= kernels != self.kernels or self._binding.stale
         if stale:
             self._binding.kernels = self.kernels

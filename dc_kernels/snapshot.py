@@ -9,7 +9,8 @@ A step that was not finished, in a world that froze or after an OverflowError, l
 while the next step starts from those of the last finished one. Only then the group ``cache`` holds the latter.
 Where bodies may sleep, the group ``sleepers`` says which do, and holds their contacts; where there are sensors, or
 contact events, ``overlaps`` and ``touches`` hold their lists; where bodies, shapes or joints came or went, ``ids`` has
-their ids. ``stats`` says what the last solve took; files without it, of earlier versions, are read as well.
+their ids. ``stats`` says what the last solve took; files without it, of earlier versions, are read as well, and so are
+those without ``rolling_impulse`` of contacts, which is zero then.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from dc_kernels.measure import contact_slots
 from dc_kernels.model.arrays import ArrayGroup, Model, State
 from dc_kernels.model.config import SimulationOptions, SolverConfig
 from dc_kernels.model.dtypes import float_dtype, numpy_spec
-from dc_kernels.model.fields import CACHE, CONTACTS, ITERATION, SLEEPERS, STATS, TRAITS, Field
+from dc_kernels.model.fields import CACHE, CONTACTS, ITERATION, PER_CONTACT, ROLLING, SLEEPERS, STATS, TRAITS, Field
 from dc_kernels.model.groups import GROUPS
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.room import used_slots
@@ -147,7 +148,7 @@ def load(
     group = "cache"
     try:
         if cache is not None:
-            cached = {name: cache[name] for name, field in CACHE.items() if field.per == "contact"}
+            cached = {name: cache[name] for name, field in CACHE.items() if field.per in PER_CONTACT and name in cache}
             sim.restore_contacts(cache["count"], cached, contact_dt)  # for the room that they need
         group = "contacts"
         sim.restore_contacts(count, contacts, contact_dt)
@@ -205,6 +206,9 @@ def _write(file: Any, sim: Simulation) -> None:
     slots, _ = contact_slots(sim.contacts)
     cached = used_slots(sim.contacts.numpy("contact_start"), sim.cache.numpy("count"))
     sizes = {**model.sizes, **sim.joints.sizes, "contact": len(slots), CACHED: len(cached)}
+    rolls = sim.storage.narrowphase.rolls
+    if rolls:
+        sizes[ROLLING] = len(slots)
     used = {"cache": cached}
     groups = {"model": model, "state": sim.state, "joints": sim.joints, "contacts": sim.contacts}
     if _unfinished(sim, slots, cached):
@@ -219,6 +223,7 @@ def _write(file: Any, sim: Simulation) -> None:
     sizes = {**listed, **sizes}
     names = [*_AXES, *(name for name in (*TRAITS, *listed) if sizes[name] and name not in _AXES)]
     names += (name for name, group in ((CACHED, "cache"), (KEPT, "sleepers")) if group in groups)
+    names += [ROLLING] * rolls
     file.create_group("sizes").attrs.update({name: sizes[name] for name in names})
     file.create_group("config").attrs.update(
         {name: value for name, value in sim.config.to_dict().items() if value is not None}
@@ -227,9 +232,9 @@ def _write(file: Any, sim: Simulation) -> None:
         folder = file.create_group(name)
         for field in group.table.values():
             values = lists[name][field.name] if name in lists else group.numpy(field.name)
-            if field.per in TRAITS and not len(values):
+            if (field.per in TRAITS and not len(values)) or (field.per == ROLLING and not rolls):
                 continue
-            if field.per == "contact":
+            if field.per in PER_CONTACT:
                 values = values[used.get(name, slots)]
             _write_field(folder, field, values)
     if sim.given_ids is not None:
@@ -254,7 +259,7 @@ def _unfinished(sim: Simulation, slots: np.ndarray, cached: np.ndarray) -> bool:
     pairs = [(contacts.numpy("contact_count"), cache.numpy("count"))]
     pairs.append((sim.joints.numpy("joint_impulse"), cache.numpy("joint_impulse")))
     if len(slots) == len(cached):
-        names = [name for name, field in CACHE.items() if field.per == "contact"]
+        names = [name for name, field in CACHE.items() if field.per in PER_CONTACT and cache.sizes[field.per]]
         pairs += [(contacts.numpy(name)[slots], cache.numpy(name)[cached]) for name in names]
     return any(one.tobytes() != other.tobytes() for one, other in pairs)
 
@@ -288,6 +293,8 @@ class _Header:
                 raise WrongType(f"device is {shown(self.device)}; it must be a str")
             sizes = {name: int(value) for name, value in file["sizes"].attrs.items()}
             self.sizes = {**{name: sizes[name] for name in _AXES}, **{name: sizes.get(name, 0) for name in TRAITS}}
+            if ROLLING in sizes:
+                self.sizes[ROLLING] = sizes[ROLLING]
             self._counts = {name: sizes.get(name) for name in (CACHED, KEPT)}
             self._listed = {name: size for name, size in sizes.items() if name not in self.sizes}
         except KeyError as error:
@@ -323,7 +330,7 @@ class _Header:
         if count is None:
             raise ValueError(f"{self.path}: an attribute is missing: {name!r}")
         other = copy.copy(self)
-        other.sizes = {**self.sizes, "contact": count}
+        other.sizes = {**self.sizes, "contact": count, **({ROLLING: count} if ROLLING in self.sizes else {})}
         return other
 
     def listing(self, group: str) -> _Header:
@@ -338,6 +345,8 @@ def _read(file: Any, path: str, group: str, table: Mapping[str, Field], header: 
     """The arrays of a group, of the shapes and dtypes that the header says."""
     arrays = {}
     for field in table.values():
+        if field.per == ROLLING and ROLLING not in header.sizes:
+            continue
         where = f"{path}: dataset {group}/{field.name}"
         dtype, components = numpy_spec(field, header.real)
         shape = (header.sizes[field.per], *components)

@@ -29,7 +29,7 @@ class Stage(NamedTuple):
     file: str
     """Where its kernels stand below a backend's root."""
     options: tuple[str, ...]
-    """What its kernels are made for beside the scalar: "only_discs", "traits", "variant"."""
+    """What its kernels are made for beside the scalar: "only_discs", "rolls", "traits", "variant"."""
     reads: tuple[str, ...]
     """Groups of arrays that it reads."""
     writes: tuple[str, ...]
@@ -94,41 +94,41 @@ STEP = (
 
 SLEEP = (
     Stage(
-        "collide", "notice_writes", "sleep.wake", (), ("model", "state", "joints", "contacts", "sleepers"),
+        "collide", "notice_writes", "sleep.wake", ("rolls",), ("model", "state", "joints", "contacts", "sleepers"),
         ("sleepers",), "what a user wrote to sleepers, or to what they touch, rouses them", "but once in a call",
     ),
     Stage(
-        "collide", "enter_worlds", "sleep.wake", (), ("state", "sleepers"), ("state", "stats"),
+        "collide", "enter_worlds", "sleep.wake", ("rolls",), ("state", "sleepers"), ("state", "stats"),
         "the stages of a phase pass over worlds in which nothing is awake",
     ),
     Stage(
-        "collide", "mark_sleepers", "sleep.wake", (),
+        "collide", "mark_sleepers", "sleep.wake", ("rolls",),
         ("model", "state", "joints", "motion", "pairs", "contacts", "sleepers"), ("motion", "sleepers"),
         "what is roused wakes; the narrowphase passes over pairs of sleepers",
         "a world without sleepers",
     ),
     Stage(
-        "collide", "wake_touched", "sleep.wake", (),
+        "collide", "wake_touched", "sleep.wake", ("rolls",),
         ("model", "state", "joints", "motion", "pairs", "contacts", "sleepers"), ("state", "motion", "sleepers"),
         "what something touches that moves wakes", "a world without sleepers",
     ),
     Stage(
-        "collide", "admit_worlds", "sleep.wake", (), ("state", "contacts", "rows", "sleepers"),
+        "collide", "admit_worlds", "sleep.wake", ("rolls",), ("state", "contacts", "rows", "sleepers"),
         ("state", "contacts", "rows", "sleepers"), "room for the contacts of sleepers", "a world without sleepers",
     ),
     Stage(
-        "collide", "leave_worlds", "sleep.wake", (), ("state",), ("state",), "the end of a phase",
+        "collide", "leave_worlds", "sleep.wake", ("rolls",), ("state",), ("state",), "the end of a phase",
     ),
     Stage(
-        "advance", "show_sleepers", "sleep.fall", (), ("state", "motion", "contacts", "sleepers"),
+        "advance", "show_sleepers", "sleep.fall", ("rolls",), ("state", "motion", "contacts", "sleepers"),
         ("contacts", "sleepers"), "contacts of sleepers among those of the step", "a world without sleepers",
     ),
     Stage(
-        "advance", "rest", "sleep.fall", (), ("model", "state", "motion", "sleepers"), ("state", "sleepers"),
+        "advance", "rest", "sleep.fall", ("rolls",), ("model", "state", "motion", "sleepers"), ("state", "sleepers"),
         "for how long bodies have rested; time of worlds that are passed over",
     ),
     Stage(
-        "advance", "fall_asleep", "sleep.fall", (), ("model", "state", "joints", "contacts", "sleepers"),
+        "advance", "fall_asleep", "sleep.fall", ("rolls",), ("model", "state", "joints", "contacts", "sleepers"),
         ("state", "sleepers"), "islands that have come to rest fall asleep", "where none may have",
     ),
 )  # fmt: skip
@@ -212,14 +212,14 @@ EVENTS = (
 """What sensors and contact events add to the stages (see ``of_phase``)."""
 SWITCHED = (
     Stage(
-        "collide", "screen_contacts", "collide.switches", (),
+        "collide", "screen_contacts", "collide.switches", ("rolls",),
         ("model", "state", "motion", "rows", "contacts", "switches"), ("contacts", "rows", "switches"),
         "contacts that one-way shapes let through, out of those of the step",
         "without one-way shapes and `contact_switches`",
     ),
     Stage(
-        "advance", "show_switched", "collide.switches", (), ("state", "contacts", "switches"), ("contacts", "switches"),
-        "contacts that are off among those of the step", "as `screen_contacts`",
+        "advance", "show_switched", "collide.switches", ("rolls",), ("state", "contacts", "switches"),
+        ("contacts", "switches"), "contacts that are off among those of the step", "as `screen_contacts`",
     ),
 )  # fmt: skip
 """What contacts that may be off add to the stages (see ``of_phase``)."""
@@ -234,6 +234,17 @@ FOLLOWED = (
     ),
 )  # fmt: skip
 """What continuous detection adds to the stages (see ``of_phase``)."""
+ROLLED = (
+    Stage(
+        "collide", "match_rolling", "collide.rolling", (), ("state", "motion", "cache"), ("contacts",),
+        "start impulses of rolling resistance", "a scene in which nothing resists rolling",
+    ),
+    Stage(
+        "advance", "keep_rolling", "collide.rolling", (), ("state", "contacts"), ("cache",),
+        "impulses of rolling resistance, for the next step", "as `match_rolling`",
+    ),
+)  # fmt: skip
+"""What rolling resistance adds to the stages (see ``of_phase``)."""
 SOFT = (
     Stage(
         "solve", "solve_soft", "solve.soft", ("variant",), ("model", "state", "joints", "contacts"),
@@ -242,11 +253,13 @@ SOFT = (
 )  # fmt: skip
 """What stands in the place of ``solve_world``, ``displace`` and ``correct_positions`` with method "tgs_soft"."""
 
-
+ADDED = (*LINKED, *EVENTS, *SWITCHED, *FOLLOWED, *ROLLED)
+"""What scenes and settings add to the stages."""
 BEFORE = {
     "sense_overlaps": "narrowphase",
     "separate_joined": "narrowphase",
     "drop_missed": "match_contacts",
+    "match_rolling": "color_constraints",
     "screen_contacts": "color_constraints",
     "make_joint_rows": "color_constraints",
     "stop_short": "commit",
@@ -255,7 +268,8 @@ BEFORE = {
     "note_overlaps": "commit",
     "note_touches": "commit",
 }
-"""Kernels of ``LINKED``, ``EVENTS``, ``SWITCHED`` and ``FOLLOWED``, and those of a step before which they run."""
+"""Kernels of ``LINKED``, ``EVENTS``, ``SWITCHED``, ``FOLLOWED`` and ``ROLLED``, and those of a step that they precede;
+``keep_rolling`` alone follows one, ``commit``."""
 NOTES = ("note_overlaps", "note_touches")
 """Kernels that look at the contacts of sleepers too, so that they run once these are shown."""
 LACKING = {
@@ -280,7 +294,7 @@ def of_phase(
         phase: of a step.
         position_correction: whether it has the position phase.
         sleep: whether bodies may sleep; then ``solve`` is the part between what these give for it first and last.
-        added: kernels of ``LINKED``, ``EVENTS``, ``SWITCHED`` and ``FOLLOWED`` that the scene needs.
+        added: kernels of ``ADDED`` that the scene needs.
         soft: whether the method is "tgs_soft".
     """
     names = [stage.kernel for stage in STEP if stage.phase == phase]
@@ -293,15 +307,16 @@ def of_phase(
         names = ["solve_soft" if name == "solve_world" else name for name in names if name != "displace"]
     noting = [name for name in names if name in NOTES]
     names = [name for name in names if name not in NOTES]
+    last = [*names[-1:], *(["keep_rolling"] if phase == "advance" and "keep_rolling" in added else [])]
     if not sleep:
-        return names if not noting else [*names[:-1], *noting, names[-1]]
+        return [*names[:-1], *noting, *last]
     if phase == "collide":
         found = names.index("narrowphase")
         begin = ["notice_writes", "enter_worlds", *names[:found], "mark_sleepers", "narrowphase", "wake_touched"]
         return [*begin, "narrowphase", "admit_worlds", *names[found + 1 :], "leave_worlds"]
     if phase == "solve":
         return ["enter_worlds", *names, "leave_worlds"]
-    return ["enter_worlds", *names[:-1], "show_sleepers", *noting, names[-1], "rest", "fall_asleep"]
+    return ["enter_worlds", *names[:-1], "show_sleepers", *noting, *last, "rest", "fall_asleep"]
 
 
 def needs_of(names: Sequence[str]) -> list[Activity]:
@@ -345,7 +360,7 @@ def files_of(
         backend: see ``kernel_table``.
         variant: see ``kernel_table``.
         sleep: whether bodies may sleep.
-        added: kernels of ``LINKED``, ``EVENTS``, ``SWITCHED`` and ``FOLLOWED`` that the scene needs.
+        added: kernels of ``ADDED`` that the scene needs.
         soft: whether the method is "tgs_soft".
 
     Raises:
@@ -355,7 +370,7 @@ def files_of(
         having = [name for name in ("warp", "numpy") if variant in variants_of(name)]  # which need no extra
         raise ValueError(f"backend is {backend!r}, which has no rows of {WORDS[variant]}; it must be one of {having}")
     more = (*(SLEEP if sleep else ()), *(SOFT if soft else ()))
-    more += tuple(stage for stage in (*LINKED, *EVENTS, *SWITCHED, *FOLLOWED) if stage.kernel in added)
+    more += tuple(stage for stage in ADDED if stage.kernel in added)
     files = {stage.file: stage.options for stage in (*STEP, *more)}
     for file in files:
         if file in LACKING and not has_kernels(backend, file):
@@ -384,13 +399,13 @@ def kernel_table(
         only_discs: whether all that moves are discs about their centre of mass.
         sleep: whether bodies may sleep.
         traits: whether bodies have damping, or a gravity of their own.
-        added: kernels of ``LINKED``, ``EVENTS``, ``SWITCHED`` and ``FOLLOWED`` that the scene needs.
+        added: kernels of ``ADDED`` that the scene needs.
         soft: whether the method is "tgs_soft".
 
     Raises:
         ValueError: see ``files_of``.
     """
-    options = {"variant": variant, "only_discs": only_discs, "traits": traits}
+    options = {"variant": variant, "only_discs": only_discs, "traits": traits, "rolls": "keep_rolling" in added}
     table: dict[str, Any] = {}
     for file, names in files_of(backend, variant, sleep=sleep, added=added, soft=soft).items():
         table.update(make_kernels(backend, file, dtype, *(options[name] for name in names)))

@@ -13,7 +13,7 @@ from dc_kernels.collide.switches import SwitchStorage
 from dc_kernels.events.lists import EventStorage, check_lists
 from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.config import SolverConfig
-from dc_kernels.model.fields import CACHE, STATS
+from dc_kernels.model.fields import CACHE, PER_CONTACT, STATS
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.room import move_segments
 from dc_kernels.model.rules import Index
@@ -22,6 +22,7 @@ from dc_kernels.model.validate.known import Facts
 from dc_kernels.sleep.sleepers import SleepStorage, check_sleepers
 from dc_kernels.solve.integrate import Integrator, typical_weight
 from dc_kernels.solve.joints import apart, are_rods, plant, rows_of_worlds
+from dc_kernels.solve.rows import resists_rolling
 from dc_kernels.solve.storage import SolverStorage
 
 
@@ -70,7 +71,8 @@ class Storage:
         self.model, self.joints = model, joints
         self.changes = 0
         self.broadphase = CandidatePairs.of_model(model, float(room["pairs"]))
-        self.narrowphase = StepContacts(model, float(room["contacts"]), joints.sizes["joint row"])
+        rolls = resists_rolling(model)
+        self.narrowphase = StepContacts(model, float(room["contacts"]), joints.sizes["joint row"], rolls)
         self.sleep = SleepStorage(model, self.narrowphase.contacts, config.sleep)
         self.events, self.switches = EventStorage(model), SwitchStorage(model)
         self._allow(config)
@@ -183,7 +185,9 @@ class Storage:
         for (source, counted), (target, _) in groups:
             for name, field in target.table.items():
                 values = source.numpy(name)
-                if field.per == "contact":
+                if field.per in PER_CONTACT:
+                    if not len(values):  # nothing resisted rolling
+                        continue
                     room_of = target.numpy(name).copy()
                     if field.rule == Index("body") and len(values):
                         values = moved[values]
@@ -251,6 +255,15 @@ class Storage:
         self.equip(config)
         self.solver.switch(config)
         self.provide(config)
+
+    def roll(self) -> bool:
+        """Allocate impulses of rolling resistance, or free them, as the model needs; whether any changed."""
+        rolls = resists_rolling(self.model)
+        if rolls == self.narrowphase.rolls:
+            return False
+        self.narrowphase.roll(rolls, self.sleep.groups())
+        self.solver.roll(rolls)
+        return True
 
     def equip(self, config: SolverConfig) -> bool:
         """Allocate what model and settings need and is not there yet, or free it; whether there was any."""

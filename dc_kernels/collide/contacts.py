@@ -11,7 +11,7 @@ from dc_kernels.model.arrays import ArrayGroup, Contacts, Model, to_numpy
 from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import Flag
-from dc_kernels.model.fields import CACHE, CONTACTS
+from dc_kernels.model.fields import CACHE, CONTACTS, PER_CONTACT, ROLLING
 from dc_kernels.model.room import Room, fill_segments, move_segments
 from dc_kernels.model.validate.contacts import check_contacts
 from dc_kernels.runtime.inputs import check_mapping
@@ -40,7 +40,10 @@ class FoundContacts:
     Attributes:
         contacts: the contacts, sorted by key in each world.
         room: contacts reserved for each world.
+        rolls: whether contacts may resist rolling, and have an impulse more.
     """
+
+    rolls = False
 
     def __init__(self, sizes: Mapping[str, int], slots: np.ndarray, dtype: Any, device: str, backend: str) -> None:
         """Reserve.
@@ -53,8 +56,14 @@ class FoundContacts:
             backend: of the arrays.
         """
         self.room = Room("contacts", Flag.CONTACT_OVERFLOW, slots)
-        self.contacts = Contacts({**sizes, "contact": self.room.total}, dtype, device, backend)
+        self.contacts = Contacts({**sizes, **self.sizes}, dtype, device, backend)
         self.contacts.fill("contact_start", self.room.starts())
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Slots on the axes of contacts."""
+        total = self.room.total
+        return {"contact": total, ROLLING: total if self.rolls else 0}
 
     @property
     def used(self) -> np.ndarray:
@@ -69,9 +78,10 @@ class FoundContacts:
         """Allocate the room anew and move the contacts, also those of ``further`` groups, to their new places."""
         old, new = self.contacts.numpy("contact_start").copy(), self.room.starts()
         for group, count in [*self.groups(), *further]:
-            before = group.renew(contact=self.room.total)
+            sizes = {axis: size for axis, size in self.sizes.items() if axis in group.sizes}
+            before = group.renew(**sizes)
             for name, field in group.table.items():
-                if field.per == "contact":
+                if sizes.get(field.per):
                     move_segments(before[name], group.array(name), old, new, group.numpy(count))
         self.contacts.assign("contact_start", new)
 
@@ -85,12 +95,20 @@ class StepContacts(FoundContacts):
         cache: what persists of the contacts of the last finished step, in slots of the same numbers.
     """
 
-    def __init__(self, model: Model, contacts_per_body: float, joint_rows: int) -> None:
+    def __init__(self, model: Model, contacts_per_body: float, joint_rows: int, rolls: bool) -> None:
         """Reserve so many contacts for each body, and remember the impulses of so many rows of joints."""
+        self.rolls = rolls
         bodies = np.diff(model.numpy("body_start"))
         sizes = {**model.sizes, "joint row": joint_rows}
         super().__init__(sizes, np.ceil(contacts_per_body * bodies), model.dtype, model.device, model.backend)
         self.cache = Cache(self.contacts.sizes, model.dtype, model.device, model.backend)
+
+    def roll(self, rolls: bool, further: Sequence[tuple[ArrayGroup, str]]) -> None:
+        """Allocate the impulses of rolling resistance of contacts, also those of ``further`` groups, or free them."""
+        self.rolls = rolls
+        for group, _ in [*self.groups(), *further]:
+            if ROLLING in group.sizes:
+                group.reallocate(("rolling_impulse",), **{ROLLING: self.sizes[ROLLING]})
 
     def adopt(self, contacts: Contacts, cache: Cache, slots: np.ndarray) -> None:
         """Take over the contacts of the same bodies, and their room."""
@@ -124,12 +142,16 @@ class StepContacts(FoundContacts):
         found, total = {}, np.size(arrays["key"])
         for name, values in arrays.items():
             field = CONTACTS.get(name)
-            if field is None or field.per != "contact":
+            if field is None or field.per not in PER_CONTACT:
                 raise ValueError(f"{name} is no field of a contact")
+            if field.per == ROLLING and not self.rolls:
+                raise ValueError(f"{name} is given, but no shape has a rolling_resistance")
             dtype, inner = numpy_spec(field, real)
             found[name] = check_values(name, values, (total, *inner), dtype, finite=False)
         given = {"contact_count": count, "contact_dt": contact_dt, **found}
         check_contacts(given, model.views(), flags=flags, backend=model.backend)
+        if self.rolls:  # as contacts of before had none, and of other scenes
+            found.setdefault("rolling_impulse", np.zeros(total, real))
         return Restored(count, found, contact_dt)
 
     def restore(self, given: Restored, joint_impulse: np.ndarray, *, shown: bool = True) -> None:
@@ -156,14 +178,16 @@ class StepContacts(FoundContacts):
 
     def check_start(self) -> None:
         """Raise ValueError, naming the contact, if a start impulse is NaN or inf."""
-        impulse = self.contacts.numpy("impulse")
         first = self.contacts.numpy("contact_start")
-        for w, count in enumerate(self.used):
-            start = impulse[first[w] : first[w] + count]
-            bad = np.argwhere(~np.isfinite(start))
-            if len(bad):
-                c, k = (int(i) for i in bad[0])
-                raise ValueError(
-                    f"contacts.impulse[{first[w] + c}, {k}] (contact {c} of world {w}) is {start[c, k]}; "
-                    "a start impulse must be finite"
-                )
+        for name in ("impulse", "rolling_impulse") if self.rolls else ("impulse",):
+            impulse = self.contacts.numpy(name)
+            for w, count in enumerate(self.used):
+                start = impulse[first[w] : first[w] + count]
+                bad = np.argwhere(~np.isfinite(start))
+                if len(bad):
+                    c, *k = (int(i) for i in bad[0])
+                    at = ", ".join(map(str, (first[w] + c, *k)))
+                    raise ValueError(
+                        f"contacts.{name}[{at}] (contact {c} of world {w}) is {start[(c, *k)]}; "
+                        "a start impulse must be finite"
+                    )

@@ -20,7 +20,17 @@ from dc_kernels.model.assemble import Geometry
 from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.enums import BodyType
-from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, STATE, TRAITS, Field
+from dc_kernels.model.fields import (
+    CACHE,
+    JOINTS,
+    KEY_FEATURE_BITS,
+    KEY_SHAPE_BITS,
+    MODEL,
+    PER_CONTACT,
+    STATE,
+    TRAITS,
+    Field,
+)
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.room import rows_of
 from dc_kernels.model.rules import Number
@@ -261,19 +271,25 @@ def recolor(sim: Simulation, worlds: np.ndarray, turned: np.ndarray) -> None:
     slots = rows_of(start, turned, sim.cache.numpy("count"))
     if not len(slots):
         return
-    arrays = {name: to_numpy(sim.cache.array(name)) for name in ("key", "impulse", "color", "age")}
+    names = [name for name, field in CACHE.items() if field.per in PER_CONTACT and sim.cache.sizes[field.per]]
+    arrays = {name: to_numpy(sim.cache.array(name)) for name in names}
     world = np.repeat(turned, sim.cache.numpy("count")[turned])
-    key = turned_keys(arrays["key"][slots], world, sim.model)
+    before = arrays["key"][slots]
+    key = turned_keys(before, world, sim.model)
     order = np.lexsort((key, world))
     for name, array in arrays.items():
-        array[slots] = key[order] if name == "key" else array[slots[order]]
+        values = key if name == "key" else array[slots]
+        if name == "rolling_impulse":  # turns B, where the others are the same from either side
+            values = np.where((key ^ before) >> (KEY_SHAPE_BITS + KEY_FEATURE_BITS), -values, values)
+        array[slots] = values[order]
         sim.cache.fill(name, array)
 
 
 def turned_keys(key: np.ndarray, world: np.ndarray, model: Model) -> np.ndarray:
     """Keys of contacts as they are with the present types of bodies: shape A is static, or has the lower index.
 
-    The impulse of a contact is the same from either side; its feature has the vertex of A before that of B.
+    The impulse of a contact is the same from either side, that of its rolling the opposite one; its feature has the
+    vertex of A before that of B.
 
     Args:
         key: of the contacts, (n,).

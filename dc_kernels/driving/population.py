@@ -19,7 +19,7 @@ from dc_kernels.driving.ids import ATTIC, EMPTY
 from dc_kernels.driving.relayout import NEUTRAL, Layout, NewJoints, park, relayout, relink
 from dc_kernels.model.arrays import ArrayGroup
 from dc_kernels.model.enums import BodyType, Rest
-from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, STATE, TRAITS
+from dc_kernels.model.fields import JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, PER_CONTACT, STATE, TRAITS
 from dc_kernels.model.room import GROWTH, rows_of
 from dc_kernels.model.settings import WrongType, shown
 from dc_kernels.runtime.threads import uninterrupted
@@ -296,7 +296,11 @@ def _forget_contacts(sim: Simulation, shapes: np.ndarray) -> np.ndarray:
         if not hit.any():
             continue
         bodies += [model.numpy("shape_body")[side[hit & ~gone[side]]].astype(np.int64) for side in sides]
-        lists = [(group, name) for name, field in group.table.items() if field.per == "contact"]
+        lists = [
+            (group, name)
+            for name, field in group.table.items()
+            if group.sizes.get(field.per) and field.per in PER_CONTACT
+        ]
         if group is found.contacts:
             lists += [(storage.solver.rows, name) for name in ("slot", "square")]
         count -= np.bincount(world[hit], minlength=model.world_count).astype(count.dtype)

@@ -16,7 +16,7 @@ import numpy as np
 
 from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import Block, Plan, elements, float_dtype, float_name, plan_of
-from dc_kernels.model.fields import CONTACTS, MODEL, STATE, TRAITS, Field
+from dc_kernels.model.fields import CONTACTS, MODEL, ROLLING, STATE, TRAITS, Field
 from dc_kernels.model.rules import Number, Unit
 from dc_kernels.model.settings import UnknownName, counted, shown
 from dc_kernels.model.validate.arrays import check_rule
@@ -431,3 +431,7 @@ class Contacts(ArrayGroup):
     """The contacts of the present step and the impulses that persist (``model.fields.CONTACTS``)."""
 
     table = CONTACTS
+
+    def __init__(self, sizes: Mapping[str, int], *memory: Any) -> None:
+        """Allocate (see ``ArrayGroup``); none resists rolling unless ``sizes`` has that axis too."""
+        super().__init__({ROLLING: 0, **sizes}, *memory)

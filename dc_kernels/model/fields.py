@@ -85,6 +85,9 @@ def field_table(*rows: tuple[Any, ...]) -> dict[str, Field]:
 
 TRAITS = {"body trait": "body", "shape trait": "shape"}
 """Axes of what few scenes have, and the axes that they are as long as where a scene has it; else they are empty."""
+ROLLING = "rolling contact"
+"""Axis of what contacts have where a shape resists rolling: as long as that of contacts there, else empty."""
+PER_CONTACT = ("contact", ROLLING)
 
 # axes: world W, world+1, body, body+1 (behind the bodies: padding bodies of empty solver lanes), shape, shape+1,
 # vertex, joint, joint row, contact (capacity), pair (capacity), block (capacity, of LANES solver rows), bucket
@@ -171,6 +174,7 @@ CONTACTS = field_table(
     ("impulse", "contact", "vec2", "N s", "normal and tangential impulse: before the solve its start, then its result"),
     ("color", "contact", "int32", "1", "colour in the contact graph, kept while the contact lives", COLOR),
     ("age", "contact", "int32", "1", "steps since the contact began, 0 when new", AGE),
+    ("rolling_impulse", ROLLING, "real", "N s", "of its rolling resistance: the start of the solve, then its result"),
 )
 
 JOINTS = field_table(
@@ -207,6 +211,7 @@ CACHE = field_table(
     ("impulse", "contact", "vec2", "N s", "their solved impulses"),
     ("color", "contact", "int32", "1", "their colours", COLOR),
     ("age", "contact", "int32", "1", "their ages", AGE),
+    ("rolling_impulse", ROLLING, "real", "N s", "solved impulses of their rolling resistance"),
     ("joint_impulse", "joint row", "real", "N s", "solved impulses of the joints in the last finished step"),
 )
 
@@ -284,13 +289,7 @@ ROWS = field_table(
     ("tree_size", "tree joint", "int32", "1", "rows of it that they hold, 3 at most"),
     ("tree_parent", "tree joint", "int32", "1", "its body that is nearer to the root of the tree"),
     ("tree_child", "tree joint", "int32", "1", "its other body, -1 where that is not dynamic"),
-    (
-        "tree_factor",
-        "tree factor",
-        "float64",
-        "1/kg, kg",
-        "44 a joint: inverse, gain, Jacobians; see tree.h",
-    ),
+    ("tree_factor", "tree factor", "float64", "1/kg, kg", "44 a joint: inverse, gain, Jacobians; see tree.h"),
     ("tree_wanted", "tree wanted", "float64", "N s", "3 a joint: impulses without what follows nearer to the root"),
     ("tree_moves", "tree move", "float64", "1/kg, m/s, N s", "12 a body: mobility, what it moves by, impulse on it"),
     ("apart_start", "apart body+1", "int32", "1", "first of the bodies that joints keep from colliding with each body"),
@@ -306,6 +305,7 @@ ROWS = field_table(
     ("body", "row pair", "int32", "1", "bodies of the rows"),
     ("impulse", "row pair", "real", "N s", "normal and tangential impulses"),
     ("limit_slot", "row lane", "int32", "1", "slot of the contact that bounds a row of rolling resistance; -1: none"),
+    ("roll_slot", ROLLING, "int32", "1", "where a contact's rolling impulse lies in rows.impulse; -1: it has no row"),
     ("change", "row pair", "real", "N s", "what the last sweep, or its acceleration, changed the impulses by"),
     ("before", "row pair", "real", "N s", "step of the sweep before the last, at a pause; see also solve/soft.py"),
     ("direction", "row direction", "real", "N s", "search direction of nonlinear CG"),
@@ -389,7 +389,7 @@ SLEEPERS = field_table(
     ("dormant", "world", "int32", "1", "1: nothing in the world moves, and its stages are passed over", Number(0, 1)),
     ("waited", "world", "int32", "1", "steps since islands were last looked for", COUNT),
     ("count", "world", "int32", "1", "contacts of bodies that sleep, from contact_start of the contacts on", COUNT),
-) | {field.name: field for field in CONTACTS.values() if field.per == "contact"}
+) | {field.name: field for field in CONTACTS.values() if field.per in PER_CONTACT}
 
 # What one launch over worlds is given beside the groups.
 LAUNCH = field_table(

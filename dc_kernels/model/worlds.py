@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.model.fields import TRAITS, Field
+from dc_kernels.model.fields import ROLLING, TRAITS, Field
 from dc_kernels.model.rules import Start
 
 WorldViews = np.ndarray | list[np.ndarray]
@@ -122,7 +122,7 @@ def by_world(
     axis = field.axes[0]
     if axis == "world":
         return values
-    if slots is not None and axis == "contact":
+    if slots is not None and (axis == "contact" or (axis == ROLLING and len(values))):
         start, count = slots
         return [values[first : first + n] for first, n in zip(start.tolist(), count.tolist())]
     axis = axis.removesuffix("+1")  # of bodies, behind which lie padding ones

@@ -34,7 +34,7 @@ import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup, Contacts, Model
 from dc_kernels.model.enums import BodyType, Rest
-from dc_kernels.model.fields import CONTACTS, SLEEPERS
+from dc_kernels.model.fields import CONTACTS, PER_CONTACT, ROLLING, SLEEPERS
 from dc_kernels.model.room import fill_segments
 from dc_kernels.model.rules import BrokenRule, refuse
 from dc_kernels.model.validate.arrays import Layout, check_field, sane
@@ -62,7 +62,9 @@ class SleepStorage:
     def __init__(self, model: Model, contacts: Contacts, allowed: bool) -> None:
         """Allocate, if bodies may sleep."""
         self._sizes = {"body": model.body_count, "joint": model.joint_count, "world": model.world_count}
-        self.sleepers = Sleepers(dict.fromkeys((*self._sizes, "contact"), 0), model.dtype, model.device, model.backend)
+        self.sleepers = Sleepers(
+            dict.fromkeys((*self._sizes, *PER_CONTACT), 0), model.dtype, model.device, model.backend
+        )
         self.allow(allowed, contacts)
 
     @property
@@ -73,7 +75,7 @@ class SleepStorage:
     def allow(self, allowed: bool, contacts: Contacts) -> None:
         """Let bodies sleep, or wake all and free the arrays."""
         if allowed != self.allowed:
-            sizes = {**self._sizes, "contact": contacts.sizes["contact"]} if allowed else {}
+            sizes = {**self._sizes, **{axis: contacts.sizes[axis] for axis in PER_CONTACT}} if allowed else {}
             self.sleepers.reallocate(SLEEPERS, **{**dict.fromkeys(self.sleepers.sizes, 0), **sizes})
 
     def link(self, joints: int, moved: Callable[[np.ndarray], np.ndarray]) -> None:
@@ -96,10 +98,13 @@ class SleepStorage:
     def restore(self, arrays: Mapping[str, np.ndarray], contact_start: np.ndarray) -> None:
         """Take over checked arrays (``check_sleepers``), contacts packed world after world, for which there is room."""
         for name, field in SLEEPERS.items():
-            values = arrays[name]
-            if field.per == "contact":
+            if field.per == ROLLING and name not in arrays:  # a scene without it, or a file of before it was kept
+                values = np.zeros_like(self.sleepers.numpy(name))
+            elif field.per in PER_CONTACT:
                 values = self.sleepers.numpy(name).copy()
                 fill_segments(values, arrays[name], contact_start, arrays["count"])
+            else:
+                values = arrays[name]
             self.sleepers.fill(name, values)
 
     def forget(self, worlds: np.ndarray | None, body_start: np.ndarray) -> None:
@@ -135,7 +140,7 @@ def check_sleepers(arrays: Mapping[str, np.ndarray], model: Model, flags: np.nda
     total = int(arrays["count"].sum(dtype=np.int64))
     if total != len(arrays["key"]) or (arrays["count"] < 0).any():
         raise BrokenRule("count", f"adds up to {total}; it must be {len(arrays['key'])}, the number of contacts")
-    kept = {name: arrays[name] for name, field in CONTACTS.items() if field.per == "contact"}
+    kept = {name: arrays[name] for name, field in CONTACTS.items() if field.per in PER_CONTACT and name in arrays}
     check_contacts({"contact_count": arrays["count"], **kept}, views, flags=flags, backend=model.backend)
     layout = Layout(views, arrays["count"], model.backend)
     for name, values in sane(SLEEPERS, arrays, layout, flags).items():

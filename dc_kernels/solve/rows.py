@@ -76,6 +76,16 @@ def has_traits(model: Model) -> bool:
     return bool(damped or (model.numpy("gravity_scale") != 1).any())
 
 
+def resists_rolling(model: Fielded) -> bool:
+    """Whether a shape resists rolling: contacts then have an impulse more, which is kept from step to step."""
+    return bool(model.numpy("shape_rolling_resistance").any())
+
+
+def rolling_kernels(model: Fielded) -> tuple[str, ...]:
+    """Kernels that a scene needs beside those of a step (``stages.ROLLED``)."""
+    return ("match_rolling", "keep_rolling") if resists_rolling(model) else ()
+
+
 def variant_of(model: Fielded, only_discs: bool, rods: bool = True) -> str:
     """The variant of rows that a scene needs, a key of ``COLUMNS``.
 
@@ -88,7 +98,7 @@ def variant_of(model: Fielded, only_discs: bool, rods: bool = True) -> str:
         The first of these, or general: surfaces where one moves or resists rolling; joints where all are rods; rows
         with others; discs where there is nothing else.
     """
-    if model.numpy("shape_surface_speed").any() or model.numpy("shape_rolling_resistance").any():
+    if model.numpy("shape_surface_speed").any() or resists_rolling(model):
         return "surfaces"
     if model.numpy("joint_start")[-1]:
         return "joints" if rods else "rows"

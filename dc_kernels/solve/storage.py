@@ -9,12 +9,12 @@ import numpy as np
 from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.config import SolverConfig
 from dc_kernels.model.enums import Flag
-from dc_kernels.model.fields import ROWS, STATS
+from dc_kernels.model.fields import ROLLING, ROWS, STATS
 from dc_kernels.model.room import Room
 from dc_kernels.model.settings import counted
 from dc_kernels.solve.iteration import PAST
 from dc_kernels.solve.joints import TREE_JOINT, TREE_MOVES, Apart, Forest
-from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, OWN, SURFACED
+from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, OWN, SURFACED, resists_rolling
 
 MOST_HISTORY = 10**8  # numbers of all worlds: each solve clears what it leaves over, and an interrupt must not wait
 SPARE_BLOCKS = 10  # blocks beyond full ones: a colour's last block is partly empty, and piles have 6-10 colours
@@ -99,6 +99,7 @@ class SolverStorage:
         """
         self.at_once, self._any_colors = at_once, any_colors
         self._width, self._surfaced = len(COLUMNS[variant]) * LANES, variant in SURFACED
+        self._rolls = resists_rolling(model)
         rods = np.diff(model.numpy("joint_start")).astype(np.int64) * lines
         own_rows = np.zeros_like(rods) if own_rows is None else own_rows
         self._joints = rods + own_rows
@@ -173,6 +174,7 @@ class SolverStorage:
             "row past": self.at_once * self.past_width if past else 0,
             "row lane": self.room.total * LANES if self._surfaced else 0,
             "switched contact": self._contacts if self._surfaced and config.contact_switches else 0,
+            ROLLING: self._contacts if self._rolls else 0,
         }
 
     def use(
@@ -219,6 +221,11 @@ class SolverStorage:
         wanted = self._row_sizes(self.rows.sizes, config)["switched contact"]
         if wanted != self.rows.sizes["switched contact"]:
             self.rows.reallocate(("surface_speed",), **{"switched contact": wanted})
+
+    def roll(self, rolls: bool) -> None:
+        """Allocate the places of the impulses of rolling resistance, or free them."""
+        self._rolls = rolls
+        self.rows.reallocate(("roll_slot",), **{ROLLING: self._contacts if rolls else 0})
 
     def provide(self, config: SolverConfig) -> bool:
         """Allocate what an iteration needs and has not got yet; whether there was any."""

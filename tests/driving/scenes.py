@@ -3,6 +3,7 @@
 import numpy as np
 
 import dc_kernels as dc
+from dc_kernels.model.fields import PER_CONTACT
 
 DT = 0.01
 
@@ -61,7 +62,7 @@ def of_worlds(sim, worlds):
     for group in ("state", "joints", "contacts"):
         for name, field in getattr(sim, group).table.items():
             values = getattr(sim, group).numpy(name)
-            if field.per == "contact":
+            if field.per in PER_CONTACT and len(values):
                 values = values[slots[np.isin(world, worlds)]]
             elif field.per in ("body", "joint"):
                 start = sim.model.numpy(f"{field.per}_start")

@@ -8,7 +8,7 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels.driving.changes import turned_keys
-from dc_kernels.model.fields import CACHE, JOINTS, MODEL, STATE
+from dc_kernels.model.fields import CACHE, JOINTS, MODEL, PER_CONTACT, STATE
 from tests.driving.scenes import DT, bits, of_worlds, simulation
 
 RUN = 40
@@ -22,7 +22,8 @@ def fresh(sim):
     used = [
         np.arange(a, a + n) for a, n in zip(sim.contacts.numpy("contact_start"), sim.cache.numpy("count"), strict=False)
     ]
-    arrays = {n: sim.cache.numpy(n)[np.concatenate(used)] for n, field in CACHE.items() if field.per == "contact"}
+    names = [name for name, field in CACHE.items() if field.per in PER_CONTACT and sim.cache.sizes[field.per]]
+    arrays = {name: sim.cache.numpy(name)[np.concatenate(used)] for name in names}
     made.restore_contacts(sim.cache.numpy("count"), arrays, sim.contacts.numpy("contact_dt"))
     return made
 

@@ -7,7 +7,7 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels.measure import contact_slots
-from dc_kernels.model.fields import CONTACTS, JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, STATE
+from dc_kernels.model.fields import CONTACTS, JOINTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, MODEL, PER_CONTACT, STATE
 from dc_kernels.model.rules import Ascending, BrokenRule, Code, Index, Number, Start, Unit
 from dc_kernels.model.shapes import edge_normals
 from dc_kernels.model.validate import glance
@@ -44,7 +44,7 @@ def scene():
     found = {name: {k: a.copy() for k, a in getattr(sim, name).views().items()} for name in TABLES}
     contacts = found["contacts"]
     del contacts["contact_start"]
-    contacts.update({name: a[slots] for name, a in contacts.items() if CONTACTS[name].per == "contact"})
+    contacts.update({name: a[slots] for name, a in contacts.items() if CONTACTS[name].per in PER_CONTACT})
     assert contacts["contact_count"].min() >= 5
     return found
 

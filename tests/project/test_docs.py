@@ -352,6 +352,7 @@ def test_the_table_of_what_sleep_adds_is_that_of_the_code():
     stepping = (ROOT / "docs" / "stepping.md").read_text(encoding="utf-8")
     assert stages.markdown(stages.SOFT) in stepping
     assert stages.markdown(stages.FOLLOWED) in stepping
+    assert stages.markdown(stages.ROLLED) in stepping
 
 
 def test_the_table_of_what_joints_add_is_that_of_the_code():

@@ -6,7 +6,7 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels.measure import contact_slots
-from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, STATE
+from dc_kernels.model.fields import CONTACTS, JOINTS, MODEL, PER_CONTACT, STATE
 
 TABLES = {"model": MODEL, "state": STATE, "joints": JOINTS, "contacts": CONTACTS}
 DATASETS = [f"{group}/{name}" for group, table in TABLES.items() for name in table]
@@ -19,7 +19,7 @@ def simulation():
     for _ in range(2):
         builder.add_world()
         builder.add_chain(builder.add_body(type=dc.BodyType.STATIC), ((-2, 2), (-2, 0), (2, 0), (2, 2)))
-        discs = builder.add_discs([(-0.3, 0.099), (0.0, 0.099), (0.199, 0.099)], 0.1)
+        discs = builder.add_discs([(-0.3, 0.099), (0.0, 0.099), (0.199, 0.099)], 0.1, rolling_resistance=0.1)
         builder.add_distance_joint(discs[0], discs[1])
         builder.add_box(builder.add_body((1.0, 0.0999), linear_damping=0.1), 0.1, 0.1, surface_speed=0.1)
     return dc.Simulation(*builder.finalize(backend="numpy"), config=dc.SolverConfig(max_sweeps=5))
@@ -45,7 +45,7 @@ def stored(path):
 def loaded_arrays(sim):
     slots, _ = contact_slots(sim.contacts)
     return {
-        f"{group}/{name}": getattr(sim, group).numpy(name)[slots if field.per == "contact" else ...]
+        f"{group}/{name}": getattr(sim, group).numpy(name)[slots if field.per in PER_CONTACT else ...]
         for group, table in TABLES.items()
         for name, field in table.items()
     }
@@ -196,7 +196,7 @@ def restored():
     sim = simulation()
     sim.run(2, DT)
     slots, _ = contact_slots(sim.contacts)
-    names = [name for name, field in CONTACTS.items() if field.per == "contact"]
+    names = [name for name, field in CONTACTS.items() if field.per in PER_CONTACT]
     arrays = {name: sim.contacts.numpy(name)[slots].copy() for name in names}
     return sim, sim.contacts.numpy("contact_count").copy(), arrays, sim.contacts.numpy("contact_dt").copy()
 

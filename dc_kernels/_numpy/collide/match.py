@@ -12,6 +12,13 @@ def kernels(dtype: str) -> Kernels:
     return {"match_contacts": match_contacts}
 
 
+def scale_of(w: int, config: Any, motion: Any, contacts: Any) -> Any:
+    """What impulses of the step before are multiplied by; 0 before the first, and where settings start from zero."""
+    if config.start and contacts.contact_dt[w] > 0:
+        return motion.step_dt[w] / contacts.contact_dt[w]
+    return motion.step_dt.dtype.type(0)
+
+
 def match_contacts(
     tid: int,
     launch: Any,
@@ -28,11 +35,7 @@ def match_contacts(
     if state.flags[w]:
         return
     start = contacts.contact_start[w]
-    scale = (
-        motion.step_dt[w] / contacts.contact_dt[w]
-        if config.start and contacts.contact_dt[w] > 0
-        else motion.step_dt.dtype.type(0)
-    )
+    scale = scale_of(w, config, motion, contacts)
     place = {int(cache.key[c]): c for c in range(start, start + cache.count[w])}
     for c in range(start, start + contacts.contact_count[w]):
         old = place.get(int(contacts.key[c]))

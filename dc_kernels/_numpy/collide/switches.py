@@ -14,10 +14,10 @@ from dc_kernels.model.enums import ShapeRole
 from dc_kernels.model.fields import CONTACTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS
 
 FIELDS = tuple(name for name, field in CONTACTS.items() if field.per == "contact")
-"""Fields of a contact that is kept apart."""
+"""Fields of a contact that is kept apart; one that is off has no impulse, also of its rolling resistance."""
 
 
-def kernels(dtype: str) -> Kernels:
+def kernels(dtype: str, rolls: bool = False) -> Kernels:
     """``screen_contacts``, ``show_switched``, and ``switch_contacts``; the arrays bring their scalar type."""
     return {"screen_contacts": screen_contacts, "switch_contacts": switch_contacts, "show_switched": show_switched}
 
@@ -47,8 +47,9 @@ def part(w: int, on: list[int], off: list[int], contacts: Any, rows: Any, switch
         kept = np.concatenate([aside[start : start + switches.count[w]], array[off]])
         aside[start : start + len(kept)] = kept
         array[start : start + len(on)] = array[on].copy()
-    if len(rows.surface_speed):
-        rows.surface_speed[start : start + len(on)] = rows.surface_speed[on].copy()
+    for array in (rows.surface_speed, contacts.rolling_impulse):
+        if len(array):
+            array[start : start + len(on)] = array[on].copy()
     contacts.contact_count[w] = len(on)
     switches.count[w] += len(off)
     all_off = slice(start, start + switches.count[w])
@@ -112,5 +113,9 @@ def show_switched(tid: int, launch: Any, state: Any, contacts: Any, switches: An
         array = getattr(contacts, name)
         merged = np.concatenate([array[start : start + found], getattr(switches, name)[off]])[order]
         array[start : start + len(merged)] = merged
+    if len(contacts.rolling_impulse):
+        rolling = contacts.rolling_impulse[start : start + found]
+        merged = np.concatenate([rolling, np.zeros(switches.count[w], rolling.dtype)])[order]
+        contacts.rolling_impulse[start : start + len(merged)] = merged
     contacts.contact_count[w] = found + switches.count[w]
     switches.count[w] = 0

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from dc_kernels._numpy.common import Kernels
-from dc_kernels._numpy.sleep.islands import CONTACT, bodies_of, islands, joints_of, moves, see_body, see_joint
+from dc_kernels._numpy.sleep.islands import bodies_of, fields_of, islands, joints_of, moves, see_body, see_joint
 from dc_kernels.model.enums import BodyType, Flag, Rest
 from dc_kernels.sleep.sleepers import LOOK_EVERY
 
 
-def kernels(dtype: str) -> Kernels:
+def kernels(dtype: str, rolls: bool = False) -> Kernels:
     """``show_sleepers``, ``rest``, ``fall_asleep`` and ``lay_down``; the arrays bring their scalar type."""
     return {"show_sleepers": show_sleepers, "rest": rest, "fall_asleep": fall_asleep, "lay_down": lay_down}
 
@@ -42,7 +42,7 @@ def lay(w: int, model: Any, state: Any, joints: Any, contacts: Any, sleepers: An
     used = np.arange(start, start + contacts.contact_count[w])
     bodies = np.stack([contacts.body_a[used], contacts.body_b[used]])
     kept = used[(sleepers.asleep[bodies] == Rest.ASLEEP).any(axis=0)]
-    for name in CONTACT:
+    for name in fields_of(contacts):
         getattr(sleepers, name)[start : start + len(kept)] = getattr(contacts, name)[kept]
     sleepers.count[w] = len(kept)
     sleepers.sleeping[w] = sleeping
@@ -57,10 +57,11 @@ def show_sleepers(tid: int, launch: Any, state: Any, motion: Any, contacts: Any,
     start = contacts.contact_start[w]
     kept = slice(start, start + sleepers.count[w])
     if contacts.contact_dt[w] > 0:
-        sleepers.impulse[kept] *= motion.step_dt[w] / contacts.contact_dt[w]
+        for impulse in (sleepers.impulse, sleepers.rolling_impulse):
+            impulse[kept] *= motion.step_dt[w] / contacts.contact_dt[w]
     found = slice(start, start + contacts.contact_count[w])
     order = np.argsort(np.concatenate([contacts.key[found], sleepers.key[kept]]), kind="stable")
-    for name in CONTACT:
+    for name in fields_of(contacts):
         both = np.concatenate([getattr(contacts, name)[found], getattr(sleepers, name)[kept]])
         getattr(contacts, name)[start : start + len(order)] = both[order]
     contacts.contact_count[w] = len(order)

@@ -6,14 +6,15 @@ from collections.abc import Iterable
 from typing import Any
 
 from dc_kernels.model.enums import BodyType, Rest
+from dc_kernels.model.fields import CONTACTS, PER_CONTACT
 
 JOINT_SEEN = {"anchor_a": "joint_anchor_a", "anchor_b": "joint_anchor_b", "length": "joint_length"}
 """What is remembered of a joint, and its name there."""
-CONTACT = (
-    *("key", "body_a", "body_b", "normal", "arm_a", "arm_b", "gap", "friction", "restitution"),
-    *("impulse", "color", "age"),
-)
-"""Fields of a contact that is kept."""
+
+
+def fields_of(contacts: Any) -> list[str]:
+    """Fields of a contact that is kept; its rolling resistance has an impulse only in some scenes."""
+    return [name for name, field in CONTACTS.items() if field.per in PER_CONTACT and len(getattr(contacts, name))]
 
 
 def bodies_of(w: int, model: Any) -> range:

@@ -8,8 +8,8 @@ import numpy as np
 
 from dc_kernels._numpy.common import Kernels
 from dc_kernels._numpy.sleep.islands import (
-    CONTACT,
     bodies_of,
+    fields_of,
     is_other,
     is_other_joint,
     islands,
@@ -23,7 +23,7 @@ from dc_kernels.model.enums import BodyType, Flag, Rest
 from dc_kernels.sleep.sleepers import MARK
 
 
-def kernels(dtype: str) -> Kernels:
+def kernels(dtype: str, rolls: bool = False) -> Kernels:
     """What phases begin and end with, and what finds in ``collide`` who wakes; the arrays bring their scalar type."""
     return {
         "notice_writes": notice_writes,
@@ -185,7 +185,7 @@ def admit_worlds(tid: int, launch: Any, state: Any, contacts: Any, rows: Any, sl
     kept = np.arange(start, start + sleepers.count[w])
     bodies = np.stack([sleepers.body_a[kept], sleepers.body_b[kept]])
     kept = kept[(sleepers.asleep[bodies] == Rest.ASLEEP).any(axis=0)]
-    for name in CONTACT:
+    for name in fields_of(sleepers):
         array = getattr(sleepers, name)
         array[start : start + len(kept)] = array[kept]
     sleepers.count[w] = len(kept)

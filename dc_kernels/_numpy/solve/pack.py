@@ -94,8 +94,11 @@ def kernels(dtype: str, variant: str) -> Kernels:
             rows.row_slot[k] = place(rows.row_color[k], row)
             squares += row.square
         rows.limit_slot[ends[0] * LANES : ends[-1] * LANES] = -1
+        if len(rows.roll_slot):
+            rows.roll_slot[own_contacts] = -1
         for c, color, row in rolling:
-            block, lane = divmod(place(color, row), 2 * LANES)
+            rows.roll_slot[c] = place(color, row)
+            block, lane = divmod(rows.roll_slot[c], 2 * LANES)
             rows.limit_slot[block * LANES + lane] = rows.slot[c]
         rows.scale[w] = np.sqrt(squares)
         rows.deepest[w] = contacts.gap[own_contacts].min(initial=0.0)
@@ -109,6 +112,9 @@ def kernels(dtype: str, variant: str) -> Kernels:
         own = slice(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
         contacts.impulse[own, 0] = rows.impulse[rows.slot[own]]
         contacts.impulse[own, 1] = rows.impulse[rows.slot[own] + LANES]
+        if len(rows.roll_slot):
+            slot = rows.roll_slot[own]
+            contacts.rolling_impulse[own] = np.where(slot >= 0, rows.impulse[slot], 0)
         own = slice(rows.line_start[w], rows.line_start[w + 1])
         joints.joint_impulse[own] = rows.impulse[rows.joint_slot[own]]
         own = slice(rows.row_start[w], rows.row_start[w + 1])

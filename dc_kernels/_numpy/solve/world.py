@@ -221,8 +221,11 @@ class World:
         block, lane = np.divmod(rows.row_slot[own], 2 * LANES)
         moves = by_lane(rows.column, len(columns))[block, columns.index("en"), lane] > 0
         rows.impulse[rows.row_slot[own]] = rows.row_impulse[own] * moves
-        for row in self.rolling:
-            by_lane(rows.impulse)[row.at] = 0.0
+        if len(rows.roll_slot):
+            own = np.arange(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
+            own = own[rows.roll_slot[own] >= 0]
+            rows.impulse[rows.roll_slot[own]] = contacts.rolling_impulse[own]
+            self.bound_rolling()
         self.refresh()
 
     @property

@@ -183,7 +183,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     Course, size_of, inner_radius = courses.Course, courses.size_of, courses.inner_radius
     linear, gap_at, meeting = courses.linear, courses.gap_at, courses.meeting
 
-    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype))
+    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype, ROLLS=False))
     def move_contact(source: t.Contacts, i: wp.int32, target: t.Contacts, k: wp.int32): ...
 
     @wp.kernel(module=module, enable_backward=False)

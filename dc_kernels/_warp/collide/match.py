@@ -1,5 +1,6 @@
 """What contacts carry from step to step: impulses, colours and ages, matched by key."""
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -11,11 +12,29 @@ from dc_kernels._warp.solve.ranges import ranges_code
 
 
 @cache
+def scale_function(dtype: str) -> Callable[..., Any]:
+    """``scale_of`` a world's impulses of the step before, as this step starts from them."""
+    t = group_types(dtype)
+    real = t.real
+
+    @wp.func(module=kernel_module("match", dtype))
+    def scale_of(w: int, config: t.Config, motion: t.Motion, contacts: t.Contacts):
+        """The ratio of the time steps; 0 before the first step, and where the settings start from zero."""
+        scale = real(0.0)
+        if config.start != 0 and contacts.contact_dt[w] > real(0.0):
+            scale = motion.step_dt[w] / contacts.contact_dt[w]
+        return scale
+
+    return scale_of
+
+
+@cache
 def kernels(dtype: str) -> dict[str, Any]:
     """``match_contacts``; one thread a world."""
     t = group_types(dtype)
     real = t.real
     module = kernel_module("match", dtype)
+    scale_of = scale_function(dtype)
     contiguous = contiguous_groups(dtype)
 
     @wp.func_native(ranges_code(dtype, "collide/match.h"))
@@ -50,9 +69,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         contiguous(cache)
         if state.flags[w] != 0:
             return
-        scale = real(0.0)
-        if config.start != 0 and contacts.contact_dt[w] > real(0.0):
-            scale = motion.step_dt[w] / contacts.contact_dt[w]
+        scale = scale_of(w, config, motion, contacts)
         start = contacts.contact_start[w]
         end = start + contacts.contact_count[w]
         match_keys(contacts, cache, scale, start, end, start + cache.count[w], launch.team)

@@ -21,24 +21,27 @@ SHAPE = wp.constant(wp.int64(2**KEY_SHAPE_BITS - 1))
 
 
 @cache
-def kernels(dtype: str) -> dict[str, Any]:
-    """``screen_contacts``, ``show_switched``, and ``switch_contacts`` for a user; one thread a world."""
+def kernels(dtype: str, rolls: bool = False) -> dict[str, Any]:
+    """``screen_contacts``, ``show_switched``, and ``switch_contacts`` for a user; one thread a world.
+
+    ``rolls``: contacts have impulses of rolling resistance; one that is off has none, as it has no other.
+    """
     t = group_types(dtype)
     real, vec2 = t.real, t.vec2
-    module = kernel_module("switches", dtype)
+    module = kernel_module("switches", dtype, *(["rolls"] if rolls else []))
     contiguous = contiguous_groups(dtype)
     approach_of = approach_function(dtype, "switches")
 
-    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype))
+    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype, ROLLS=rolls))
     def move_contact(source: t.Contacts, i: wp.int32, target: t.Contacts, k: wp.int32): ...
 
-    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype))
+    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype, ROLLS=False))
     def put_aside(source: t.Contacts, i: wp.int32, target: t.Switches, k: wp.int32): ...
 
-    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype))
+    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype, ROLLS=False))
     def move_aside(source: t.Switches, i: wp.int32, target: t.Switches, k: wp.int32): ...
 
-    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype))
+    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype, ROLLS=False))
     def put_back(source: t.Switches, i: wp.int32, target: t.Contacts, k: wp.int32): ...
 
     @wp.func(module=module)
@@ -204,6 +207,8 @@ def kernels(dtype: str) -> dict[str, Any]:
                 found -= 1
             else:
                 put_back(switches, known, contacts, to)
+                if wp.static(rolls):
+                    contacts.rolling_impulse[to] = real(0.0)
                 known -= 1
             to -= 1
 

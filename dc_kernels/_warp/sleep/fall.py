@@ -19,22 +19,25 @@ CODES = {"DYNAMIC": DYNAMIC, "KINEMATIC": KINEMATIC, "AWAKE": AWAKE}
 
 
 @cache
-def kernels(dtype: str) -> dict[str, Any]:
-    """``show_sleepers``, ``rest`` and ``fall_asleep``, and ``lay_down`` for a user who wants bodies to sleep."""
+def kernels(dtype: str, rolls: bool = False) -> dict[str, Any]:
+    """``show_sleepers``, ``rest`` and ``fall_asleep``, and ``lay_down`` for a user who wants bodies to sleep.
+
+    ``rolls``: contacts have impulses of rolling resistance.
+    """
     t = group_types(dtype)
     real, vec2 = t.real, t.vec2
-    module = kernel_module("sleep", dtype)
+    module = kernel_module("sleep", dtype, *(["rolls"] if rolls else []))
     contiguous = contiguous_groups(dtype)
     functions = island_functions(dtype)
     moves, see_body, see_joint = functions.moves, functions.see_body, functions.see_joint
 
-    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype))
+    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype, ROLLS=rolls))
     def keep_contact(source: t.Contacts, i: wp.int32, target: t.Sleepers, k: wp.int32): ...
 
-    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype))
+    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype, ROLLS=rolls))
     def move_contact(source: t.Contacts, i: wp.int32, target: t.Contacts, k: wp.int32): ...
 
-    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype))
+    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype, ROLLS=rolls))
     def show_contact(source: t.Sleepers, i: wp.int32, target: t.Contacts, k: wp.int32): ...
 
     @wp.func_native(native_code("sleep/count_rest.h", dtype=dtype, **CODES))
@@ -107,6 +110,8 @@ def kernels(dtype: str) -> dict[str, Any]:
             scale = motion.step_dt[w] / contacts.contact_dt[w]
             for c in range(start, kept + 1):
                 sleepers.impulse[c] = sleepers.impulse[c] * scale
+                if wp.static(rolls):
+                    sleepers.rolling_impulse[c] = sleepers.rolling_impulse[c] * scale
         found = start + contacts.contact_count[w] - 1
         to = found + kept + 1 - start
         contacts.contact_count[w] = to + 1 - start

@@ -19,11 +19,11 @@ MOVER_MARK = wp.constant(2.0 * MARK)  # in place of the zero of one that moves a
 
 
 @cache
-def kernels(dtype: str) -> dict[str, Any]:
-    """What phases begin and end with, and what finds in ``collide`` who wakes."""
+def kernels(dtype: str, rolls: bool = False) -> dict[str, Any]:
+    """What phases begin and end with, and what finds in ``collide`` who wakes; ``rolls``: contacts resist rolling."""
     t = group_types(dtype)
     real, vec4 = t.real, t.vec4
-    module = kernel_module("sleep", dtype)
+    module = kernel_module("sleep", dtype, *(["rolls"] if rolls else []))
     contiguous = contiguous_groups(dtype)
     functions = island_functions(dtype)
     sleeps, moves, is_other_place = functions.sleeps, functions.moves, functions.is_other_place
@@ -32,7 +32,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     @wp.func_native(native_code("sleep/disturbed.h", dtype=dtype))
     def disturbed(state: t.State, sleepers: t.Sleepers, b0: wp.int32, b1: wp.int32) -> wp.int32: ...
 
-    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype))
+    @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype, ROLLS=rolls))
     def move_kept(source: t.Sleepers, i: wp.int32, target: t.Sleepers, k: wp.int32): ...
 
     @wp.func(module=module)

@@ -192,17 +192,8 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         team: wp.uint64,
     ) -> real: ...
 
-    @wp.func_native(native_code("solve/bound.h", dtype=dtype, FORGET=False, **macros))
+    @wp.func_native(native_code("solve/bound.h", dtype=dtype, **macros))
     def bound(
-        columns: wp.array(dtype=real),
-        limit_slot: wp.array(dtype=wp.int32),
-        impulse: wp.array(dtype=real),
-        b0: wp.int32,
-        b1: wp.int32,
-    ): ...
-
-    @wp.func_native(native_code("solve/bound.h", dtype=dtype, FORGET=True, **macros))
-    def forget_rolling(
         columns: wp.array(dtype=real),
         limit_slot: wp.array(dtype=wp.int32),
         impulse: wp.array(dtype=real),
@@ -221,7 +212,6 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         moving=moving,
         lacking=lacking,
         bound=bound,
-        forget_rolling=forget_rolling,
     )
 
 

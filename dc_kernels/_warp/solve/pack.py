@@ -148,15 +148,18 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if wp.static(own):
             scale = make_jacobian_rows(w, wp.where(jacobi, 1, 0), scale, model, motion, rows)
         if wp.static(surfaced):
-            for c in range(start, end):
-                resistance = resistance_of(c, w, model, contacts)
-                if resistance > real(0.0):
-                    color = SERIAL
-                    if used <= ROLLING:
-                        color = contacts.color[c] + ROLLING
-                    row = make_rolling_row(c, w, resistance, model, contacts, rows)
-                    i = place(w, color, jacobi, row, rows)
-                    rows.limit_slot[i / (2 * N_LANES) * N_LANES + i % N_LANES] = rows.slot[c]
+            if rows.roll_slot.shape[0] > 0:
+                for c in range(start, end):
+                    rows.roll_slot[c] = -1
+                    resistance = resistance_of(c, w, model, contacts)
+                    if resistance > real(0.0):
+                        color = SERIAL
+                        if used <= ROLLING:
+                            color = contacts.color[c] + ROLLING
+                        row = make_rolling_row(c, w, resistance, model, contacts, rows)
+                        i = place(w, color, jacobi, row, rows)
+                        rows.limit_slot[i / (2 * N_LANES) * N_LANES + i % N_LANES] = rows.slot[c]
+                        rows.roll_slot[c] = i
         rows.scale[w] = wp.sqrt(scale)
         rows.deepest[w] = least_of(contacts.gap, start, end)
         stats.colors[w] = used
@@ -191,5 +194,12 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                     rows.row_impulse[k] = real(0.0)
                 elif rows.row_held[k] >= real(0.0):
                     rows.row_impulse[k] = rows.impulse[rows.row_slot[k]]
+        if wp.static(surfaced):
+            if rows.roll_slot.shape[0] > 0:
+                for c in range(start, end):
+                    i = rows.roll_slot[c]
+                    contacts.rolling_impulse[c] = real(0.0)
+                    if i >= 0:
+                        contacts.rolling_impulse[c] = rows.impulse[i]
 
     return {"pack_rows": pack_rows, "unpack_impulses": unpack_impulses}

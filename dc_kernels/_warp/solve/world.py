@@ -43,7 +43,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     extrapolate_lanes, move_on, moving_lanes = lanes.extrapolate, lanes.move_on, lanes.moving
     lacking_lanes, lacking_row = lanes.lacking, row.lacking_row
     restore, beyond = range_functions(dtype).restore, range_functions(dtype).beyond
-    bound_lanes, forget_rolling = lanes.bound, lanes.forget_rolling
+    bound_lanes = lanes.bound
     jointed, own, surfaced = variant in JOINTED, variant in OWN, variant in SURFACED
     one, TOO_FAR, TOO_MUCH = real(1.0), real(FAR), real(APART)
     if own:
@@ -194,8 +194,12 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                     if rows.column[i / (2 * N_LANES) * width + i % N_LANES + EN] > real(0.0):
                         rows.impulse[i] = rows.row_impulse[k]
         if wp.static(surfaced):
-            rolling = rows.color_block[w * ENDS + ROLLING]
-            forget_rolling(rows.column, rows.limit_slot, rows.impulse, rolling, span.last)
+            if rows.roll_slot.shape[0] > 0:
+                for c in range(start, end):
+                    i = rows.roll_slot[c]
+                    if i >= 0:
+                        rows.impulse[i] = contacts.rolling_impulse[c]
+                bound_rolling(span, rows)
         refresh(span, motion, rows)
         if wp.static(own):
             for tree in range(rows.tree_start[w], rows.tree_start[w + 1]):

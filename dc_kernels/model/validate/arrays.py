@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from dc_kernels.model.fields import Field
+from dc_kernels.model.fields import PER_CONTACT, Field
 from dc_kernels.model.rules import UNIT_TOLERANCE, Ascending, Code, Index, Number, Unit, refuse
 from dc_kernels.model.validate.glance import Arrays, Glance
 
@@ -33,7 +33,8 @@ class Layout:
         self.glance = Glance(backend, model["mass"].dtype)
         self.start = {axis: model[f"{axis}_start"] for axis in ("body", "shape", "joint")}
         if contact_count is not None:
-            self.start["contact"] = np.concatenate(([0], np.cumsum(contact_count, dtype=np.int64)))
+            start = np.concatenate(([0], np.cumsum(contact_count, dtype=np.int64)))
+            self.start |= dict.fromkeys(PER_CONTACT, start)
         self._world: dict[str, np.ndarray] = {}
 
     def world(self, axis: str) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dc_kernels.model.enums import BodyType
-from dc_kernels.model.fields import COLORS, CONTACTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS
+from dc_kernels.model.fields import COLORS, CONTACTS, KEY_FEATURE_BITS, KEY_SHAPE_BITS, PER_CONTACT
 from dc_kernels.model.rules import Ascending, BrokenRule, Index, Unit, refuse
 from dc_kernels.model.validate.arrays import Layout, check_field, parts_of, sane
 from dc_kernels.model.validate.glance import Arrays
@@ -42,7 +42,7 @@ def check_contacts(
             continue
         if isinstance(field.rule, Unit | Ascending):
             closer.append((name, field, values))
-        elif field.per == "contact" and not isinstance(field.rule, Index):
+        elif field.per in PER_CONTACT and not isinstance(field.rule, Index):
             check_field(f"{label}{name}", field, values, layout)
     if layout.glance.contacts(arrays, model, layout.start["contact"]):
         closer = [(name, field, values) for name, field, values in closer if not isinstance(field.rule, Ascending)]

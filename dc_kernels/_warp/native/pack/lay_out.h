@@ -23,7 +23,7 @@ int block = first, used = 0;
 #if SURFACES
 for (int k = 0; k < COLORS; ++k) used = of[0][k] + of[1][k] > 0 ? k + 1 : used;
 const int colors = used;
-for (int c = i0; c < i1; ++c)
+for (int c = i0; c < i1 && rows.roll_slot.shape[0] > 0; ++c)
     if (resistance_of(c) > 0) ++of[0][used <= ROLLING_COLOR ? color[c] + ROLLING_COLOR : COLORS - 1];
 #endif
 for (int k = 0; k < COLORS; ++k) {

@@ -1,5 +1,5 @@
-// Bounds of the rows of rolling resistance in the blocks b0 .. b1 follow the normal impulses of their contacts; where
-// FORGET is 1 they begin without impulse. Parameters: columns, limit_slot, impulse, b0, b1. Macros: those of row.h.
+// Bounds of the rows of rolling resistance in the blocks b0 .. b1 follow the normal impulses of their contacts.
+// Parameters: columns, limit_slot, impulse, b0, b1. Macros: those of row.h.
 for (int b = b0; b < b1; ++b) {
     REAL* const block = columns.data + (size_t)b * COLUMNS * LANES;
     for (int lane = 0; lane < LANES; ++lane) {
@@ -8,6 +8,5 @@ for (int b = b0; b < b1; ++b) {
         const REAL most = block[AT_roll + lane] * impulse.data[from];
         block[AT_lo + lane] = -most;
         block[AT_hi + lane] = most;
-        if (FORGET) impulse.data[(size_t)b * 2 * LANES + lane] = 0;
     }
 }
