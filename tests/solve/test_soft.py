@@ -122,17 +122,18 @@ def test_rods_keep_their_length():
     np.testing.assert_allclose(np.hypot(*way.T), sim.joints.numpy("joint_length"), atol=0.03)
 
 
-@pytest.mark.parametrize("kind", ["hinge", "rod", "rope"])
-def test_a_pendulum_keeps_its_period_and_energy(kind):
+@pytest.mark.parametrize("amplitude", [0.1, 1.0])
+@pytest.mark.parametrize("kind", ["hinge", "rod", "rope", "lasting rod"])
+def test_a_pendulum_keeps_its_period_and_energy(kind, amplitude):
     """T = 2 pi sqrt(l / g) / agm(1, cos(a / 2)), at 128 steps a period, whatever holds the point mass."""
     builder = dc.ModelBuilder()
     builder.add_world(gravity=(0.0, -G), length_scale=1.0)
     wall = builder.add_body(type=dc.BodyType.STATIC)
-    bob = builder.add_body((np.sin(1.0), -np.cos(1.0)), angle=1.0, mass=2.0, inertia=1e-9)
+    bob = builder.add_body((np.sin(amplitude), -np.cos(amplitude)), angle=amplitude, mass=2.0, inertia=1e-9)
     if kind == "hinge":
         builder.add_revolute_joint(wall, bob, (0.0, 0.0), (0.0, 1.0))
-    elif kind == "rod":
-        builder.add_distance_joint(wall, bob, break_force=1e6)
+    elif "rod" in kind:
+        builder.add_distance_joint(wall, bob, break_force=1e6 if kind == "rod" else None)
     else:
         builder.add_rope_joint(wall, bob, max_length=1.0)
     sim = dc.Simulation(*builder.finalize("float64"), config=SOFT)
@@ -144,11 +145,11 @@ def test_a_pendulum_keeps_its_period_and_energy(kind):
         energy.append(0.5 * v @ v + G * x[1])
     place = np.array(place)
     np.testing.assert_allclose(np.hypot(*place.T), 1.0, atol=1e-3)
-    np.testing.assert_allclose(energy, -G * np.cos(1.0), atol=0.015 * G * (1 - np.cos(1.0)))
+    np.testing.assert_allclose(energy[20:], energy[20], atol=0.015 * G * (1 - np.cos(amplitude)))
     angle = np.arctan2(place[:, 0], -place[:, 1])
     i = np.flatnonzero((angle[:-1] > 0) & (angle[1:] <= 0))
     down = (i + angle[i] / (angle[i] - angle[i + 1])) * DT
-    np.testing.assert_allclose(down[1] - down[0], 2.1402287, rtol=1e-3)
+    np.testing.assert_allclose(down[1] - down[0], {0.1: 2.0083451, 1.0: 2.1402287}[amplitude], rtol=1e-3)
 
 
 def test_a_spring_swings_with_its_frequency_and_damping():

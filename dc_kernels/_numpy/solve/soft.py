@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels._numpy.common import Array, Kernels, dot
+from dc_kernels._numpy.common import Array, Kernels, dot, rotate, rotation
 from dc_kernels._numpy.solve.constraints.jacobian import make_jacobian_row
-from dc_kernels._numpy.solve.row import Row, by_lane, velocities
+from dc_kernels._numpy.solve.laws import direction
+from dc_kernels._numpy.solve.row import Row, by_lane, effective_mass, velocities
 from dc_kernels._numpy.solve.world import World
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import UNBOUNDED
@@ -75,6 +76,7 @@ def kernels(dtype: str, variant: str) -> Kernels:
                 pairs.join(rows.impulse)
                 pairs.renew()
             pairs.part()
+            turn_rods(w, variant, model, state, joints, motion, rows)
             world = World(w, variant, 0, config, model, motion, rows, stats)
             if k > 0:
                 world.bound_rolling()
@@ -100,6 +102,39 @@ def kernels(dtype: str, variant: str) -> Kernels:
             displacement[bodies, :3] += solved[bodies, :3] * h
 
     return {"solve_soft": solve_soft}
+
+
+def turn_rods(w: int, variant: str, model: Any, state: Any, joints: Any, motion: Any, rows: Any) -> None:
+    """Rows of rods that are packed as they are made, where the substeps have brought their bodies."""
+    names = COLUMNS[variant]
+    columns, moved = by_lane(rows.column, len(names)), motion.displacement
+    for j in range(rows.line_start[w], rows.line_start[w + 1]):
+        a, b = joints.joint_body_a[j], joints.joint_body_b[j]
+        if moved[[a, b], 3].min() < 0:  # asleep
+            continue
+        ra = rotate(rotation(state.angle[a] + moved[a, 2]), joints.joint_anchor_a[j])
+        rb = rotate(rotation(state.angle[b] + moved[b, 2]), joints.joint_anchor_b[j])
+        d = (state.position[b] + moved[b, :2] + rb) - (state.position[a] + moved[a, :2] + ra)
+        length = np.sqrt(dot(d, d))
+        if not length > 0:
+            continue
+        block, lane = divmod(int(rows.joint_slot[j]), 2 * LANES)
+        column = columns[block, :, lane]
+        jn = direction(d / length, ra, rb)
+        mass = effective_mass(jn, a, b, model, motion, column[[names.index("iA"), names.index("iB")]])
+        gap = length - joints.joint_length[j] - jn @ np.concatenate([moved[a, :3], moved[b, :3]])
+        values = {
+            "nx": jn[3],
+            "ny": jn[4],
+            "ax": jn[3],
+            "ay": jn[4],
+            "rAn": -jn[2],
+            "rBn": jn[5],
+            "en": mass,
+            "gap": gap,
+        }
+        for name in set(values) & set(names):
+            column[names.index(name)] = values[name]
 
 
 class Pairs:

@@ -13,13 +13,15 @@ const Real* const softnesses = rows.row_softness.data;
 const Real *const inv_inertia = model.inv_inertia.data, *const stiff_inertia = rows.stiff_inertia.data;
 const Real* const predicted = (const Real*)motion.predicted.data;
 Real* const columns = rows.column.data;
-// Writes row k to a lane; the squared impulse that would stop it alone [(N s)^2].
-auto make_jacobian = [=](int k, size_t block, size_t lane) {
+// Writes row k to a lane, or what changes of it as its bodies move; the squared impulse that would stop it alone
+// [(N s)^2].
+auto make_jacobian = [=](int k, size_t block, size_t lane, bool anew) {
     const int a = bodies_a[k], b = bodies_b[k];
     const Real *const ja = jacobians_a + 3 * (size_t)k, *const jb = jacobians_b + 3 * (size_t)k;
     const Real *const va = predicted + 4 * (size_t)a, *const vb = predicted + 4 * (size_t)b;
-    const Real iA = inv_inertia[a] / (1 + inv_inertia[a] * stiff_inertia[a]);
-    const Real iB = inv_inertia[b] / (1 + inv_inertia[b] * stiff_inertia[b]);
+    Real* const to = columns + block * COLUMNS * LANES + lane;
+    const Real iA = anew ? inv_inertia[a] / (1 + inv_inertia[a] * stiff_inertia[a]) : to[AT_iA];
+    const Real iB = anew ? inv_inertia[b] / (1 + inv_inertia[b] * stiff_inertia[b]) : to[AT_iB];
     const Real of_a = va[3] * (ja[0] * ja[0] + ja[1] * ja[1]) + iA * ja[2] * ja[2];
     const Real of_b = vb[3] * (jb[0] * jb[0] + jb[1] * jb[1]) + iB * jb[2] * jb[2];
     const Real speed =
@@ -27,25 +29,26 @@ auto make_jacobian = [=](int k, size_t block, size_t lane) {
     const Real whole = of_a + of_b + softnesses[k];
     const Real mass = of_a + of_b > 0 && whole > 0 ? 1 / whole : 0;
     const Real stop = mass * (speed + biases[k]);
-    Real* const to = columns + block * COLUMNS * LANES + lane;
     to[AT_nx] = jb[0];
     to[AT_ny] = jb[1];
     to[AT_ax] = -ja[0];  // at A it counts the other way, as a contact's normal does
     to[AT_ay] = -ja[1];
     to[AT_rAn] = -ja[2];
     to[AT_rBn] = jb[2];
-    to[AT_rAt] = to[AT_rBt] = to[AT_et] = to[AT_mu] = 0;
-    to[AT_iA] = iA;
-    to[AT_iB] = iB;
     to[AT_en] = mass;
     to[AT_bias] = biases[k];
     to[AT_gap] = gaps[k];
     to[AT_lo] = lowers[k];
     to[AT_hi] = uppers[k];
     to[AT_soft] = softnesses[k];
-    to[AT_held] = helds[k];
+    if (anew) {
+        to[AT_rAt] = to[AT_rBt] = to[AT_et] = to[AT_mu] = 0;
+        to[AT_iA] = iA;
+        to[AT_iB] = iB;
+        to[AT_held] = helds[k];
 #if SURFACES
-    to[AT_slip] = to[AT_roll] = 0;
+        to[AT_slip] = to[AT_roll] = 0;
 #endif
+    }
     return stop * stop;
 };

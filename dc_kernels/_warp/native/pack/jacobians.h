@@ -22,6 +22,6 @@ for (int k = rows.row_start.data[w]; k < k1; ++k) {
         ++body_rows[a];
         ++body_rows[b];
     }
-    scale += make_jacobian(k, (size_t)block, lane);
+    scale += make_jacobian(k, block, lane, true);
 }
 return scale;

@@ -21,7 +21,7 @@ for (int j = model.joint_start.data[w]; j < model.joint_start.data[w + 1]; ++j) 
         for (int k = k0; k < row_start[j + 1]; ++k) {
             if (slot[k] < 0) continue;
             const unsigned at = slot[k];
-            make_jacobian(k, at / (2 * LANES), at % (2 * LANES));
+            make_jacobian(k, at / (2 * LANES), at % (2 * LANES), false);
             const Real *const ja = jacobians_a + 3 * (size_t)k, *const jb = jacobians_b + 3 * (size_t)k;
             const Real *const da = moved + 4 * (size_t)bodies_a[k], *const db = moved + 4 * (size_t)bodies_b[k];
             column_of(k)[AT_gap] -=
