@@ -119,7 +119,7 @@ def _packed_arguments(kernel: Any, arguments: Sequence[Any], types: Sequence[Any
     """Arguments as Warp packs them; None where one is of a type that Warp should look at, and maybe refuse."""
     packed = []
     for argument, value, kind in zip(kernel.adj.args, arguments, types, strict=True):
-        if type(value) in (int, float):
+        if type(value) is int or (type(value) is float and kind in (ctypes.c_float, ctypes.c_double)):
             one = kind(value) if issubclass(kind, ctypes._SimpleCData) else None
         elif type(value) is wp.array:
             same = value.dtype is argument.type.dtype and value.ndim == argument.type.ndim

@@ -114,3 +114,26 @@ def test_calls_share_worlds_and_keep_a_launch_for_each_thread(packing):
     for other in made[1:]:
         torch.testing.assert_close(other, made[0], rtol=0, atol=0)
     assert made[0].any() and len(calls._free) == 3
+
+
+def test_further_launches_of_a_kernel_are_as_the_first_and_refuse_what_warp_refuses(packing):
+    """Warp records the first over so many threads; the others are made like it, with arguments of their own."""
+    draw = np.random.default_rng(4)
+    for _ in range(3):
+        image, out = draw.normal(size=(1, 2, 6, 7)), np.zeros((11, 2))
+        kernel, values = gathering(image, out)
+        launch = command(kernel, 1, {**values, "world_offset": 0}, "cpu")
+        launches.Bound(launch)()
+        np.testing.assert_allclose(out, gathered(image), rtol=1e-12)
+        out[:] = 0.0
+        launch.launch()  # as in a graph
+        np.testing.assert_allclose(out, gathered(image), rtol=1e-12)
+        assert any(argument is values["image"] for argument in launch.fwd_args)  # which keeps it alive
+    for name, wrong in (
+        ("image", wp.array(np.zeros((1, 2, 6, 7), np.float32))),
+        ("image", wp.array(np.zeros((2, 6, 7)))),
+        ("image", 1.0),
+        ("bins", "1"),
+    ):
+        with pytest.raises(RuntimeError, match=rf"Error launching kernel.*{name}"):
+            command(kernel, 1, {**values, "world_offset": 0, name: wrong}, "cpu")
