@@ -146,6 +146,8 @@ class _Cells:
 
     def _near(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Tell which points are too near to each other, in any shape that broadcasts."""
-        gap = (a - b).view(np.float64)
+        gap, other = a.real - b.real, a.imag - b.imag
         gap *= gap
-        return gap[..., 0::2] + gap[..., 1::2] < self.square
+        other *= other
+        gap += other
+        return gap < self.square
