@@ -218,6 +218,18 @@ def test_each_kernel_of_joints_agrees(links: int) -> None:
     assert sim.rows.numpy("tree_used").any() and not sim.state.numpy("flags").any()
 
 
+def test_each_kernel_of_surfaces_agrees() -> None:
+    sim = simulation(surfaces, "float64", "warp", config=dc.SolverConfig(acceleration="none", max_sweeps=12))
+    sim.run(20, DT)
+    pair, config = Pair(sim, sim.added_kernels), sim.config
+    for step in (1.5 * DT, DT):
+        sim.storage.integrator.set_time_step(step)
+        for phase in PHASES:
+            for name in of_phase(phase, config.corrects_positions, added=sim.added_kernels):
+                pair.run(name)
+    assert np.count_nonzero(sim.cache.numpy("rolling_impulse")) > 2 and not sim.state.numpy("flags").any()
+
+
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 @pytest.mark.parametrize("seed", range(6))
 def test_collision_of_a_crowd_agrees(seed: int, dtype: str) -> None:
