@@ -74,11 +74,14 @@ def set_impulses(sim: dc.Simulation, values: np.ndarray | tuple[float, float]) -
 
 
 class Zero(ImpulseStart):
-    """Starts contacts and joints from zero."""
+    """Starts contacts, their rolling resistance and joints from zero."""
 
     def write(self) -> None:
         """Write zeros."""
         set_impulses(self.sim, (0.0, 0.0))
+        rolling = self.sim.contacts.numpy("rolling_impulse")
+        if len(rolling):
+            self.sim.contacts.assign("rolling_impulse", np.zeros_like(rolling))
         if self.sim.joints is not None:
             self.sim.joints.assign("joint_impulse", np.zeros_like(self.sim.joints.numpy("joint_impulse")))
 

@@ -46,6 +46,20 @@ def test_none_forgets_joints_too():
     assert not sim.joints.numpy("joint_impulse").any()
 
 
+def test_none_forgets_rolling_resistance_too():
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(1.0, -9.8))
+    builder.add_box(builder.add_body(type=dc.BodyType.STATIC), 5.0, 0.5, center=(0.0, -0.5))
+    builder.add_disc(builder.add_body((0.0, 0.5)), 0.5, rolling_resistance=0.3)
+    sim = dc.Simulation(*builder.finalize("float64", backend="numpy"))
+    sim.run(5, 0.01)
+    start = maker("none")(sim)
+    sim.collide(0.01)
+    assert sim.contacts.numpy("rolling_impulse")[0] != 0
+    start(sim)
+    assert sim.contacts.numpy("rolling_impulse")[0] == 0
+
+
 def test_builtin_is_the_impulse_of_the_step_before():
     sim = dc.Simulation(*Settled(bodies=12).build(2).finalize("float64"), config=PGS)
     sim.run(5, 0.01)
