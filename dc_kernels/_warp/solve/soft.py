@@ -23,7 +23,7 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.common import cross, kernel_module, rotate
-from dc_kernels._warp.groups import group_types
+from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.solve.constraints.jacobian import moved_rows
 from dc_kernels._warp.solve.lanes import has_lanes, lane_functions
 from dc_kernels._warp.solve.laws import inverse_or_zero
@@ -50,6 +50,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     real, vec2, vec4 = t.real, t.vec2, t.vec4
     vec3, Soft = wp.types.vector(3, real), wp.types.vector(SOFT_NUMBERS, real)
     module = kernel_module("soft", dtype, variant)
+    contiguous = contiguous_groups(dtype)
     world, row = world_functions(dtype, variant), row_functions(dtype, variant)
     span_of, load_impulses, apply, bound_rolling = world.span_of, world.load_impulses, world.apply, world.bound_rolling
     sweep_lanes = lane_functions(dtype, variant).sweep_soft
@@ -289,6 +290,13 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         before, ``pause`` those that are done now.
         """
         w = wp.tid() + launch.world_offset
+        contiguous(model)
+        contiguous(state)
+        contiguous(joints)
+        contiguous(contacts)
+        contiguous(motion)
+        contiguous(rows)
+        contiguous(stats)
         if state.flags[w] != 0:
             return
         span = span_of(w, 0, config, model, motion, rows)
