@@ -21,7 +21,11 @@ int *const mine = place.data + line * me, *const other = place.data + line * (1 
 for (int i = 1; i <= times; ++i) {
     if (me == 0) __atomic_store_n(mine, i, __ATOMIC_RELEASE);
     while (__atomic_load_n(other, __ATOMIC_ACQUIRE) < i)
+#if defined(__x86_64__)
+        __builtin_ia32_pause();
+#else
         ;
+#endif
     if (me == 1) __atomic_store_n(mine, i, __ATOMIC_RELEASE);
 }
 #endif

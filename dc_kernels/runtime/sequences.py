@@ -303,7 +303,7 @@ class Teams:
         self.addresses = [self._memory.ctypes.data + i * self._memory.strides[0] for i in range(teams)]
         give_way, sleep, nap = _system_calls()
         head = self._memory[:, 0].view(np.uint64)
-        head[:, 0], head[:, 1], head[:, 3:5] = give_way, sleep, _team_calls()
+        head[:, 0], head[:, 1], head[:, [3, 4, 6]] = give_way, sleep, _team_calls()
         head.view(np.uint32)[:, 4:6] = nap, min(size, SEATS)
         self._closed = head.view(np.int32)[:, 10]
         self._over = aligned_zeros((CACHE_LINE,), np.dtype(np.int32))
@@ -332,11 +332,11 @@ class Teams:
 
 
 @cache
-def _team_calls() -> tuple[int, int]:
-    """Addresses of the compiled functions by which teams take their jobs, and know whether anybody is there."""
-    address = aligned_zeros((2,), np.dtype(np.uint64))
+def _team_calls() -> list[int]:
+    """Addresses of compiled functions: to take a job, whether anybody is there, and who sums up what."""
+    address = aligned_zeros((3,), np.dtype(np.uint64))
     _bind("find_calls", {"address": address}).launch_now()
-    return int(address[0]), int(address[1])
+    return [int(one) for one in address]
 
 
 @cache

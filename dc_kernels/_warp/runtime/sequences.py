@@ -145,9 +145,9 @@ def kernels() -> dict[str, Any]:
 
     @wp.kernel(module=module, enable_backward=False)
     def find_calls(address: wp.array(dtype=wp.uint64)):
-        """The addresses of the functions that a team calls: to take a job, and whether anybody is there; 0 on a GPU."""
-        address[0] = address_of(0)
-        address[1] = address_of(1)
+        """The addresses of the functions that a team calls; 0 on a GPU."""
+        for i in range(address.shape[0]):
+            address[i] = address_of(i)
 
     return {
         "run_launches": run_launches,

@@ -94,7 +94,7 @@ struct Lead {
         const Ticks time = now(), least = 16 * waited, most = 1024 * waited;
         if (time >= team.rest_until) {  // else in a job in which somebody was missed already
             const Ticks twice = 2 * team.rest < most ? 2 * team.rest : most;
-            const bool soon = time - team.rest_until < least;
+            const bool soon = time - team.rest_until < 4 * waited;
             team.rest = !soon ? waited : twice > least ? twice : least;
         }
         __atomic_store_n(&team.rest_until, time + team.rest, __ATOMIC_RELAXED);
@@ -152,6 +152,71 @@ struct Lead {
         for (int p = 0; p < team.size; ++p)
             if (team.seat[p].job == job.number && team.seat[p].largest > largest) largest = team.seat[p].largest;
         return largest;
+    }
+    // Segments of the items of a world's first colours, so many a block, which are summed up in pieces of that length:
+    // by whose share of a colour they are, a few by who has those before.
+    static void make_plan(Team* team, const int* ends, int colors, int per_block, int length, Plan* made) {
+        const int size = team->size, most = sizeof(made->segment) / sizeof(made->segment[0]), few = 32 * per_block;
+        const int begin = ends[0] * per_block, behind = ends[colors] * per_block;
+        Plan::Segment* const segment = made->segment;
+        int count = 0, piece = 0, end = begin, end_of_piece = begin + length;
+        auto give = [&](int owner, int last) {
+            if (count > 0 && last - end < few) owner = segment[count - 1].owner;
+            while (end < last && count < most) {
+                const int until = last < end_of_piece ? last : end_of_piece;
+                if (count > 0 && segment[count - 1].piece == piece && segment[count - 1].owner == owner)
+                    segment[count - 1].last = until;
+                else
+                    segment[count++] = {end, until, (short)owner, (short)piece, -1};
+                end = until;
+                if (end == end_of_piece) {
+                    ++piece;
+                    end_of_piece += length;
+                }
+            }
+        };
+        for (int k = 0; k < colors; ++k) {
+            const int blocks = ends[k + 1] - ends[k];
+            if (blocks == 0) continue;
+            const int fixed = team->split[k] < blocks ? team->split[k] : blocks;
+            for (int p = 1; p <= size; ++p) give(p - 1, (ends[k] + (int)((long long)fixed * p / size)) * per_block);
+            for (int p = 1; p <= size; ++p)
+                give(p - 1, (ends[k] + fixed + (int)((long long)(blocks - fixed) * p / size)) * per_block);
+        }
+        made->count = end == behind ? give_turns(*made, count, size, (behind - begin) / (8 * size)) : 0;
+    }
+    // Turns of segments: those of a piece one after the other, and of each thread as many in a turn as the longest that
+    // any has to take, or some items. The number of segments, or 0 where they take too many turns.
+    static int give_turns(Plan& plan, int count, int size, int some) {
+        Plan::Segment* const segment = plan.segment;
+        int turn = 0;
+        auto items = [&](int k) { return segment[k].last - segment[k].first; };
+        auto is_ready = [&](int k, int p) {
+            if (segment[k].turn >= 0 || segment[k].owner != p) return false;
+            if (k == 0 || segment[k - 1].piece != segment[k].piece) return true;
+            return segment[k - 1].turn >= 0 && segment[k - 1].turn < turn;
+        };
+        for (int left = count; left > 0; ++turn) {
+            if (turn == MOST_PHASES) return 0;
+            int enough = some;
+            for (int p = 0; p < size; ++p)
+                for (int k = 0; k < count; ++k)
+                    if (is_ready(k, p)) {
+                        if (items(k) > enough) enough = items(k);
+                        break;
+                    }
+            for (int p = 0; p < size; ++p) {
+                int taken = 0;
+                for (int k = 0; k < count; ++k) {
+                    if (!is_ready(k, p) || taken + items(k) > enough) continue;
+                    segment[k].turn = (short)turn;
+                    taken += items(k);
+                    --left;
+                }
+            }
+        }
+        plan.turns = turn;
+        return count;
     }
     // Take part in the open job unless it is the one of the given number; the number of the latest. What it reads lies
     // on the leader's stack, and is only what it was where the job is open afterwards.

@@ -15,33 +15,39 @@ auto take_range = [=](wp::uint64 address, int i0, int i1, int least, auto part) 
         part(i0, i1);
         return;
     }
-    Phases phases;
-    phases.first[0] = 0;
-    phases.add((i1 - i0 + LANES - 1) / LANES, team->size, least / LANES);
-    take_phases(team, phases, [=](int first, int last) {
-        const int end = i0 + last * LANES;
-        part(i0 + first * LANES, end < i1 ? end : i1);
-        return 0.0;
-    });
+    auto share = [=]() __attribute__((noinline)) {
+        Phases phases;
+        phases.first[0] = 0;
+        phases.add((i1 - i0 + LANES - 1) / LANES, team->size, least / LANES);
+        take_phases(team, phases, [=](int first, int last) {
+            const int end = i0 + last * LANES;
+            part(i0 + first * LANES, end < i1 ? end : i1);
+            return 0.0;
+        });
+    };
+    share();
 };
 // Sum of what `part` gives for shares of i0 .. i1, one a thread, of `least` items or more: its order must not matter.
 auto add_range = [=](wp::uint64 address, int i0, int i1, int least, auto part) {
     Team* const team = (Team*)address;
     if (i1 - i0 < 2 * least || !is_helped(team)) return part(i0, i1);
-    const int size = team->size;
-    decltype(part(i0, i1)) sums[SEATS];
-    auto* const to = sums;
-    Phases phases;
-    phases.first[0] = 0;
-    phases.add(size, size, 1);
-    take_phases(team, phases, [=](int first, int last) {
-        const long long items = i1 - i0;
-        for (int p = first; p < last; ++p)
-            to[p] = part(i0 + (int)(items * p / size), i0 + (int)(items * (p + 1) / size));
-        return 0.0;
-    });
-    for (int p = 1; p < size; ++p) sums[0] += sums[p];
-    return sums[0];
+    auto share = [=]() __attribute__((noinline)) {
+        const int size = team->size;
+        decltype(part(i0, i1)) sums[SEATS];
+        auto* const to = sums;
+        Phases phases;
+        phases.first[0] = 0;
+        phases.add(size, size, 1);
+        take_phases(team, phases, [=](int first, int last) {
+            const long long items = i1 - i0;
+            for (int p = first; p < last; ++p)
+                to[p] = part(i0 + (int)(items * p / size), i0 + (int)(items * (p + 1) / size));
+            return 0.0;
+        });
+        for (int p = 1; p < size; ++p) sums[0] += sums[p];
+        return sums[0];
+    };
+    return share();
 };
 // Sum of what `part` counts of the blocks of a world's rows, given where its colours end: a thread takes that share of
 // each colour which it sweeps, and has in its caches.
@@ -49,34 +55,42 @@ auto count_blocks = [=](wp::uint64 address, const int* ends, auto part) -> long 
     Team* const team = (Team*)address;
     const int few = 128;  // blocks: 1 us
     if (ends[COLORS] - ends[0] < few || !is_helped(team)) return part(ends[0], ends[COLORS]);
-    const int size = team->size;
-    long long counts[SEATS];
-    auto* const to = counts;
-    Phases phases;
-    phases.first[0] = 0;
-    phases.add(size, size, 1);
-    take_phases(team, phases, [=](int first, int last) {
-        for (int p = first; p < last; ++p) {
-            long long count = 0;
-            for (int k = 0; k < COLORS; ++k) {
-                if (ends[k] == ends[k + 1]) continue;
-                const Share share(ends[k], ends[k + 1] - ends[k], team->split[k], p, size);
-                for (int i = 0; i < 2; ++i)
-                    if (share.first[i] < share.last[i]) count += part(share.first[i], share.last[i]);
+    // compiled once, not wherever the function is called
+    auto share = [=]() __attribute__((noinline)) {
+        const int size = team->size;
+        long long counts[SEATS];
+        auto* const to = counts;
+        Phases phases;
+        phases.first[0] = 0;
+        phases.add(size, size, 1);
+        take_phases(team, phases, [=](int first, int last) {
+            for (int p = first; p < last; ++p) {
+                long long count = 0;
+                for (int k = 0; k < COLORS; ++k) {
+                    if (ends[k] == ends[k + 1]) continue;
+                    const Share share(ends[k], ends[k + 1] - ends[k], team->split[k], p, size);
+                    for (int i = 0; i < 2; ++i)
+                        if (share.first[i] < share.last[i]) count += part(share.first[i], share.last[i]);
+                }
+                to[p] = count;
             }
-            to[p] = count;
-        }
-        return 0.0;
-    });
-    for (int p = 1; p < size; ++p) counts[0] += counts[p];
-    return counts[0];
+            return 0.0;
+        });
+        for (int p = 1; p < size; ++p) counts[0] += counts[p];
+        return counts[0];
+    };
+    return share();
 };
-// What `part` does to the numbers of a world's rows, two of each lane, shared in this way.
+// What `part` does to the numbers of a world's rows, two of each lane, shared in this way. It is compiled once, and not
+// wherever it is called: what calls it is only inlined itself, without copies of its groups, as long as it is short.
 auto take_rows = [=](wp::uint64 address, const int* ends, auto part) {
-    count_blocks(address, ends, [=](int first, int last) {
-        part(first * 2 * LANES, last * 2 * LANES);
-        return 0;
-    });
+    auto take = [=]() __attribute__((noinline)) {
+        count_blocks(address, ends, [=](int first, int last) {
+            part(first * 2 * LANES, last * 2 * LANES);
+            return 0;
+        });
+    };
+    take();
 };
 // How a range is cut into pieces whose sums are added in order: by its length alone, so that the bits do not depend on
 // who sums up. Items hold so many numbers each.
@@ -95,90 +109,64 @@ auto sum_range = [=](wp::uint64 address, int i0, int i1, int numbers, auto part)
     Team* const team = (Team*)address;
     const Pieces pieces(i0, i1, numbers);
     if (pieces.count <= 1) return part(i0, i1);
-    decltype(part(i0, i1)) sums[MOST_SUMS];
-    auto* const to = sums;
-    auto some = [=](int first, int last) {
-        for (int k = first; k < last; ++k) to[k] = part(pieces.begin(k), pieces.end(k));
-        return 0.0;
+    auto share = [=]() __attribute__((noinline)) {
+        decltype(part(i0, i1)) sums[MOST_SUMS];
+        auto* const to = sums;
+        auto some = [=](int first, int last) {
+            for (int k = first; k < last; ++k) to[k] = part(pieces.begin(k), pieces.end(k));
+            return 0.0;
+        };
+        if (team) {
+            Phases phases;
+            phases.first[0] = 0;
+            phases.add(pieces.count, team->size, 1);
+            take_phases(team, phases, some);
+        } else {
+            some(0, pieces.count);
+        }
+        for (int k = 1; k < pieces.count; ++k) sums[0] += sums[k];
+        return sums[0];
     };
-    if (team) {
-        Phases phases;
-        phases.first[0] = 0;
-        phases.add(pieces.count, team->size, 1);
-        take_phases(team, phases, some);
-    } else {
-        some(0, pieces.count);
-    }
-    for (int k = 1; k < pieces.count; ++k) sums[0] += sums[k];
-    return sums[0];
+    return share();
 };
 // Sum over the rows of a world's first colours, so many items a block, of what `part` makes of a sum and some items
 // behind those in it, from `none` on. A piece reaches across the shares of several threads, each of which takes what it
 // sweeps, and has in its caches: one goes on where another ended, in turns. What another core has written comes from
 // there at 5 to 20 ns a line, and would have to go back with the next sweep.
 auto sum_rows = [=](wp::uint64 address, const int* ends, int colors, int per_block, int numbers, auto none, auto part) {
-    Team* const team = (Team*)address;
-    const Pieces pieces(ends[0] * per_block, ends[colors] * per_block, numbers);
-    if (pieces.count <= 1) return part(pieces.i0, pieces.i1, none);
-    decltype(none) sums[MOST_SUMS];
-    auto* const to = sums;
-    struct Segment {
-        int first, last;
-        short owner, piece, turn;
-    };
-    const int most = 512, short_one = 32 * per_block, size = team ? team->size : 1;
-    Segment segments[most];
-    int count = 0, turns = 0;
-    bool helped = is_helped(team);
-    if (helped) {
-        int piece = 0, end = pieces.i0;         // of the pieces, and of what has an owner
-        auto give = [&](int owner, int last) {  // items up to the last to an owner; few to that of those before
-            if (count > 0 && last - end < short_one) owner = segments[count - 1].owner;
-            while (end < last && count < most) {
-                const int to_end = pieces.end(piece), until = last < to_end ? last : to_end;
-                Segment* const before =
-                    count > 0 && segments[count - 1].piece == piece ? &segments[count - 1] : nullptr;
-                if (before && before->owner == owner) {
-                    before->last = until;
-                } else {
-                    const int turn = before ? before->turn + 1 : 0;
-                    turns = turn < turns ? turns : turn + 1;
-                    segments[count++] = {end, until, (short)owner, (short)piece, (short)turn};
-                }
-                end = until;
-                piece += end == to_end;
+    auto sum_up = [=]() __attribute__((noinline)) {
+        const Pieces pieces(ends[0] * per_block, ends[colors] * per_block, numbers);
+        if (pieces.count <= 1) return part(pieces.i0, pieces.i1, none);
+        auto share = [=]() __attribute__((noinline)) {
+            Team* const team = (Team*)address;
+            decltype(none) sums[MOST_SUMS];
+            auto* const to = sums;
+            Plan plan;
+            if (is_helped(team)) team->plan(team, ends, colors, per_block, pieces.length, &plan);
+            if (plan.count > 0) {
+                const Plan* const made = &plan;
+                const int size = team->size;
+                Phases phases;
+                phases.first[0] = 0;
+                for (int k = 0; k < plan.turns; ++k) phases.add((k + 1) * size, size, 1);
+                take_phases(team, phases, [=](int first, int last) {
+                    for (int i = first; i < last; ++i)
+                        for (int k = 0; k < made->count; ++k) {
+                            const Plan::Segment& one = made->segment[k];
+                            if (one.owner != i % size || one.turn != i / size) continue;
+                            const bool begins = one.first == pieces.begin(one.piece);
+                            to[one.piece] = part(one.first, one.last, begins ? none : to[one.piece]);
+                        }
+                    return 0.0;
+                });
+            } else {
+                for (int k = 0; k < pieces.count; ++k) sums[k] = part(pieces.begin(k), pieces.end(k), none);
             }
+            for (int k = 1; k < pieces.count; ++k) sums[0] += sums[k];
+            return sums[0];
         };
-        for (int k = 0; k < colors; ++k) {
-            const int blocks = ends[k + 1] - ends[k];
-            if (blocks == 0) continue;
-            const int fixed = team->split[k] < blocks ? team->split[k] : blocks;
-            for (int p = 0; p < size; ++p) give(p, (ends[k] + (int)((long long)fixed * (p + 1) / size)) * per_block);
-            for (int p = 0; p < size; ++p) {
-                const int share = (int)((long long)(blocks - fixed) * (p + 1) / size);
-                give(p, (ends[k] + fixed + share) * per_block);
-            }
-        }
-        helped = count < most && turns <= MOST_PHASES;
-    }
-    if (helped) {
-        const Segment* const all = segments;
-        Phases phases;
-        phases.first[0] = 0;
-        for (int k = 0; k < turns; ++k) phases.add((k + 1) * size, size, 1);
-        take_phases(team, phases, [=](int first, int last) {
-            for (int i = first; i < last; ++i)
-                for (int k = 0; k < count; ++k) {
-                    const Segment& one = all[k];
-                    if (one.owner != i % size || one.turn != i / size) continue;
-                    to[one.piece] = part(one.first, one.last, one.turn == 0 ? none : to[one.piece]);
-                }
-            return 0.0;
-        });
-    } else {
-        for (int k = 0; k < pieces.count; ++k) sums[k] = part(pieces.begin(k), pieces.end(k), none);
-    }
-    for (int k = 1; k < pieces.count; ++k) sums[0] += sums[k];
-    return sums[0];
+        return share();
+    };
+    return sum_up();
 };
 #endif

@@ -9,17 +9,19 @@
 #if !defined(__CUDA_ARCH__)
 typedef unsigned long long Ticks;
 const int MOST_PHASES = 64;
+struct Plan;
 struct Team {
     // of the host (runtime/sequences.py), before any member comes
     void (*give_way)();       // lets another thread have the core
     void (*sleep)(unsigned);  // for as long as `nap`
     unsigned nap;             // its unit is that of the system
     int size;                 // parts of a phase: as many as threads, the leader among them
-    // what take_phases and is_helped call: compiled once (lead.h), not into every kernel that shares a loop
+    // what take_phases, is_helped and sum_rows call: compiled once (lead.h), not into every kernel that shares a loop
     double (*take)(Team*, const void*, double (*)(const void*, int, int), const void*);
     bool (*is_there)(Team*);
     int closed;  // not 0: no job is opened
-    char apart_of_host[20];
+    void (*plan)(Team*, const int*, int, int, int, Plan*);
+    char apart_of_host[8];
     // of the leader
     const void* phases;
     double (*part)(const void*, int, int);
@@ -55,6 +57,16 @@ struct Share {
             last[i] = begin + from + (int)(count * (p + 1) / parts);
         }
     }
+};
+// Who sums up what of the items of a world's rows, in order: which thread, into which piece's sum, in which turn of
+// that.
+struct Plan {
+    struct Segment {
+        int first, last;
+        short owner, piece, turn;
+    };
+    int count = 0, turns = 0;  // no segments: one thread sums up all
+    Segment segment[512];
 };
 struct Phases {
     int count = 0;
