@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import signal
@@ -85,6 +86,18 @@ def taichi_as_in_whole_steps(request):
     program = importlib.import_module("dc_kernels._taichi.runtime.program")
     with mock.patch.dict(program.OPTIONS, program.OF_LARGE):
         yield
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Any:
+    """Look for no garbage while tests are collected; later seldom, and not among what is there by then."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.set_threshold(10_000)
+        gc.enable()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
