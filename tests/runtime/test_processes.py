@@ -15,7 +15,7 @@ import dc_kernels as dc
 from dc_kernels.runtime import threads
 
 GRID = dc.Grid(rows=61, columns=61, spacing=0.25)
-POINTS = np.random.default_rng(0).uniform(0.0, 15.0, (200, 2))
+POINTS = np.random.default_rng(0).uniform(0.0, 15.0, (200, 2)).astype(np.float32)
 BUILD = """
 import dc_kernels as dc
 builder = dc.ModelBuilder()

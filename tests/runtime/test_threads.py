@@ -16,6 +16,7 @@ import warp as wp
 
 import dc_kernels as dc
 from dc_kernels import delassus
+from dc_kernels._warp.common import OPTIMIZATION
 from dc_kernels.learn.channels import OUTPUT
 from dc_kernels.learn.in_flight import SolveReader
 from dc_kernels.runtime import stepping, threads
@@ -29,7 +30,9 @@ import sys, threading
 import numpy as np
 import dc_kernels as dc
 from dc_kernels import delassus
+from dc_kernels._warp import common
 
+common.OPTIMIZATION.update(LEVELS)
 sys.setswitchinterval(1e-6)
 grid = dc.Grid(rows=16, columns=16, spacing=0.5)
 points = np.random.default_rng(0).uniform(1.0, 6.0, (60, 2))
@@ -95,7 +98,8 @@ def on_a_thread(function, seconds=20.0):
 
 def test_the_first_use_may_come_from_many_threads():
     """Defined, hashed, compiled and loaded without a lock, kernels crash the process."""
-    found = subprocess.run([sys.executable, "-c", FIRST_USE], capture_output=True, text=True, check=False, timeout=300)
+    code = FIRST_USE.replace("LEVELS", repr(OPTIMIZATION))
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=300)
     assert found.returncode == 0, found.stderr
     assert found.stdout == "same bits\n"
 
