@@ -252,8 +252,9 @@ def test_adjoints_match_differences(operators, quantity, dim):
         def themselves(points, *rest, kernel=kernel):
             return operators.sph_sum_torch(points, points, *rest, 0.6, kernel=kernel, quantity=quantity)
 
-        assert torch.autograd.gradcheck(apart, (queries, *rest), rtol=1e-6, atol=1e-6)
-        assert torch.autograd.gradcheck(themselves, tuple(rest), rtol=1e-6, atol=1e-6)
+        # along a direction of random numbers, which no wrong number of the Jacobian passes unseen
+        assert torch.autograd.gradcheck(apart, (queries, *rest), rtol=1e-6, atol=1e-6, fast_mode=True)
+        assert torch.autograd.gradcheck(themselves, tuple(rest), rtol=1e-6, atol=1e-6, fast_mode=True)
 
 
 @every
