@@ -17,12 +17,14 @@ from dc_kernels.solve.rows import COLUMNS, JOINTED, OWN, SURFACED
 ARCHITECTURE = 75  # the oldest that Warp supports here; its code for others differs in a few lines only
 OPTIONS = {
     "dtype": ("float32", "float64"),
-    "variant": ("discs", "joints", "surfaces"),  # in which each of the conditions on variants holds and does not
+    "variant": ("discs", "surfaces"),  # in which each of the conditions on variants holds and does not
     "only_discs": (False, True),
     "traits": (False, True),
     "dim": (2, 3),
 }
 """What the factories of kernels take, by parameter, and all its values."""
+ROWS = {"solve.position": ("discs", "joints", "surfaces")}
+"""Variants of the file with whose kernels those of a row are compiled, where one condition comes behind another."""
 CPU_ONLY = {
     *("splat_worlds", "divide_image", "gather_points", "gather_gradient", "count_tiles", "list_tiles", "splat_tiles"),
     *("bound_points", "sort_points", "sweep_pairs", "sweep_lists", "order_lists"),
@@ -53,6 +55,8 @@ def variants():
     for file, name, factory in factories():
         parameters = list(inspect.signature(factory).parameters)
         values = [OPTIONS[parameter] for parameter in parameters]
+        if file in ROWS:
+            values[parameters.index("variant")] = ROWS[file]
         if parameters == ["dtype"]:
             values = [OPTIONS["dtype"][:1]]
         count = max((len(choices) for choices in values), default=1)
