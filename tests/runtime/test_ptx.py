@@ -19,6 +19,7 @@ OPTIONS = {
     "dtype": ("float32", "float64"),
     "variant": ("discs", "surfaces"),  # in which each of the conditions on variants holds and does not
     "only_discs": (False, True),
+    "rolls": (False, True),
     "traits": (False, True),
     "dim": (2, 3),
 }
