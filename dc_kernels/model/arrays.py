@@ -432,6 +432,6 @@ class Contacts(ArrayGroup):
 
     table = CONTACTS
 
-    def __init__(self, sizes: Mapping[str, int], *memory: Any) -> None:
+    def __init__(self, sizes: Mapping[str, int], dtype: Any, device: str = "cpu", backend: str = "warp") -> None:
         """Allocate (see ``ArrayGroup``); none resists rolling unless ``sizes`` has that axis too."""
-        super().__init__({ROLLING: 0, **sizes}, *memory)
+        super().__init__({ROLLING: 0, **sizes}, dtype, device, backend)
