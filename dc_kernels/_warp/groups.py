@@ -178,7 +178,8 @@ _templates: dict[tuple[int, Plan], _Template] = {}
 def _template(struct: Any, arrays: Any, plan: Plan) -> _Template:
     """The struct of a group with arrays of these sizes: those of equal worlds differ in nothing but addresses."""
     key = id(struct), plan
-    if key not in _templates:
+    template = _templates.get(key)
+    if template is None:  # and not looked up again: another thread may have forgotten it meanwhile
         if len(_templates) >= PLANS:
             _templates.clear()
         blank, where = struct(), []
@@ -188,8 +189,8 @@ def _template(struct: Any, arrays: Any, plan: Plan) -> _Template:
             getattr(blank.__ctype__(), field).data = 0
             where.append((getattr(struct.ctype, field).offset + type(array).data.offset) // 8)
         kept = type(struct.key, (_Filled, struct.instance_type), {})
-        _templates[key] = _Template(bytes(blank.__ctype__()), _evenly(where), kept)
-    return _templates[key]
+        template = _templates[key] = _Template(bytes(blank.__ctype__()), _evenly(where), kept)
+    return template
 
 
 def _evenly(places: list[int]) -> slice | np.ndarray:

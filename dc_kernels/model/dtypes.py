@@ -212,15 +212,16 @@ def plan_of(
         axes = dict.fromkeys(axis for name in (table if names is None else names) for axis in table[name].axes)
         _axes[which] = table, tuple(axes)  # the table is kept, as its id is the key
     key = (*which, real, *map(sizes.__getitem__, _axes[which][1]))
-    if key not in _plans:
+    plan = _plans.get(key)
+    if plan is None:  # and not looked up again: another thread may have forgotten it meanwhile
         found, arrays = elements(table, real), {}
         for name in table if names is None else names:
             one = found[name]
             arrays[name] = (*(sizes[axis] for axis in one.axes), *one.shape), one.scalar
         if len(_plans) >= PLANS:
             _plans.clear()
-        _plans[key] = Plan(arrays)
-    return _plans[key]
+        plan = _plans[key] = Plan(arrays)
+    return plan
 
 
 def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:

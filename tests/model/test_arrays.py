@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import dc_kernels as dc
+from dc_kernels._warp import groups
+from dc_kernels.model import dtypes
 from dc_kernels.model.arrays import State
 from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import aligned_zeros, float_dtype
@@ -197,3 +199,21 @@ def test_zeros_are_aligned_and_values_contiguous():
         assert not array.any()
     strided = np.arange(20.0)[::2]
     assert check_values("x", strided, (10,), np.dtype(np.float32)).flags.c_contiguous
+
+
+def test_layouts_that_another_thread_forgets_meanwhile_do_without(monkeypatch):
+    class Forgotten(dict):
+        """What is kept in it is gone at once, as if a thread that makes other scenes had cleared it."""
+
+        def __setitem__(self, key, value):
+            super().__setitem__(key, value)
+            self.clear()
+
+    for module, name in ((dtypes, "_plans"), (groups, "_templates")):
+        monkeypatch.setattr(module, name, Forgotten())
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, 0.0))
+    builder.add_disc(builder.add_body(velocity=(1.0, 0.0)), 0.5)
+    sim = dc.Simulation(*builder.finalize("float64"))
+    sim.run(10, 0.01)
+    np.testing.assert_allclose(sim.state.numpy("position"), [[0.1, 0.0]], rtol=1e-12)
