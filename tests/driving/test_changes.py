@@ -177,6 +177,30 @@ def test_what_may_be_assigned_acts_at_the_next_step(name):
     assert name == "origin" or of_worlds(sim, [0, 1]) != of_worlds(plain, [0, 1])
 
 
+def test_a_limit_beyond_the_other_is_refused_as_what_no_snapshot_would_bring_back():
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    wall, arm, weight = builder.add_body(type=dc.BodyType.STATIC), *builder.add_discs([(1.0, 0.0), (2.0, 0.0)], 0.2)
+    builder.add_revolute_joint(wall, arm, lower=-0.5, upper=0.5)
+    builder.add_distance_joint(arm, weight)
+    builder.add_revolute_joint(wall, weight)  # without limits, so that its fields of them mean nothing
+    sim = dc.Simulation(*builder.finalize("float64", backend="numpy"))
+    before = sim.joints.numpy("joint_lower").copy()
+    with pytest.raises(ValueError, match=r"joint_lower\[0\] is 1.0; it must be at most joint_upper"):
+        sim.joints.assign("joint_lower", [1.0, 0.0, 0.0])
+    with pytest.raises(
+        ValueError, match=r"joint_length\[1\] is 0.0; it must be finite and > 0, for the joint is rigid"
+    ):
+        sim.joints.assign("joint_length", [0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(sim.joints.numpy("joint_lower"), before)
+    assert sim.joints.numpy("joint_length")[1] == 1.0
+    sim.joints.assign("joint_upper", [2.0, 0.0, 0.0])
+    sim.joints.assign("joint_lower", [1.0, 1.0, 1.0])
+    assert sim.clone().joints.numpy("joint_lower")[0] == 1.0
+    sim.change_model(joint_lower=[-2.0, 0.0, 0.0], joint_upper=[-1.0, 1.0, 1.0])  # both beyond each other
+    assert sim.clone().joints.numpy("joint_upper")[0] == -1.0
+
+
 def test_coefficients_may_differ_from_now_on_and_be_alike_again():
     sim = simulation()
     sim.run(RUN, DT)

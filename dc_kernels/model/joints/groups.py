@@ -10,6 +10,7 @@ import numpy as np
 from dc_kernels.model.arrays import ArrayGroup
 from dc_kernels.model.enums import JointKind, JointPart
 from dc_kernels.model.fields import JOINTS, UNBOUNDED
+from dc_kernels.model.rules import refuse
 
 HELD = {
     JointKind.DISTANCE: 1,
@@ -54,6 +55,8 @@ COLUMNS = {
 }
 """Columns of a builder's table of joints, by the field of ``fields.JOINTS`` that they become."""
 WIDTH = 27
+EXTENTS = ("joint_length", "joint_lower", "joint_upper")
+"""Fields that are held to others, too (``check_extents``)."""
 
 
 def count_rows(kind: np.ndarray, parts: np.ndarray) -> np.ndarray:
@@ -62,6 +65,26 @@ def count_rows(kind: np.ndarray, parts: np.ndarray) -> np.ndarray:
     parts = np.asarray(parts, np.int64)
     single = sum((parts & int(part) != 0).astype(np.int64) for part in JointPart if part != JointPart.HOLD)
     return np.asarray(held * (parts & int(JointPart.HOLD) != 0) + single, np.int64)
+
+
+def check_extents(joints: Mapping[str, np.ndarray], label: str = "") -> None:
+    """Hold the lengths and limits of joints to what they are.
+
+    Args:
+        joints: arrays by name; those of ``EXTENTS``, and what kinds and parts they have.
+        label: stands before the names in an error.
+
+    Raises:
+        BrokenRule: for a rod of length 0 or less, or a lower limit above the upper one.
+    """
+    kind, parts = joints["joint_kind"], joints["joint_parts"]
+    held = parts & ~int(JointPart.ACROSS) == JointPart.HOLD
+    rod = (kind == JointKind.DISTANCE) & held & (joints["joint_frequency"] == 0)
+    length = joints["joint_length"]
+    refuse(f"{label}joint_length", length, rod & (length <= 0), "finite and > 0, for the joint is rigid")
+    lower, upper = joints["joint_lower"], joints["joint_upper"]
+    bounded = (parts & int(JointPart.LIMIT) != 0) | (kind == JointKind.GENERAL)
+    refuse(f"{label}joint_lower", lower, bounded & (lower > upper), "at most joint_upper")
 
 
 class JointOptions(TypedDict, total=False):
@@ -108,3 +131,21 @@ class Joints(ArrayGroup):
             self.fill("joint_collides", np.ones(count, np.int32))
             if rows == count:
                 self.fill("joint_row_start", np.arange(count + 1, dtype=np.int32))
+
+    def assign(self, name: str, values: Any) -> None:
+        """Copy values into a field; see ``ArrayGroup.assign``.
+
+        Raises:
+            ValueError: as there, and in joints that a simulation goes by for a rod of length 0 and a lower limit above
+                the upper one; where both limits move beyond each other, write the one first that moves away.
+        """
+        if not (self.fixed and name in EXTENTS):
+            super().assign(name, values)
+            return
+        before = self.numpy(name).copy()
+        super().assign(name, values)
+        try:
+            check_extents({one: self.numpy(one) for one in (*EXTENTS, "joint_kind", "joint_parts", "joint_frequency")})
+        except ValueError:
+            self.fill(name, before)
+            raise

@@ -8,9 +8,9 @@ import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup, Model, State
 from dc_kernels.model.dtypes import float_name, numpy_spec
-from dc_kernels.model.enums import BodyType, JointKind, JointPart, ShapeRole, ShapeType
+from dc_kernels.model.enums import BodyType, JointPart, ShapeRole, ShapeType
 from dc_kernels.model.fields import JOINTS, KEY_SHAPE_BITS, MODEL, STATE, TRAITS
-from dc_kernels.model.joints.groups import HELD, OPTIONAL, Joints, count_rows
+from dc_kernels.model.joints.groups import HELD, OPTIONAL, Joints, check_extents, count_rows
 from dc_kernels.model.rules import INVERSE_TOLERANCE, BrokenRule, Index, Start, refuse
 from dc_kernels.model.settings import WrongType, checker
 from dc_kernels.model.validate.arrays import Layout, check_field, check_start, parts_of, sane
@@ -240,17 +240,8 @@ def _check_parts(joints: Arrays, label: str) -> None:
     """Hold the parts of joints to their kinds, and lengths and limits to their parts."""
     kind, parts = joints["joint_kind"], joints["joint_parts"]
     optional = np.array([int(OPTIONAL.get(one, 0)) for one in HELD])[kind]
-    rod = (
-        (kind == JointKind.DISTANCE)
-        & (parts & ~int(JointPart.ACROSS) == JointPart.HOLD)
-        & (joints["joint_frequency"] == 0)
-    )
     parted = (parts | optional) == (int(JointPart.HOLD) | optional)
     across = parts & int(JointPart.ACROSS)
     parted &= (across == 0) | (parts == int(JointPart.HOLD) | across)
     refuse(f"{label}joint_parts", parts, ~parted | (parts == 0), "those that its kind has")
-    length = joints["joint_length"]
-    refuse(f"{label}joint_length", length, rod & (length <= 0), "finite and > 0, for the joint is rigid")
-    lower, upper = joints["joint_lower"], joints["joint_upper"]
-    bounded = (parts & int(JointPart.LIMIT) != 0) | (kind == JointKind.GENERAL)
-    refuse(f"{label}joint_lower", lower, bounded & (lower > upper), "at most joint_upper")
+    check_extents(joints, label)
