@@ -94,7 +94,7 @@ struct Lead {
         const Ticks time = now(), least = 16 * waited, most = 1024 * waited;
         if (time >= team.rest_until) {  // else in a job in which somebody was missed already
             const Ticks twice = 2 * team.rest < most ? 2 * team.rest : most;
-            const bool soon = time - team.rest_until < 4 * waited;
+            const bool soon = time - team.rest_until < least;
             team.rest = !soon ? waited : twice > least ? twice : least;
         }
         __atomic_store_n(&team.rest_until, time + team.rest, __ATOMIC_RELAXED);
