@@ -336,7 +336,7 @@ class ArrayGroup:
         element = elements(self.table, self.dtype)[name]
         shape = (*(self.sizes[axis] for axis in element.axes), *element.shape)
         array = check_values(name, values, shape, element.scalar)
-        if self.fixed and isinstance(rule, Number | Unit):  # nobody looks at it again
+        if (self.fixed or self.table is STATE) and isinstance(rule, Number | Unit):  # nobody looks at it again
             check_rule(name, array, rule)
         self.fill(name, array)
 
