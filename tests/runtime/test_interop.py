@@ -9,6 +9,7 @@ import warp as wp
 import dc_kernels as dc
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.transfer import gather, splat
+from tests.lending import Dlpack
 
 
 def test_arrays_of_warp_and_torch_are_read_where_they_lie():
@@ -43,29 +44,16 @@ def test_what_an_output_held_does_not_matter():
     np.testing.assert_array_equal(gather(image, points, grid, out=np.full_like(found, np.nan)), found)
 
 
-class Lent:
-    """An array that is known by DLPack alone."""
-
-    def __init__(self, array):
-        self.array = array
-
-    def __dlpack__(self, **options):
-        return self.array.__dlpack__(**options)
-
-    def __dlpack_device__(self):
-        return self.array.__dlpack_device__()
-
-
 def test_memory_that_numpy_cannot_show_is_named():
     torch = pytest.importorskip("torch")
     plain = torch.zeros(4, 2)
-    for odd in (plain.bfloat16(), plain.to_sparse(), torch._neg_view(plain), Lent(plain.bfloat16())):
+    for odd in (plain.bfloat16(), plain.to_sparse(), torch._neg_view(plain), Dlpack(plain.bfloat16())):
         with pytest.raises(TypeError, match="points is not plain numbers in memory: "):
             dc.NeighborSearch(odd, 0.1)
     with pytest.raises(TypeError, match="points is a MaskedArray; it must be a numpy array"):
         dc.NeighborSearch(np.ma.masked_array(np.zeros((4, 2)), np.eye(4, 2)), 0.1)
-    assert len(dc.NeighborSearch(Lent(plain), 0.1).points) == 4
-    early = Lent(wp.zeros(2, dtype=int, device="cpu"))
+    assert len(dc.NeighborSearch(Dlpack(plain), 0.1).points) == 4
+    early = Dlpack(wp.zeros(2, dtype=int, device="cpu"))
     with pytest.raises(ValueError, match=r"color is read-only \(by DLPack before 1\.0\? then give torch\.from_dlpack"):
         dc.color(np.zeros(2, np.int32), np.ones(2, np.int32), np.ones(2), color=early)
     color = torch.from_dlpack(early)

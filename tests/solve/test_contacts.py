@@ -13,6 +13,7 @@ from dc_kernels import delassus
 from dc_kernels.model.config import ACCELERATIONS
 from tests import backends
 from tests.interrupting import interrupted
+from tests.lending import Dlpack
 
 DT = 0.01
 
@@ -370,19 +371,6 @@ CONTACT_ARRAYS = (
     *("arm_a", "arm_b", "impulse", "color"),
 )
 BODY_ARRAYS = ("inv_mass", "inv_inertia", "velocity", "angular_velocity", "velocity_before", "angular_velocity_before")
-
-
-class Dlpack:
-    """Memory of another library that speaks DLPack alone."""
-
-    def __init__(self, array):
-        self.array = array
-
-    def __dlpack__(self, **options):
-        return self.array.__dlpack__(**options)
-
-    def __dlpack_device__(self):
-        return self.array.__dlpack_device__()
 
 
 def as_torch(array):
