@@ -103,7 +103,7 @@ ROWS: Mapping[str, Row] = {
     "bridge": Row(
         "5 discs fall on a bridge of 30 planks", scenes.Bridge(), rest=50, steps=100, anew=True, still=False
     ),
-    "cars": Row("three cars on hills", scenes.Cars(), rest=100, steps=50, still=False),
+    "cars": Row("three cars on hills", scenes.Cars(), rest=100, steps=200, anew=True, still=False),
     "one_disc_run": Row("one disc, `run`", scenes.Thesis(bodies=1), rest=200, steps=2_000),
     "one_disc_step": Row("one disc, `step`", scenes.Thesis(bodies=1), rest=200, steps=2_000, stepwise=True),
     "ten_boxes_run": Row("10 boxes, `run`", scenes.Stack(), rest=200, steps=1_000),
