@@ -61,13 +61,15 @@ def check_scene(
             )
     key = key_of(model, joints)
     facts = None if key is None else facts_of(key)
+    right = facts is not None and is_known(state)
     if facts is None:
         _check_memory(model, "model")
-        _check_memory(state, "state")
         _check_memory(joints, "joints")
-        check_model(model.views(), backend=model.backend)
-    if facts is None or not is_known(state):
+    if not right:
         _check_memory(state, "state")
+    if facts is None:
+        check_model(model.views(), backend=model.backend)
+    if not right:
         offsets = {name: model.memory(name) for name in ("body_start", "shape_start", "joint_start", "mass")}
         check_state(state.views(), offsets, backend=model.backend)
     if facts is None:
