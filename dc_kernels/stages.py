@@ -56,7 +56,7 @@ STEP = (
     ),
     Stage(
         "collide", "match_contacts", "collide.match", (), ("model", "state", "motion", "cache"),
-        ("contacts", "joints"), "start impulses, colours and ages of contacts known from the step before",
+        ("contacts", "joints", "state"), "start impulses, colours and ages of contacts known from the step before",
     ),
     Stage(
         "collide", "color_constraints", "collide.color", (), ("model", "state"), ("contacts", "joints", "rows"),
@@ -186,7 +186,7 @@ LINKED = (
         "pairs without those of bodies that a joint keeps from colliding", "a scene whose joints let all collide",
     ),
     Stage(
-        "collide", "make_joint_rows", "solve.joints", (), ("model", "state", "joints"), ("motion", "rows"),
+        "collide", "make_joint_rows", "solve.joints", (), ("model", "state", "joints"), ("motion", "rows", "state"),
         "rows of the joints, by their kinds", "a scene whose joints are all rods",
     ),
     Stage(

@@ -39,6 +39,7 @@ KEY_FEATURE_BITS = 16
 COLORS = 64  # colours of the contact graph: bits of a mask; the last one is the serial overflow colour
 COLOR = Number(-1, COLORS - 1)  # -1: none yet
 AGE = Number(0, 2**31 - 2)  # a step adds one
+LAST_STEP = replace(TIME_STEP, zero=True)  # 0: before the first
 ALL_FLAGS = int(~Flag.NONE)
 ALL_PARTS = int(~JointPart.NONE)
 UNBOUNDED = 1e30
@@ -67,10 +68,10 @@ class Field:
 
     @functools.cached_property
     def points(self) -> bool:
-        """Whether a kernel goes by the values to places in memory, so that a wrong one crashes the process."""
+        """Whether the values are not to be written to: kernels go by them to places in memory, or record a step."""
         if isinstance(self.rule, Start | Index) or self.rule is COLOR or self.rule == Code(ShapeType):
             return True
-        return self.rule is COUNT
+        return self.rule is COUNT or self.rule is LAST_STEP
 
     @functools.cached_property
     def axes(self) -> tuple[str, ...]:
@@ -154,14 +155,7 @@ STATE = field_table(
 CONTACTS = field_table(
     ("contact_start", "world+1", "int32", "1", "first reserved slot of each world", Start("contact")),
     ("contact_count", "world", "int32", "1", "contacts in slots from contact_start, sorted by key", COUNT),
-    (
-        "contact_dt",
-        "world",
-        "real",
-        "s",
-        "time step of the impulses, 0 before the first",
-        replace(TIME_STEP, zero=True),
-    ),
+    ("contact_dt", "world", "real", "s", "time step of the impulses, 0 before the first", LAST_STEP),
     ("key", "contact", "int64", "1", "shape A, shape B, feature: the same in each step", Ascending()),
     ("body_a", "contact", "int32", "1", "body A", Index("body")),
     ("body_b", "contact", "int32", "1", "body B", Index("body")),

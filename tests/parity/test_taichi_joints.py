@@ -81,3 +81,8 @@ def test_joints_of_all_kinds_have_the_bits_of_warp() -> None:
         assert (taichi.rows.numpy("tree_used") == warp.rows.numpy("tree_used")).all()
     assert set(warp.rows.numpy("tree_used") > 0) == {False, True}
     assert warp.joints.numpy("joint_broken").sum() == 1
+    for sim in sims:  # a motor's speed, and the velocity of what is static, which nothing moves by
+        sim.joints.numpy("joint_speed")[7] = float("nan")
+        sim.state.worlds("velocity")[2][0, 0] = float("inf")
+        sim.collide(DT)
+        assert sim.state.numpy("flags").tolist() == [dc.Flag.NONFINITE, 0, dc.Flag.NONFINITE]

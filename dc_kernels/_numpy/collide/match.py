@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from dc_kernels._numpy.common import Kernels
+from dc_kernels.model.enums import Flag
 
 
 def kernels(dtype: str) -> Kernels:
@@ -49,5 +52,6 @@ def match_contacts(
             )
     first_row = joints.joint_row_start[model.joint_start[w]]
     last_row = joints.joint_row_start[model.joint_start[w + 1]]
-    for k in range(first_row, last_row):
-        joints.joint_impulse[k] = cache.joint_impulse[k] * scale
+    joints.joint_impulse[first_row:last_row] = cache.joint_impulse[first_row:last_row] * scale
+    if not np.isfinite(joints.joint_impulse[first_row:last_row]).all():  # bounds of the rows may hide it
+        state.flags[w] = Flag.NONFINITE

@@ -76,7 +76,8 @@ def _predict(
             min(squares.max(initial=0.0), 16.0 * squares[dynamic].mean()) if dynamic.any() else squares.max(initial=0.0)
         )
         fastest = np.sqrt(most)  # of any body, but no more than four times the root mean square
-    if not np.isfinite(motion.predicted[bodies, :3]).all():
+    own = (motion.predicted[bodies, :3], state.velocity[bodies], state.angular_velocity[bodies])
+    if not all(np.isfinite(values).all() for values in (*own, state.time[w], model.origin[w])):
         state.flags[w] = Flag.NONFINITE
         return
     motion.reach[w] = max(

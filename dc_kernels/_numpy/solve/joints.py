@@ -16,7 +16,7 @@ from dc_kernels._numpy.solve.constraints.stretch import make_stretch_rows
 from dc_kernels._numpy.solve.constraints.target import make_target_rows
 from dc_kernels._numpy.solve.constraints.weld import make_weld_rows
 from dc_kernels._numpy.solve.constraints.wheel import make_wheel_rows
-from dc_kernels.model.enums import JointKind
+from dc_kernels.model.enums import Flag, JointKind, JointPart
 from dc_kernels.solve.joints import BRAKED, SMALL_TURN, STIFFNESS
 
 MAKERS = {
@@ -31,13 +31,25 @@ MAKERS = {
 }
 
 
+def numbers_of(j: int, joints: Any) -> list[Any]:
+    """The numbers of a joint that no velocity need follow from: bounds that are NaN are not passed."""
+    kind, parts = joints.joint_kind[j], joints.joint_parts[j]
+    names = ["length", "reference", "ratio", "damping_ratio"]
+    if parts & JointPart.MOTOR or kind in (JointKind.TARGET, JointKind.GENERAL):
+        names += ["speed", "strength"]
+    if parts & JointPart.LIMIT or kind == JointKind.GENERAL:
+        names += ["lower", "upper"]
+    return [getattr(joints, f"joint_{name}")[j] for name in names]
+
+
 def make_joint_rows(
     tid: int, launch: Any, config: Any, model: Any, state: Any, joints: Any, motion: Any, rows: Any
 ) -> None:
     """Rows of a world's joints; those of a joint that is broken, or whose bodies sleep, do nothing.
 
     Bodies that would swing within a step, as joints pull at their arms, have more inertia (Andrews et al. 2017);
-    those that turn far in it are braked.
+    those that turn far in it are braked. A world stops where a joint that does something has a number that is not
+    finite.
     """
     w = tid + launch.world_offset
     if state.flags[w]:
@@ -55,6 +67,9 @@ def make_joint_rows(
                 else:
                     ends.rest()
         else:
+            if not np.isfinite(numbers_of(j, joints)).all():
+                state.flags[w] = Flag.NONFINITE
+                return
             MAKERS[JointKind(joints.joint_kind[j])](j, joints, ends)
         if launch.resume:
             continue

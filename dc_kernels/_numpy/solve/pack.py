@@ -87,6 +87,8 @@ def kernels(dtype: str, variant: str) -> Kernels:
             squares += row.square
         for j in own_joints:
             row = make_distance_row(j, w, config, model, state, motion, joints)
+            if not np.isfinite(row.gap):
+                state.flags[w] = Flag.NONFINITE
             rows.joint_slot[j] = place(joints.joint_color[j], row)
             squares += row.square
         for k in own_rows:

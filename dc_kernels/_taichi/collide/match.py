@@ -6,8 +6,10 @@ from typing import Any
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.runtime.kernels import kernel
+from dc_kernels.model.enums import Flag
 
 AT_ONCE = 8
+NONFINITE = int(Flag.NONFINITE)
 
 
 @cache
@@ -77,7 +79,12 @@ def kernels(dtype: str) -> dict[str, Any]:
             match_keys(start, start + contacts.contact_count[w], start + cache.count[w], scale, contacts, cache)
             first_row = joints.joint_row_start[model.joint_start[w]]
             last_row = joints.joint_row_start[model.joint_start[w + 1]]
+            check = real(0.0)  # x - x is 0 for a finite x, NaN for inf and NaN; bounds of the rows may hide both
             for k in range(first_row, last_row):
-                joints.joint_impulse[k] = cache.joint_impulse[k] * scale
+                x = cache.joint_impulse[k] * scale
+                joints.joint_impulse[k] = x
+                check += x - x
+            if not (check == 0.0):
+                state.flags[w] = NONFINITE
 
     return {"match_contacts": match_contacts}

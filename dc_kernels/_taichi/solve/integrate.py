@@ -81,6 +81,10 @@ def kernels(dtype: str, traits: bool = False) -> dict[str, Any]:
                     p = moved(b, g, dt, m, model, state)
                 elif kind != STATIC:
                     p = vec4(state.velocity[b][0], state.velocity[b][1], state.angular_velocity[b], 0.0)
+                else:  # what hits it looks at its velocity, which stays what was written
+                    v = state.velocity[b]
+                    spin = state.angular_velocity[b]
+                    check += (v[0] - v[0]) + (v[1] - v[1]) + (spin - spin)
                 motion.predicted[b] = p
                 check += (p[0] - p[0]) + (p[1] - p[1]) + (p[2] - p[2])
                 square = p[0] * p[0] + p[1] * p[1]
@@ -88,7 +92,10 @@ def kernels(dtype: str, traits: bool = False) -> dict[str, Any]:
                 if kind == DYNAMIC:
                     squares += square
                     moving += 1
-            if not (check == 0.0):
+            now = state.time[w]
+            origin = model.origin[w]
+            far = (now - now) + (origin[0] - origin[0]) + (origin[1] - origin[1])
+            if not (check == 0.0 and far == 0.0):
                 state.flags[w] = NONFINITE
             else:
                 if moving > 0:

@@ -15,7 +15,7 @@ from dc_kernels._taichi.solve.constraints.stretch import stretch_rows
 from dc_kernels._taichi.solve.constraints.target import target_rows
 from dc_kernels._taichi.solve.constraints.weld import weld_rows
 from dc_kernels._taichi.solve.constraints.wheel import wheel_rows
-from dc_kernels.model.enums import JointKind
+from dc_kernels.model.enums import Flag, JointKind, JointPart
 from dc_kernels.solve.joints import BRAKED, SMALL_TURN, STIFFNESS
 
 DISTANCE = int(JointKind.DISTANCE)
@@ -25,6 +25,10 @@ WELD = int(JointKind.WELD)
 WHEEL = int(JointKind.WHEEL)
 TARGET = int(JointKind.TARGET)
 GEAR = int(JointKind.GEAR)
+GENERAL = int(JointKind.GENERAL)
+DRIVES = int(JointPart.MOTOR)
+ENDS = int(JointPart.LIMIT)
+NONFINITE = int(Flag.NONFINITE)
 BROKEN = 1
 SMALL_SQUARE = SMALL_TURN * SMALL_TURN
 
@@ -33,6 +37,7 @@ SMALL_SQUARE = SMALL_TURN * SMALL_TURN
 def kernels(dtype: str) -> dict[str, Any]:
     """``make_joint_rows`` and ``break_joints``; one thread a world."""
     t = group_types(dtype)
+    real = t.real
     ends = end_functions(dtype)
     ends_of, idle, rest = ends.ends_of, ends.idle, ends.rest
     make_stretch_rows = stretch_rows(dtype)
@@ -43,6 +48,23 @@ def kernels(dtype: str) -> dict[str, Any]:
     make_target_rows = target_rows(dtype)
     make_gear_rows = gear_rows(dtype)
     make_general_rows = general_rows(dtype)
+
+    @ti.func
+    def lost(x):
+        """0 of a finite number, NaN of inf and NaN."""
+        return x - x
+
+    @ti.func
+    def unsound(j, kind, joints: t.Joints):
+        """0 where the numbers of joint j are finite that no velocity follows from, as bounds are not passed; or NaN."""
+        check = lost(joints.joint_length[j]) + lost(joints.joint_reference[j])
+        check += lost(joints.joint_ratio[j]) + lost(joints.joint_damping_ratio[j])
+        parts = joints.joint_parts[j]
+        if (parts & DRIVES) != 0 or kind == TARGET or kind == GENERAL:
+            check += lost(joints.joint_speed[j]) + lost(joints.joint_strength[j])
+        if (parts & ENDS) != 0 or kind == GENERAL:
+            check += lost(joints.joint_lower[j]) + lost(joints.joint_upper[j])
+        return check
 
     @ti.func
     def force_of(j, joints: t.Joints, rows: t.Rows):
@@ -80,18 +102,22 @@ def kernels(dtype: str) -> dict[str, Any]:
         A body that the joints pull at turns back as a pendulum does, with the stiffness r . f (Tournier et al. 2015).
         Where it would swing to and fro within a step, which explicit directions of the forces do not bear, all rows
         meet as much inertia as makes it swing in STIFF steps a radian (Andrews et al. 2017); what is pulled at far more
-        than it resists by itself, and turns by SMALL_TURN in a step, is braked.
+        than it resists by itself, and turns by SMALL_TURN in a step, is braked. A world stops where a joint that does
+        something has a number that is not finite.
         """
         w = tid + launch.world_offset
         if state.flags[w] == 0:
             for body in range(model.body_start[w], model.body_start[w + 1]):
                 rows.stiff_inertia[body] = 0.0
+            check = real(0.0)
             for j in range(model.joint_start[w], model.joint_start[w + 1]):
                 a = joints.joint_body_a[j]
                 b = joints.joint_body_b[j]
                 kind = joints.joint_kind[j]
                 asleep = ti.min(motion.predicted[a][3], motion.predicted[b][3]) < 0.0
                 e = ends_of(j, w, config, model, state, motion, joints)
+                if not asleep and joints.joint_broken[j] != BROKEN:
+                    check += unsound(j, kind, joints)
                 if joints.joint_broken[j] == BROKEN:
                     for k in range(joints.joint_row_start[j], joints.joint_row_start[j + 1]):
                         idle(k, e, rows)
@@ -115,6 +141,8 @@ def kernels(dtype: str) -> dict[str, Any]:
                 else:
                     make_general_rows(j, e, joints, rows)
                 stiffen(j, e, joints, rows)
+            if not (check == 0.0):
+                state.flags[w] = NONFINITE
             for body in range(model.body_start[w], model.body_start[w + 1]):
                 own = model.inertia[body]
                 pulled = rows.stiff_inertia[body]

@@ -15,6 +15,7 @@ from dc_kernels.model.enums import Flag
 from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, SURFACED
 
 ROW_OVERFLOW = int(Flag.ROW_OVERFLOW)
+NONFINITE = int(Flag.NONFINITE)
 JACOBI = METHODS["jacobi"]
 INFINITY = float("inf")
 CHUNK = 256  # contacts whose places are found before the rows of any is made
@@ -230,6 +231,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                 if ti.static(jointed):
                     for j in range(rows.line_start[w], rows.line_start[w + 1]):
                         joint_row = make_distance_row(j, w, config, model, state, motion, joints)
+                        if not (joint_row.gap - joint_row.gap == 0.0):
+                            state.flags[w] = NONFINITE
                         if ti.static(own):
                             joint_row.direction_a = joint_row.normal
                             joint_row.most = INFINITY

@@ -9,6 +9,9 @@ import warp as wp
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.solve.ranges import ranges_code
+from dc_kernels.model.enums import Flag
+
+NONFINITE = wp.constant(int(Flag.NONFINITE))
 
 
 @cache
@@ -76,7 +79,12 @@ def kernels(dtype: str) -> dict[str, Any]:
         joint = model.joint_start[w]
         last_joint = model.joint_start[w + 1]
         if joint < last_joint:  # two loads less in a world without joints
+            check = real(0.0)  # x - x is 0 for a finite x, NaN for inf and NaN; bounds of the rows may hide both
             for k in range(joints.joint_row_start[joint], joints.joint_row_start[last_joint]):
-                joints.joint_impulse[k] = cache.joint_impulse[k] * scale
+                x = cache.joint_impulse[k] * scale
+                joints.joint_impulse[k] = x
+                check += x - x
+            if check != real(0.0):
+                state.flags[w] = NONFINITE
 
     return {"match_contacts": match_contacts}

@@ -17,7 +17,7 @@ from dc_kernels._warp.solve.constraints.target import target_rows
 from dc_kernels._warp.solve.constraints.weld import weld_rows
 from dc_kernels._warp.solve.constraints.wheel import wheel_rows
 from dc_kernels.model.config import METHODS
-from dc_kernels.model.enums import JointKind
+from dc_kernels.model.enums import Flag, JointKind, JointPart
 from dc_kernels.solve.joints import BRAKED, SMALL_TURN, STIFFNESS
 
 DISTANCE = wp.constant(int(JointKind.DISTANCE))
@@ -27,6 +27,10 @@ WELD = wp.constant(int(JointKind.WELD))
 WHEEL = wp.constant(int(JointKind.WHEEL))
 TARGET = wp.constant(int(JointKind.TARGET))
 GEAR = wp.constant(int(JointKind.GEAR))
+GENERAL = wp.constant(int(JointKind.GENERAL))
+DRIVES = wp.constant(int(JointPart.MOTOR))
+ENDS = wp.constant(int(JointPart.LIMIT))
+NONFINITE = wp.constant(int(Flag.NONFINITE))
 BROKEN = wp.constant(1)
 SUBSTEPS = wp.constant(METHODS["tgs_soft"])
 
@@ -49,6 +53,23 @@ def kernels(dtype: str) -> dict[str, Any]:
     make_target_rows = target_rows(dtype)
     make_gear_rows = gear_rows(dtype)
     make_general_rows = general_rows(dtype)
+
+    @wp.func(module=module)
+    def lost(x: real):
+        """0 of a finite number, NaN of inf and NaN."""
+        return x - x
+
+    @wp.func(module=module)
+    def unsound(j: int, kind: int, joints: t.Joints):
+        """0 where the numbers of joint j are finite that no velocity follows from, as bounds are not passed; or NaN."""
+        check = lost(joints.joint_length[j]) + lost(joints.joint_reference[j])
+        check += lost(joints.joint_ratio[j]) + lost(joints.joint_damping_ratio[j])
+        parts = joints.joint_parts[j]
+        if (parts & DRIVES) != 0 or kind == TARGET or kind == GENERAL:
+            check += lost(joints.joint_speed[j]) + lost(joints.joint_strength[j])
+        if (parts & ENDS) != 0 or kind == GENERAL:
+            check += lost(joints.joint_lower[j]) + lost(joints.joint_upper[j])
+        return check
 
     @wp.func(module=module)
     def stiffen(j: int, e: ends.Ends, stiff: real, joints: t.Joints, rows: t.Rows):
@@ -82,7 +103,8 @@ def kernels(dtype: str) -> dict[str, Any]:
         goes with the force, while the body keeps its spin, so the energy of what whirls to and fro would grow: of what
         is pulled at far more than it resists by itself, and turns by SMALL_TURN in a step, the spin is taken away.
 
-        In the midst of a solve with substeps (``launch.resume``) rows are made anew, and nothing else.
+        In the midst of a solve with substeps (``launch.resume``) rows are made anew, and nothing else. A world stops
+        where a joint that does something has a number that is not finite.
         """
         w = wp.tid() + launch.world_offset
         contiguous(model)
@@ -100,12 +122,15 @@ def kernels(dtype: str) -> dict[str, Any]:
         if launch.resume == 0:
             for body in range(model.body_start[w], model.body_start[w + 1]):
                 rows.stiff_inertia[body] = real(0.0)
+        check = real(0.0)
         for j in range(model.joint_start[w], model.joint_start[w + 1]):
             a = joints.joint_body_a[j]
             b = joints.joint_body_b[j]
             kind = joints.joint_kind[j]
             asleep = wp.min(motion.predicted[a][3], motion.predicted[b][3]) < real(0.0)
             e = ends_of(j, w, launch, config, model, state, motion, joints)
+            if not asleep and joints.joint_broken[j] != BROKEN:
+                check += unsound(j, kind, joints)
             if joints.joint_broken[j] == BROKEN:
                 for k in range(joints.joint_row_start[j], joints.joint_row_start[j + 1]):
                     idle(k, e, rows)
@@ -130,6 +155,9 @@ def kernels(dtype: str) -> dict[str, Any]:
                 make_general_rows(j, e, joints, rows)
             if launch.resume == 0:
                 stiffen(j, e, stiff, joints, rows)
+        if check != real(0.0):
+            state.flags[w] = NONFINITE
+            return
         if launch.resume > 0:
             return
         for body in range(model.body_start[w], model.body_start[w + 1]):

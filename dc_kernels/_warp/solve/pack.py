@@ -23,6 +23,7 @@ from dc_kernels.model.enums import Flag
 from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, OWN, ROLLING_COLOR, SERIAL_COLOR, SURFACED
 
 ROW_OVERFLOW = wp.constant(int(Flag.ROW_OVERFLOW))
+NONFINITE = wp.constant(int(Flag.NONFINITE))
 JACOBI = wp.constant(METHODS["jacobi"])
 N_COLORS = wp.constant(COLORS)
 N_LANES = wp.constant(LANES)
@@ -141,10 +142,14 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         if jacobi:
             count_rows(contacts, rows.body_rows, start, end)
         if wp.static(jointed):
+            check = real(0.0)  # x - x is 0 for a finite x, NaN for inf and NaN
             for j in range(rows.line_start[w], rows.line_start[w + 1]):
                 row = make_distance_row(j, w, config, model, state, motion, joints)
+                check += row.gap - row.gap
                 rows.joint_slot[j] = place(w, joints.joint_color[j], jacobi, between(row), rows)
                 scale += row.square
+            if check != real(0.0):
+                state.flags[w] = NONFINITE
         if wp.static(own):
             scale = make_jacobian_rows(w, wp.where(jacobi, 1, 0), scale, model, motion, rows)
         if wp.static(surfaced):

@@ -1,5 +1,5 @@
 // Velocities of the bodies b0 .. b1 of world w with forces and gravity applied, and their inverse masses, into
-// motion.predicted; how far contacts look ahead into motion.reach. Returns whether all are finite.
+// motion.predicted; how far contacts look ahead into motion.reach. Returns whether all are finite, and time and origin.
 // Parameters: w, b0, b1, config, model, state, motion, team. Macros: STATIC, DYNAMIC, TRAITS. Stands behind
 // runtime/ranges.h.
 const Real dt = motion.step_dt.data[w], gx = model.gravity.data[w][0], gy = model.gravity.data[w][1];
@@ -54,6 +54,9 @@ const Found found = add_range(team, b0, b1, 1024, [=](int first, int last) {
             x = velocity[2 * b];
             y = velocity[2 * b + 1];
             turn = spin[b];
+        } else {  // what hits it looks at its velocity, which stays what was written
+            const Real vx = velocity[2 * b], vy = velocity[2 * b + 1], s = spin[b];
+            of.check += (vx - vx) + (vy - vy) + (s - s);
         }
         Real* const to = predicted + 4 * b;
         to[0] = x;
@@ -66,7 +69,8 @@ const Found found = add_range(team, b0, b1, 1024, [=](int first, int last) {
     }
     return of;
 });
-if (found.check != 0) return false;
+const double time = state.time.data[w], left = model.origin.data[w][0], low = model.origin.data[w][1];
+if (found.check != 0 || (time - time) + (left - left) + (low - low) != 0) return false;
 const Real scale = model.length_scale.data[w], least = config.speculative * scale;
 const Real most = config.speculative_max * scale;
 Real way = wp::sqrt(found.fastest) * dt;
