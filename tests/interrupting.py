@@ -10,28 +10,58 @@ from collections.abc import Iterator
 import pytest
 
 DELAY = 0.1
+TICKS = os.sysconf("SC_CLK_TCK") if hasattr(os, "sysconf") else 100
+# what a process has worked in ticks of the system: a busy machine may not let it begin for longer than any delay
+SEND = """
+worked() { read -r line < /proc/PID/stat && set -- ${line##*) } && worked=$((${12} + ${13})); }
+worked && end=$((worked + TICKS)) && while worked && [ $worked -lt $end ]; do sleep 0.005; done || sleep DELAY
+echo $worked
+kill -NAME PID
+"""
 
 
 @contextlib.contextmanager
-def sent(name: str = "INT") -> Iterator[None]:
-    """Let another process signal this one while the block is at work."""
-    sender = subprocess.Popen(["sh", "-c", f"sleep {DELAY}; kill -{name} {os.getpid()}"])
-    try:
-        yield
-    finally:
-        sender.wait()
+def sent(name: str = "INT") -> Iterator[list[float]]:
+    """Let another process signal this one when it has worked on the block for a moment.
+
+    Yields what holds, after the block, how long this process had worked before it was signalled [s].
+    """
+    given = {"PID": os.getpid(), "TICKS": round(DELAY * TICKS), "DELAY": DELAY, "NAME": name}
+    script = SEND
+    for word, value in given.items():
+        script = script.replace(word, str(value))
+    worked: list[float] = []
+    pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(["sh", "-c", script], text=True, **pipe) as sender:
+        try:
+            yield worked
+        except KeyboardInterrupt:
+            text = sender.stdout.read().strip()
+            worked.append(int(text) / TICKS if text else time.process_time())
+            raise
+        finally:
+            sender.kill()  # where the block has ended by itself
 
 
 @contextlib.contextmanager
 def interrupted(within: float = 1.0) -> Iterator[None]:
-    """Interrupt the block, which must end by KeyboardInterrupt within that many seconds of work [s]."""
+    """Interrupt the block, which must end by KeyboardInterrupt within that many seconds of work [s].
+
+    It has to go on until then: ``work_on`` at its end makes it do so.
+    """
     # tests in the background of a shell would ignore Ctrl-C
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        begun, worked = time.perf_counter(), time.process_time()
-        with sent(), pytest.raises(KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt), sent() as worked:
             yield
-        # on a busy machine the process itself works for less time than passes, with several threads for more
-        assert min(time.perf_counter() - begun - DELAY, time.process_time() - worked) < within
+        # several threads may have worked meanwhile; how much time passed says nothing on a busy machine
+        assert time.process_time() - worked[0] < within
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def work_on(seconds: float = 10.0) -> None:
+    """Work for so long that an interrupt comes late, if it has not come before [s]."""
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        pass

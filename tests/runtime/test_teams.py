@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import threading
 import time
 
@@ -12,6 +11,7 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels.runtime import sequences, stepping, threads
+from tests.interrupting import interrupted
 
 STEPS = 4
 JOB, MEMBERS = 1, 2  # lines of a team's memory: the leader's, and that of the members
@@ -205,8 +205,7 @@ def test_an_interrupt_leaves_a_world_at_a_whole_step():
     """The helper has left when the caller goes on; the run goes on with the bits of one that was not interrupted."""
     alone, sim = heap(), heap(threads=2)
     alone.run(60, 0.01)
-    threading.Timer(0.05, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted():
         sim.run(100_000, 0.01)
     done = round(float(sim.state.numpy("time")[0]) / 0.01)
     assert done > 0
