@@ -474,7 +474,7 @@ def test_no_thread_is_left_at_work_after_an_interrupt(monkeypatch):
 
     def take_slowly(shard, rounds):
         if threading.current_thread() is first:
-            assert begun.wait(10.0)
+            assert begun.wait(200.0)
             raise KeyboardInterrupt
         begun.set()
         time.sleep(0.05)

@@ -208,9 +208,9 @@ def test_workers_give_the_same_batches(folder):
 def test_options_are_those_of_torch(folder):
     """What is given beside the states' own options reaches torch; batches do not depend on it."""
     options = {"batch_size": 32, "split": "validation", "stride": 5}
-    more = {"prefetch_factor": 3, "persistent_workers": False, "multiprocessing_context": "fork", "timeout": 60}
+    more = {"prefetch_factor": 3, "persistent_workers": False, "multiprocessing_context": "fork", "timeout": 280}
     made = loader(folder, num_workers=2, **more, **options)
-    assert (made.num_workers, made.prefetch_factor, made.persistent_workers, made.timeout) == (2, 3, False, 60)
+    assert (made.num_workers, made.prefetch_factor, made.persistent_workers, made.timeout) == (2, 3, False, 280)
     assert all(map(same, loader(folder, **options), made))
     assert loader(folder, pin_memory=True, **options).pin_memory
     with pytest.raises(TypeError, match="nonsense"):

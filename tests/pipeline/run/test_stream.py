@@ -113,7 +113,7 @@ def child(limit: int, out, steps: int, before: str = "") -> subprocess.Popen:
 @posix
 def test_a_full_disk_keeps_the_steps_so_far(tmp_path):
     process = child(400_000, tmp_path, 100_000)
-    _, text = process.communicate(timeout=120)
+    _, text = process.communicate(timeout=280)
     assert process.returncode == 2
     assert "Traceback" not in text and "trajectory.h5 holds the first " in text and "File too large" in text
     assert [path.name for path in tmp_path.iterdir()] == ["trajectory.h5"]
@@ -129,7 +129,7 @@ def test_a_full_disk_keeps_the_steps_so_far(tmp_path):
 def test_a_disk_without_room_leaves_the_old_file(tmp_path):
     (tmp_path / "trajectory.h5").write_text("old")
     process = child(2_000, tmp_path, 100)
-    _, text = process.communicate(timeout=120)
+    _, text = process.communicate(timeout=280)
     assert process.returncode == 2 and "Traceback" not in text
     assert "trajectory.h5 was not written: File too large; what was there before is whole" in text
     assert [path.name for path in tmp_path.iterdir()] == ["trajectory.h5"]
@@ -140,7 +140,7 @@ def test_a_disk_without_room_leaves_the_old_file(tmp_path):
 def test_a_kill_leaves_a_file_that_can_be_read(tmp_path):
     """Killed between two commits; the few changes of a commit within what is there take some 0.2 ms."""
     process = child(0, tmp_path, 10_000_000, KILL)
-    process.communicate(timeout=120)
+    process.communicate(timeout=280)
     assert process.returncode == -signal.SIGKILL
     (left,) = tmp_path.iterdir()
     assert re.fullmatch(r"\.trajectory\.\d+\.[0-9a-f]+\.partial\.h5", left.name)

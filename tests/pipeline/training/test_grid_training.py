@@ -6,7 +6,6 @@ import json
 import math
 import os
 import signal
-import socket
 import subprocess
 import sys
 from dataclasses import replace
@@ -283,19 +282,18 @@ def test_two_processes_train_as_one(data, tmp_path, undrawn):
     out.mkdir()
     script = tmp_path / "ranks.py"
     script.write_text(RANKS.replace("SETTINGS", repr(settings)))
-    # what torchrun sets, without its own import of torch: contactnet/test_contact_training.py has torchrun itself
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = str(free.getsockname()[1])
+    # what torchrun does, without its own import of torch: contactnet/test_contact_training.py has torchrun itself
+    meeting = torch.distributed.TCPStore("127.0.0.1", 0, is_master=True, wait_for_workers=False)
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), "WORLD_SIZE": "2"}
-    environment |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+    environment |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(meeting.port)}
+    environment |= {"TORCHELASTIC_USE_AGENT_STORE": "True", "TORCHELASTIC_RESTART_COUNT": "0"}
     command = [sys.executable, str(script), str(data), str(out)]
     ranks = [
         subprocess.Popen(command, env={**environment, "RANK": rank}, stderr=subprocess.PIPE, text=True) for rank in "01"
     ]
     try:
         for rank in ranks:
-            _, err = rank.communicate(timeout=120)
+            _, err = rank.communicate(timeout=280)
             assert rank.returncode == 0, err
     finally:
         for rank in ranks:
