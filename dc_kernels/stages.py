@@ -229,8 +229,9 @@ FOLLOWED = (
         "contacts without those of pairs that the motion of the step takes past each other", "without `continuous`",
     ),
     Stage(
-        "advance", "stop_short", "collide.continuous", (), ("model", "state", "joints", "motion", "pairs", "rows"),
-        ("motion",), "what would get deep into another goes up to there", "as `drop_missed`",
+        "advance", "stop_short", "collide.continuous", (),
+        ("model", "state", "joints", "motion", "contacts", "pairs", "rows"), ("motion",),
+        "what would get deep into another goes up to there", "as `drop_missed`",
     ),
 )  # fmt: skip
 """What continuous detection adds to the stages (see ``of_phase``)."""
@@ -262,13 +263,14 @@ BEFORE = {
     "match_rolling": "color_constraints",
     "screen_contacts": "color_constraints",
     "make_joint_rows": "color_constraints",
+    "show_switched": "commit",
     "stop_short": "commit",
     "break_joints": "commit",
-    "show_switched": "commit",
     "note_overlaps": "commit",
     "note_touches": "commit",
 }
 """Kernels of ``LINKED``, ``EVENTS``, ``SWITCHED``, ``FOLLOWED`` and ``ROLLED``, and those of a step that they precede;
+``stop_short`` looks for contacts that are off, so that it comes once they are shown;
 ``keep_rolling`` alone follows one, ``commit``."""
 NOTES = ("note_overlaps", "note_touches")
 """Kernels that look at the contacts of sleepers too, so that they run once these are shown."""

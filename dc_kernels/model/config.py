@@ -209,11 +209,6 @@ class SolverConfig(Settings):
                 f"SolverConfig.aitken_period_max is {self.aitken_period_max}; "
                 f"it must not be below aitken_period = {self.aitken_period}"
             )
-        if self.continuous and self.contact_switches:
-            raise ValueError(
-                "SolverConfig.continuous and contact_switches are both True; what switched contacts let through, "
-                "continuous detection would stop"
-            )
         if self.method == "jacobi" and self.acceleration == "sor" and self.omega > 1.0:
             raise ValueError(f"SolverConfig.omega is {self.omega}; Jacobi with mass splitting is proven only up to 1")
 

@@ -121,7 +121,16 @@ def kernels(dtype: str) -> Kernels:
         contacts.contact_count[w] = len(kept)
 
     def stop_short(
-        tid: int, launch: Any, config: Any, model: Any, state: Any, joints: Any, motion: Any, pairs: Any, rows: Any
+        tid: int,
+        launch: Any,
+        config: Any,
+        model: Any,
+        state: Any,
+        joints: Any,
+        motion: Any,
+        contacts: Any,
+        pairs: Any,
+        rows: Any,
     ) -> None:
         """Shorten the motion of bodies of a world that would get too deep into others in this step."""
         w = tid + launch.world_offset
@@ -142,6 +151,8 @@ def kernels(dtype: str) -> Kernels:
 
         def stop_pair(one: int, other: int, first: bool) -> None:
             a, b = min(one, other), max(one, other)
+            if (a, b) in off:
+                return
             if not may_meet(a, b, model, joints, rows):
                 return
             body_a, body_b = model.shape_body[[a, b]]
@@ -178,6 +189,7 @@ def kernels(dtype: str) -> Kernels:
                         again = again or shares[both[0]] != shares[both[1]]
                         shares[both] = shares[both].min()
 
+        off = pairs_off(w, model, contacts)
         # the share of its way after which each body stands still: now, and from the next round on
         ways[bodies, 3] = 1.0
         shares = ways[:, 3].copy()
@@ -197,6 +209,16 @@ def kernels(dtype: str) -> Kernels:
         ways[bodies, 3] = motion.predicted[bodies, 3]
 
     return {"drop_missed": drop_missed, "stop_short": stop_short}
+
+
+def pairs_off(w: int, model: Any, contacts: Any) -> set[tuple[int, int]]:
+    """Shapes, the lower one first, that have contacts of which none acts in this step."""
+    own = slice(contacts.contact_start[w], contacts.contact_start[w] + contacts.contact_count[w])
+    pair, acts = contacts.key[own] >> KEY_FEATURE_BITS, contacts.color[own] >= 0
+    off = set(pair[~acts].tolist()) - set(pair[acts].tolist())
+    shape0 = int(model.shape_start[w])
+    sides = ((shape0 + (one >> KEY_SHAPE_BITS), shape0 + one % 2**KEY_SHAPE_BITS) for one in off)
+    return {(min(two), max(two)) for two in sides}
 
 
 def size_of(model: Any, shape: int) -> Any:

@@ -18,6 +18,7 @@ from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 DISC = wp.constant(int(ShapeType.DISC))
 SEGMENT = wp.constant(int(ShapeType.SEGMENT))
 DYNAMIC = wp.constant(int(BodyType.DYNAMIC))
+STATIC = wp.constant(int(BodyType.STATIC))
 KINEMATIC = wp.constant(int(BodyType.KINEMATIC))
 SHIFT_A = wp.constant(wp.int64(KEY_SHAPE_BITS + KEY_FEATURE_BITS))
 SHIFT_B = wp.constant(wp.int64(KEY_FEATURE_BITS))
@@ -254,6 +255,41 @@ def kernels(dtype: str) -> dict[str, Any]:
         return True
 
     @wp.func(module=module)
+    def any_off(w: int, contacts: t.Contacts):
+        """Whether a contact of a world does not act in this step."""
+        start = contacts.contact_start[w]
+        for c in range(start, start + contacts.contact_count[w]):
+            if contacts.color[c] < 0:
+                return True
+        return False
+
+    @wp.func(module=module)
+    def is_off(one: int, other: int, w: int, model: t.Model, contacts: t.Contacts):
+        """Whether two shapes have contacts of which none acts in this step."""
+        shape0 = model.shape_start[w]
+        a = wp.int64(wp.min(one, other) - shape0)
+        b = wp.int64(wp.max(one, other) - shape0)
+        pair = a << (SHIFT_A - SHIFT_B) | b
+        if model.body_type[model.shape_body[wp.max(one, other)]] == STATIC:
+            pair = b << (SHIFT_A - SHIFT_B) | a
+        low = contacts.contact_start[w]
+        end = low + contacts.contact_count[w]
+        high = end
+        while low < high:
+            middle = (low + high) // 2
+            if contacts.key[middle] >> SHIFT_B < pair:
+                low = middle + 1
+            else:
+                high = middle
+        off = bool(False)
+        while low < end and contacts.key[low] >> SHIFT_B == pair:
+            if contacts.color[low] >= 0:
+                return False
+            off = True
+            low += 1
+        return off
+
+    @wp.func(module=module)
     def stop(body: int, time: real, model: t.Model, motion: t.Motion):
         """Let a dynamic body go no farther than to a time of the step, from the next round on."""
         v = motion.solved[body]
@@ -369,6 +405,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         state: t.State,
         joints: t.Joints,
         motion: t.Motion,
+        contacts: t.Contacts,
         pairs: t.Pairs,
         rows: t.Rows,
     ):
@@ -378,6 +415,7 @@ def kernels(dtype: str) -> dict[str, Any]:
         contiguous(state)
         contiguous(joints)
         contiguous(motion)
+        contiguous(contacts)
         contiguous(pairs)
         contiguous(rows)
         if state.flags[w] != 0:
@@ -394,6 +432,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             check += covered - covered
         if check != real(0.0) or real(2.0) * farthest <= real(HALF * DEEP) * config.slop * scale:
             return
+        some_off = any_off(w, contacts)
         # the share of its way after which each body stands still: now, and from the next round on
         for b in range(model.body_start[w], model.body_start[w + 1]):
             way = motion.displacement[b]
@@ -405,13 +444,15 @@ def kernels(dtype: str) -> dict[str, Any]:
         while found > 0 and rounds < N_ROUNDS:
             # by what all bodies do before the round, so that nothing depends on the order of the pairs
             for pair in range(pairs.start[w], pairs.start[w] + pairs.near_count[w]):
-                stop_pair(
-                    pairs.near_a[pair], pairs.near_b[pair], rounds, scale, config, model, state, joints, motion, rows
-                )
+                a = pairs.near_a[pair]
+                b = pairs.near_b[pair]
+                if not some_off or not is_off(a, b, w, model, contacts):
+                    stop_pair(a, b, rounds, scale, config, model, state, joints, motion, rows)
             for shape in range(first, last):
                 if leaves(shape, motion.step_dt[w], model, motion, pairs):
                     for other in range(first, last):
-                        stop_pair(shape, other, rounds, scale, config, model, state, joints, motion, rows)
+                        if not some_off or not is_off(shape, other, w, model, contacts):
+                            stop_pair(shape, other, rounds, scale, config, model, state, joints, motion, rows)
             stop_joined(w, model, joints, motion)
             found = stopped(w, model, motion)
             rounds += 1
