@@ -7,6 +7,7 @@ from typing import Any
 import warp as wp
 
 from dc_kernels._warp.collide.manifold import manifold_functions
+from dc_kernels._warp.collide.switches import off_functions
 from dc_kernels._warp.common import cross, kernel_module, rotate, rotate_back
 from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.native import native_code
@@ -18,7 +19,6 @@ from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 DISC = wp.constant(int(ShapeType.DISC))
 SEGMENT = wp.constant(int(ShapeType.SEGMENT))
 DYNAMIC = wp.constant(int(BodyType.DYNAMIC))
-STATIC = wp.constant(int(BodyType.STATIC))
 KINEMATIC = wp.constant(int(BodyType.KINEMATIC))
 SHIFT_A = wp.constant(wp.int64(KEY_SHAPE_BITS + KEY_FEATURE_BITS))
 SHIFT_B = wp.constant(wp.int64(KEY_FEATURE_BITS))
@@ -182,6 +182,8 @@ def kernels(dtype: str) -> dict[str, Any]:
     contiguous = contiguous_groups(dtype)
     courses = course_functions(dtype)
     Course, size_of, inner_radius = courses.Course, courses.size_of, courses.inner_radius
+    off = off_functions(dtype)
+    any_off, is_off = off.any_off, off.is_off
     linear, gap_at, meeting = courses.linear, courses.gap_at, courses.meeting
 
     @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype, ROLLS=False))
@@ -253,41 +255,6 @@ def kernels(dtype: str) -> dict[str, Any]:
                 if rows.apart_body[i] == body_b and joints.joint_broken[rows.apart_joint[i]] == 0:
                     return False
         return True
-
-    @wp.func(module=module)
-    def any_off(w: int, contacts: t.Contacts):
-        """Whether a contact of a world does not act in this step."""
-        start = contacts.contact_start[w]
-        for c in range(start, start + contacts.contact_count[w]):
-            if contacts.color[c] < 0:
-                return True
-        return False
-
-    @wp.func(module=module)
-    def is_off(one: int, other: int, w: int, model: t.Model, contacts: t.Contacts):
-        """Whether two shapes have contacts of which none acts in this step."""
-        shape0 = model.shape_start[w]
-        a = wp.int64(wp.min(one, other) - shape0)
-        b = wp.int64(wp.max(one, other) - shape0)
-        pair = a << (SHIFT_A - SHIFT_B) | b
-        if model.body_type[model.shape_body[wp.max(one, other)]] == STATIC:
-            pair = b << (SHIFT_A - SHIFT_B) | a
-        low = contacts.contact_start[w]
-        end = low + contacts.contact_count[w]
-        high = end
-        while low < high:
-            middle = (low + high) // 2
-            if contacts.key[middle] >> SHIFT_B < pair:
-                low = middle + 1
-            else:
-                high = middle
-        off = bool(False)
-        while low < end and contacts.key[low] >> SHIFT_B == pair:
-            if contacts.color[low] >= 0:
-                return False
-            off = True
-            low += 1
-        return off
 
     @wp.func(module=module)
     def stop(body: int, time: real, model: t.Model, motion: t.Motion):

@@ -1,6 +1,7 @@
 """Contacts that do not act: apart from the others while a step is made, and back among them at its end."""
 
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -10,14 +11,59 @@ from dc_kernels._warp.common import kernel_module, rotate
 from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.native import native_code
 from dc_kernels.collide.switches import ASIDE, SLOPS
-from dc_kernels.model.enums import ShapeRole
+from dc_kernels.model.enums import BodyType, ShapeRole
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 
 ONE_WAY = wp.constant(int(ShapeRole.ONE_WAY))
 ONE_SIDED = wp.constant(int(ShapeRole.ONE_SIDED))
+STATIC = wp.constant(int(BodyType.STATIC))
 SHIFT_A = wp.constant(wp.int64(KEY_SHAPE_BITS + KEY_FEATURE_BITS))
 SHIFT_B = wp.constant(wp.int64(KEY_FEATURE_BITS))
 SHAPE = wp.constant(wp.int64(2**KEY_SHAPE_BITS - 1))
+
+
+@cache
+def off_functions(dtype: str) -> SimpleNamespace:
+    """``any_off`` and ``is_off``: of a world, and of a pair of shapes, once the contacts that are off are shown."""
+    t = group_types(dtype)
+    module = kernel_module("continuous", dtype)
+
+    @wp.func(module=module)
+    def any_off(w: int, contacts: t.Contacts):
+        """Whether a contact of a world does not act in this step."""
+        start = contacts.contact_start[w]
+        for c in range(start, start + contacts.contact_count[w]):
+            if contacts.color[c] < 0:
+                return True
+        return False
+
+    @wp.func(module=module)
+    def is_off(one: int, other: int, w: int, model: t.Model, contacts: t.Contacts):
+        """Whether two shapes have contacts of which none acts in this step."""
+        shape0 = model.shape_start[w]
+        a = wp.int64(wp.min(one, other) - shape0)
+        b = wp.int64(wp.max(one, other) - shape0)
+        pair = a << (SHIFT_A - SHIFT_B) | b
+        if model.body_type[model.shape_body[wp.max(one, other)]] == STATIC:
+            pair = b << (SHIFT_A - SHIFT_B) | a
+        low = contacts.contact_start[w]
+        end = low + contacts.contact_count[w]
+        high = end
+        while low < high:
+            middle = (low + high) // 2
+            if contacts.key[middle] >> SHIFT_B < pair:
+                low = middle + 1
+            else:
+                high = middle
+        off = bool(False)
+        while low < end and contacts.key[low] >> SHIFT_B == pair:
+            if contacts.color[low] >= 0:
+                return False
+            off = True
+            low += 1
+        return off
+
+    return SimpleNamespace(any_off=any_off, is_off=is_off)
 
 
 @cache
