@@ -109,7 +109,8 @@ class SolverConfig(Settings):
     motion_tolerance: NotNegative = 0.02
     """With stop "motion" a sweep moves a contact that it changes the speed of, along the normal or the tangent, by more
     than this many slops a step, and more where ``motion_share`` says so. A solve ends when a sweep moves at most one
-    contact in ten, none by 50 times as much, and no row that holds a joint together by 5 times [slop/step]."""
+    contact in ten, none by 50 times as much, and no row that holds a joint together by 5 times, where its residual is
+    below 0.25 [slop/step]."""
     motion_share: NotNegative = 0.05
     """A change of speed counts as none, too, up to this share of what the contacts have changed the velocity of the
     faster body by in the step, beyond 1.5 times what gravity does: impacts are solved to five per cent [1]."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import dc_kernels as dc
+from dc_kernels.solve.iteration import ASKEW
 from dc_kernels.solve.rows import COLUMNS, LANES
 from pipeline.scenes import Thesis
 
@@ -147,6 +148,27 @@ def test_motion_ends_a_solve_where_few_contacts_still_move(schedule, preset):
             looked += 1
         sim.advance()
     assert looked > 5
+
+
+@pytest.mark.parametrize(("backend", "schedule"), [("warp", "world"), ("warp", "color"), ("numpy", "world")])
+def test_no_solve_ends_by_motion_far_from_its_solution(backend, schedule):
+    """A tower hits the floor: as the shock has to go up box by box, ten sweeps leave most of it unsolved."""
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, -9.8))
+    builder.add_box(builder.add_body((0.0, -1.0), type=dc.BodyType.STATIC), 50.0, 1.0)
+    for k in range(12):
+        builder.add_box(builder.add_body((0.0, k + 0.5), velocity=(0.0, -5.0)), 0.5, 0.5)
+    config = dc.SolverConfig(motion_tolerance=1e9, acceleration="none")  # any change of speed counts as none
+    sim = dc.Simulation(*builder.finalize("float64", backend=backend), config=config, schedule=schedule)
+    sim.collide(DT)
+    found = []
+    for most in (10, 1000):
+        sim.contacts.numpy("impulse")[...] = 0.0
+        sim.solve(replace(config, max_sweeps=most))
+        found.append((int(sim.stats.numpy("sweeps")[0]), float(sim.stats.numpy("residual")[0])))
+    (few, early), (sweeps, residual) = found
+    assert few == 10 and early > ASKEW
+    assert sweeps == 15 and residual < ASKEW
 
 
 def test_what_ends_a_solve_is_what_was_asked_for():

@@ -13,7 +13,7 @@ from dc_kernels._numpy.solve.row import Row, by_lane, jacobi_row, natural_map_ro
 from dc_kernels._numpy.solve.trees import Tree
 from dc_kernels.model.config import ACCELERATIONS, JOINT_SOLVERS, METHODS, STOPS
 from dc_kernels.model.fields import UNBOUNDED
-from dc_kernels.solve.iteration import APART, FALL, FAR, MOVING, NEVER, PAST
+from dc_kernels.solve.iteration import APART, ASKEW, FALL, FAR, MOVING, NEVER, PAST
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, OWN
 
 JACOBI = METHODS["jacobi"]
@@ -102,7 +102,7 @@ class World:
 
     @property
     def is_still(self) -> bool:
-        """Whether the last sweep has moved at most one row in MOVING, and none far."""
+        """Whether the last sweep has moved at most one row in MOVING, and none far, and the residual is not ASKEW."""
         config, motion, model, w = self.config, self.motion, self.model, self.w
         if self.rows.line_start[w + 1] > self.rows.line_start[w]:
             return False  # what a rod lacks shows as stretch: such a world is solved to the tolerances
@@ -119,7 +119,7 @@ class World:
                 return False
             moving += int(not (moved <= limit * mass).all())
             movable += int(mass[0] > 0)
-        return MOVING * moving <= movable and not self.lacks(APART)
+        return MOVING * moving <= movable and not self.lacks(APART) and bool(self.natural_map() < ASKEW)
 
     @property
     def still(self) -> Any:

@@ -12,7 +12,7 @@ from dc_kernels._taichi.solve.accelerate import POSTPONED, accelerate_functions,
 from dc_kernels._taichi.solve.ranges import range_functions
 from dc_kernels._taichi.solve.world import ANEW, BY_MOTION, BY_RESIDUAL, JACOBI, world_functions
 from dc_kernels.model.config import ACCELERATIONS
-from dc_kernels.solve.iteration import BEST, GROWTH, NEVER, RETREAT, Stretch
+from dc_kernels.solve.iteration import ASKEW, BEST, GROWTH, NEVER, RETREAT, Stretch
 
 AITKEN = ACCELERATIONS["aitken"]
 ADAPTIVE = ACCELERATIONS["adaptive"]
@@ -68,24 +68,30 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
                 motion.solved[b] = motion.summed[b]
 
     @ti.func
-    def asks_for_residual(sweeps, config: t.Config):
-        """Whether after so many sweeps the residual decides if the solve goes on."""
-        due = sweeps % config.residual_every == 0 or sweeps >= config.max_sweeps
-        return config.stop == BY_RESIDUAL and sweeps >= config.min_sweeps and due
+    def asks_for_residual(span, change, sweeps, config: t.Config, motion: t.Motion, rows: t.Rows):
+        """1 where after so many sweeps the residual decides if the solve goes on."""
+        asks = 0
+        due = sweeps % config.residual_every == 0
+        if sweeps < config.min_sweeps:
+            asks = 0
+        elif config.stop == BY_RESIDUAL:
+            asks = ti.cast(due or sweeps >= config.max_sweeps, ti.i32)
+        elif config.stop == BY_MOTION and due and not (change < span.bound):
+            asks = is_still(span, sweeps, config, motion, rows)
+        return asks
 
     @ti.func
-    def has_converged(span, change, residual, sweeps, config: t.Config, motion: t.Motion, rows: t.Rows):
+    def has_converged(span, change, residual, sweeps, config: t.Config):
         """1 where a sweep ends the solve: at the tolerance, by change, residual or motion, or at the cap."""
         done = 0
         if sweeps < config.min_sweeps:
             done = 0
         elif config.stop == BY_RESIDUAL:
-            if asks_for_residual(sweeps, config) and residual < span.bound:
-                done = 1
+            done = ti.cast(residual < span.bound, ti.i32)
         elif change < span.bound:
             done = 1
-        elif config.stop == BY_MOTION and sweeps % config.residual_every == 0:
-            done = is_still(span, sweeps, config, motion, rows)
+        elif config.stop == BY_MOTION:
+            done = ti.cast(residual < ASKEW, ti.i32)
         if sweeps >= config.max_sweeps:
             done = 1
         return done
@@ -141,8 +147,8 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         """Stop, pause or accelerate: ENDED when the world is done, PAUSES where it pauses; and what is to ``follow``.
 
         With ``anew`` 1 the sweeps go on below the cap, as trees of joints have just been found apart;
-        ``residual`` is looked at where ``asks_for_residual`` says so. A pause is due from ``pause_at`` sweeps on, where
-        the steps of the last two are known: with Aitken at the end of a period.
+        ``residual`` is huge where ``asks_for_residual`` did not ask for it. A pause is due from ``pause_at`` sweeps on,
+        where the steps of the last two are known: with Aitken at the end of a period.
         """
         follow = 0
         state = GOES_ON
@@ -152,7 +158,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         sweeps = it.sweeps + 1
         it.sweeps = sweeps
         it.change = change
-        it.finished = has_converged(span, change, residual, sweeps, config, motion, rows)
+        it.finished = has_converged(span, change, residual, sweeps, config)
         if anew == 1 and sweeps < config.max_sweeps:
             it.finished = 0
         if it.finished == 1 and config.acceleration == ADAPTIVE and it.stretch_method == MOMENTUM:

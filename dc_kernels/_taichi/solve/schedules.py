@@ -17,12 +17,13 @@ from dc_kernels._taichi.solve.iteration import GOES_ON, PAUSES, iteration_functi
 from dc_kernels._taichi.solve.position import position_kernels
 from dc_kernels._taichi.solve.ranges import range_functions
 from dc_kernels._taichi.solve.row import row_functions
-from dc_kernels._taichi.solve.world import ANEW, ENDS, JACOBI, world_functions
+from dc_kernels._taichi.solve.world import ANEW, ENDS, JACOBI, NOTHING, world_functions
 from dc_kernels.model.config import ACCELERATIONS
 from dc_kernels.solve.iteration import NEVER
 from dc_kernels.solve.rows import LANES, SERIAL_COLOR
 
 NNCG = ACCELERATIONS["nncg"]
+UNKNOWN = 3e38  # a residual that nothing asked for
 
 
 @cache
@@ -97,20 +98,23 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                     done = PAUSES
             omega = relaxation(config)
             sweeping = 1
+            asks = 0
+            residual = 0.0
             while sweeping == 1:
                 follow(span, what, config, motion, rows)
                 largest = 0.0
                 apart = 0
-                asked = it.finished == 1
+                # it is known where the last sweep asked for it, and the velocities have stayed
+                asks = ti.cast(it.finished == 1 and (asks == 0 or what != NOTHING), ti.i32)
                 if done == GOES_ON:
                     prepare_sweep(span, config, motion)
                     largest = sweep(span, config, omega, motion, rows)
                     end_sweep(span, config, motion)
                     if ti.static(own):
                         apart = solve_apart(span, largest, it.sweeps + 1, config, motion, rows)
-                    asked = asks_for_residual(it.sweeps + 1, config)
-                residual = 0.0
-                if asked:  # in the middle and at the end: compiled once
+                    asks = asks_for_residual(span, largest, it.sweeps + 1, config, motion, rows)
+                    residual = UNKNOWN
+                if asks == 1:  # in the middle and at the end: compiled once
                     residual = natural_map(span, config, motion.solved, rows)
                 if done == GOES_ON:
                     done, what = conclude_sweep(span, largest, residual, apart, config, motion, rows, stats, it)
@@ -216,8 +220,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             apart = 0
             if ti.static(own):
                 apart = solve_apart(span, stats.change[w], it.sweeps + 1, config, motion, rows)
-            residual = 0.0
-            if asks_for_residual(it.sweeps + 1, config):
+            residual = UNKNOWN
+            if asks_for_residual(span, stats.change[w], it.sweeps + 1, config, motion, rows) == 1:
                 residual = natural_map(span, config, motion.solved, rows)
             _, what = conclude_sweep(span, stats.change[w], residual, apart, config, motion, rows, stats, it)
             follow(span, what, config, motion, rows)

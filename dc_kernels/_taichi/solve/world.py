@@ -37,6 +37,7 @@ class Follow(IntEnum):
     """They are made anew from the impulses: steps of momentum add up their round-off."""
 
 
+NOTHING = int(Follow.NOTHING)
 CHANGE = int(Follow.CHANGE)
 ANEW = int(Follow.ANEW)
 

@@ -11,7 +11,7 @@ from dc_kernels._warp.solve.accelerate import accelerate_functions, adaptive
 from dc_kernels._warp.solve.ranges import range_functions
 from dc_kernels._warp.solve.world import ENDS, world_functions
 from dc_kernels.model.config import ACCELERATIONS, METHODS, STOPS
-from dc_kernels.solve.iteration import BEST, GROWTH, NEVER, RETREAT, Stretch
+from dc_kernels.solve.iteration import ASKEW, BEST, GROWTH, NEVER, RETREAT, Stretch
 from dc_kernels.solve.rows import OWN, SURFACED
 
 JACOBI = wp.constant(METHODS["jacobi"])
@@ -26,6 +26,7 @@ BY_MOTION = wp.constant(STOPS["motion"])
 GOES_ON = wp.constant(0)  # what conclude_sweep returns
 ENDED = wp.constant(1)
 PAUSES = wp.constant(2)
+MEASURED = wp.constant(3)  # ENDED, and the residual is already known
 
 
 @cache
@@ -42,7 +43,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
     refresh, natural_map, is_still = world.refresh, world.natural_map, world.is_still
     bound_rolling, surfaced = world.bound_rolling, variant in SURFACED
     follow, own = world.follow, variant in OWN
-    huge = real(3e38)
+    huge, TOO_ASKEW = real(3e38), real(ASKEW)
 
     @wp.func(module=module)
     def start(
@@ -76,21 +77,36 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
                 motion.summed[b] = motion.solved[b]
 
     @wp.func(module=module)
-    def has_converged(span: t.Span, change: real, sweeps: int, config: t.Config, motion: t.Motion, rows: t.Rows):
-        """1 where a sweep ends the solve: by change, residual or motion, or at the cap."""
-        done = int(0)
-        if sweeps < config.min_sweeps:
-            done = 0
-        elif config.stop == BY_RESIDUAL:
-            if sweeps % config.residual_every == 0 or sweeps >= config.max_sweeps:
-                if natural_map(span, motion.solved, rows) < span.bound:
-                    done = 1
-        elif change < span.bound:
-            done = 1
-        elif config.stop == BY_MOTION and sweeps % config.residual_every == 0:
-            done = is_still(span, sweeps, config, motion, rows)
-        if sweeps >= config.max_sweeps:
-            done = 1
+    def has_converged(
+        span: t.Span,
+        change: real,
+        sweeps: int,
+        config: t.Config,
+        motion: t.Motion,
+        rows: t.Rows,
+        residual: wp.array(dtype=real),
+    ):
+        """ENDED where a sweep ends the solve: by change, residual or motion, or at the cap; else GOES_ON.
+
+        It is MEASURED where the world's ``residual`` was found on the way.
+        """
+        done = GOES_ON
+        asks = int(0)
+        if sweeps >= config.min_sweeps:
+            if config.stop == BY_RESIDUAL:
+                if sweeps % config.residual_every == 0 or sweeps >= config.max_sweeps:
+                    asks = 1
+            elif change < span.bound:
+                done = ENDED
+            elif config.stop == BY_MOTION and sweeps % config.residual_every == 0:
+                asks = is_still(span, sweeps, config, motion, rows)
+        if asks == 1:
+            here = natural_map(span, motion.solved, rows)
+            if here < wp.where(config.stop == BY_RESIDUAL, span.bound, TOO_ASKEW) or sweeps >= config.max_sweeps:
+                residual[span.world] = here
+                done = MEASURED
+        if sweeps >= config.max_sweeps and done == GOES_ON:
+            done = ENDED
         return done
 
     @wp.func(module=module)
@@ -139,7 +155,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         rows: t.Rows,
         stats: t.Stats,
     ):
-        """Stop, pause or accelerate; ENDED when the world is done, PAUSES where it pauses.
+        """Stop, pause or accelerate; ENDED or MEASURED when the world is done, PAUSES where it pauses.
 
         A pause is due from ``pause_at`` sweeps on, where the steps of the last two are known: with Aitken at the end of
         a period.
@@ -157,21 +173,22 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         found = int(0)
         if wp.static(own):
             found = follow(span, change, sweeps, config, motion, rows)
-        done = has_converged(span, change, sweeps, config, motion, rows)
+        done = has_converged(span, change, sweeps, config, motion, rows, stats.residual)
         if found == 1 and sweeps < config.max_sweeps:
-            done = 0
-        stats.iteration[w].finished = done
-        anew = done == 1 and config.acceleration == ADAPTIVE and stats.iteration[w].stretch_method == MOMENTUM
+            done = GOES_ON
+        stats.iteration[w].finished = wp.where(done == GOES_ON, 0, 1)
+        anew = done != GOES_ON and config.acceleration == ADAPTIVE and stats.iteration[w].stretch_method == MOMENTUM
         if config.acceleration != PLAIN and span.pause_at == NO_PAUSE:
             if keep_best(span, change, config, rows, stats.iteration) == 1:
                 anew = True
         astray = int(0)
-        if done == 0 and config.acceleration == ADAPTIVE:
+        if done == GOES_ON and config.acceleration == ADAPTIVE:
             astray = go_back(span, change, config, rows, stats.iteration)
         if anew or astray == 1:
             refresh(span, motion, rows)
-        if done == 1:
-            return ENDED
+            done = wp.where(done == GOES_ON, GOES_ON, ENDED)
+        if done != GOES_ON:
+            return done
         if astray == 1:
             return GOES_ON
         inside = stats.iteration[w].inside
@@ -187,8 +204,8 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         return GOES_ON
 
     @wp.func(module=module)
-    def report(span: t.Span, motion: t.Motion, rows: t.Rows, stats: t.Stats):
-        """What a solve tells of itself: sweeps, change, and where it has ended its residual."""
+    def report(span: t.Span, done: int, motion: t.Motion, rows: t.Rows, stats: t.Stats):
+        """What a solve tells of itself: sweeps, change, and where it has ended its residual, unless MEASURED."""
         w = span.world
         sweeps = stats.iteration[w].sweeps
         stats.sweeps[w] = sweeps
@@ -196,6 +213,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
         if stats.iteration[w].finished == 1:
             for k in range(sweeps, stats.history.shape[1]):
                 stats.history[w, k] = real(0.0)
-            stats.residual[w] = natural_map(span, motion.solved, rows)
+            if done != MEASURED:
+                stats.residual[w] = natural_map(span, motion.solved, rows)
 
     return SimpleNamespace(start=start, prepare_sweep=prepare_sweep, conclude_sweep=conclude_sweep, report=report)

@@ -12,7 +12,7 @@ import warp as wp
 from dc_kernels._warp.common import is_set, kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.accelerate import accelerate_functions, aitken, nncg
-from dc_kernels._warp.solve.iteration import GOES_ON, PAUSES, iteration_functions
+from dc_kernels._warp.solve.iteration import ENDED, GOES_ON, PAUSES, iteration_functions
 from dc_kernels._warp.solve.position import position_kernels
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels._warp.solve.world import ENDS, JACOBI, N_LANES, NO_PAUSE, SERIAL, world_functions
@@ -83,7 +83,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
             done = conclude_sweep(span, largest, config, motion, rows, stats)
             if is_set(launch.cut) == 1:
                 break
-        report(span, motion, rows, stats)
+        report(span, done, motion, rows, stats)
 
     @wp.kernel(module=module, enable_backward=False)
     def solve_world(
@@ -210,7 +210,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         w = wp.tid() + launch.world_offset
         if state.flags[w] != 0:
             return
-        report(span_of(w, 0, config, model, motion, rows), motion, rows, stats)
+        report(span_of(w, 0, config, model, motion, rows), ENDED, motion, rows, stats)
 
     return {
         "solve_world": solve_world,
