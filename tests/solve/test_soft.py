@@ -247,3 +247,61 @@ def dc_scene(backend="numpy", **shape):
     builder.add_world()
     builder.add_disc(builder.add_body(), 0.5, **shape)
     return builder.finalize(backend=backend)
+
+
+def tangle(seed: int) -> tuple[dc.Simulation, float]:
+    """Up to five bodies of masses 1 : 1000 that fly, on joints of any kind without a motor; a substep [s]."""
+    draw = np.random.default_rng(seed)
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, -G) if seed % 3 else (0.0, 0.0))
+    bodies = [builder.add_body(type=dc.BodyType.STATIC)]
+    for i in range(int(draw.integers(1, 6))):
+        place = (1.2 * (i + 1), draw.uniform(-0.5, 0.5))
+        body = builder.add_body(
+            place, draw.uniform(-0.5, 0.5), velocity=draw.normal(0, 3, 2), angular_velocity=draw.normal(0, 5)
+        )
+        builder.add_box(body, 0.4, draw.uniform(0.05, 0.3), density=1000 ** draw.uniform(-0.5, 0.5))
+        pair = (bodies[draw.integers(len(bodies))], body)
+        bodies.append(body)
+        spring = {"frequency": 10 ** draw.uniform(-1, 1.7), "damping_ratio": draw.choice([0.0, 0.1, 1.0])}
+        limits = {"lower": -draw.uniform(), "upper": draw.uniform()} if draw.random() < 0.5 else {}
+        turn, end = draw.uniform(0, 6.28), draw.uniform(-0.4, 0.4, 2)
+        axis = (np.cos(turn), np.sin(turn))
+        kind = seed % 8
+        if kind == 0:
+            builder.add_distance_joint(*pair, end, (0.3, 0.0))
+        elif kind == 1:
+            builder.add_distance_joint(*pair, end, (0.3, 0.0), **spring)
+        elif kind == 2:
+            builder.add_rope_joint(*pair, end, (0.3, 0.0))
+        elif kind == 3:
+            builder.add_revolute_joint(*pair, end, **limits)
+        elif kind == 4:
+            builder.add_prismatic_joint(*pair, axis, end, **limits)
+        elif kind == 5:
+            builder.add_weld_joint(*pair, end, **spring)
+        elif kind == 6:
+            builder.add_wheel_joint(*pair, axis, end, **spring, **limits)
+        else:
+            builder.add_gear_joint(*pair, draw.normal(0, 2))
+    n = int(draw.integers(1, 9))
+    config = dc.SolverConfig(method="tgs_soft", substeps=n)
+    return dc.Simulation(*builder.finalize("float64"), config=config), n * 1e-3 * 16 ** draw.uniform()
+
+
+@pytest.mark.parametrize("part", range(8), ids=["rod", "spring", "rope", "hinge", "slider", "weld", "wheel", "gear"])
+def test_what_hangs_together_in_any_way_gains_no_energy(part):
+    """Substeps of 1 to 16 ms; in docs/limits.md are longer ones."""
+    for seed in range(part, 32, 8):
+        sim, dt = tangle(seed)
+
+        def energy(sim: dc.Simulation = sim) -> float:
+            return float((dc.kinetic_energy(sim) + dc.potential_energy(sim))[0])
+
+        start = energy()
+        weight = float(sim.model.numpy("mass").sum()) * G
+        most = 0.2 * (float(dc.kinetic_energy(sim)[0]) + weight)
+        for _ in range(10):
+            sim.run(10, dt)
+            assert energy() - start < most, seed
+        assert not sim.state.numpy("flags").any()
