@@ -211,7 +211,8 @@ class Storage:
         """Let steps end at the last slot of each world that something is in; pairs of what lies behind are unknown.
 
         Args:
-            named: ids of what is in the slots, negative where nothing is, of each "body" and "shape".
+            named: ids of what is in the slots, negative where nothing is, of each "body" and "shape"; less than -1 of
+                the bodies that the shapes of emptied slots belong to.
         """
         for group, name, axis in self._empty_slots():
             start = self.model.numpy(f"{axis}_start").astype(np.int64)
@@ -219,6 +220,9 @@ class Storage:
             last = start[:-1].copy()
             np.maximum.at(last, np.searchsorted(start, used, "right") - 1, used + 1)
             group.assign(name, start[1:] - last)
+        attics = np.flatnonzero(named["body"] < -1)
+        if len(attics):
+            self.broadphase.pairs.assign("attic", attics + 1)
 
     def fill_slots(self, filled: Mapping[str, np.ndarray]) -> None:
         """Let steps know of some slots of each "body" and "shape", (n,), in which there is something now."""

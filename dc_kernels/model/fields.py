@@ -221,6 +221,7 @@ PAIRS = field_table(
     ("start", "world+1", "int32", "1", "first reserved pair of each world"),
     ("count", "world", "int32", "1", "candidate pairs of each world, sorted by (A, B)"),
     ("empty_shapes", "world", "int32", "1", "slots behind the last shape that there has been, which are passed over"),
+    ("attic", "world", "int32", "1", "1 more than the body that the shapes of emptied slots belong to; 0: none"),
     ("near_count", "world", "int32", "1", "pairs of each world whose boxes with margin overlap, sorted by (A, B)"),
     ("needed", "world", "int32", "1", "pairs found at the last rebuild, also those without room"),
     ("valid", "world", "int32", "1", "0: rebuild in the next step"),

@@ -517,6 +517,29 @@ def test_steps_end_at_the_last_slot_that_has_been_filled():
     assert bodies + 9 == sim.model.body_count // 2 and shapes + 10 == sim.model.shape_count // 2
 
 
+def test_shapes_of_emptied_slots_keep_their_boxes():
+    """They are looked at once after each change, so that those before the last that is filled cost next to nothing."""
+    sim = build(first)
+    added = add(sim, second)
+    add(sim, second)
+    sim.run(3, DT)
+    sim.remove(bodies=added.bodies)
+    file = io.BytesIO()
+    sim.save(file)
+    file.seek(0)
+    for one in (sim, dc.Simulation.load(file)):
+        holes = np.flatnonzero(one.ids.numpy("shape_id") < 0)
+        holes = holes[holes < np.flatnonzero(one.ids.numpy("shape_id") >= 0).max()]
+        assert len(holes)
+        one.run(2, DT)
+        swept, box = one.pairs.numpy("swept"), one.pairs.numpy("box")
+        assert (box[holes, :2] < swept[holes, :2]).all() and (swept[holes, 2:] < box[holes, 2:]).all()
+        assert (box[holes] < 0).all()  # far from all
+        swept[holes] = box[holes]
+        one.run(2, DT)
+        assert (swept[holes] == box[holes]).all()
+
+
 def test_finite_numbers_in_empty_slots_mean_nothing():
     sim = build(first)
     sim.remove(bodies=1)

@@ -10,11 +10,15 @@ const auto* const outer = pairs.box.data;
 auto* const boxes = pairs.swept.data;
 int* const leaver = pairs.left.data + first;
 Real* const turn = (Real*)pairs.turn.data;
+// the shape of a slot that was emptied keeps the boxes that it has been given since, as it rests and meets nothing
+const int attic = pairs.valid.data[w] ? pairs.attic.data[w] - 1 : -1;
+const Real parked = (Real)1e30;
 const bool keeps = pairs.turn.shape[0] > 0;
 int left = add_range(team, first, last, 1024, [=](int from, int to) {
     Turned turned;
     int gone = 0;
     for (int shape = from; shape < to; ++shape) {
+        if (body_of[shape] == attic && ((const Real*)(outer + shape))[0] < parked) continue;
         const Quad box = swept(box_of(shape, radius_of[shape], turned), velocity_of(shape), dt, 1, arm_of(shape), pad);
         if (keeps && turned.body == body_of[shape]) {
             turn[2 * turned.body] = turned.cosine;
