@@ -67,7 +67,7 @@ def make_joint_rows(
                 else:
                     ends.rest()
         else:
-            if not np.isfinite(numbers_of(j, joints)).all():
+            if not launch.resume and not np.isfinite(numbers_of(j, joints)).all():
                 state.flags[w] = Flag.NONFINITE
                 return
             MAKERS[JointKind(joints.joint_kind[j])](j, joints, ends)

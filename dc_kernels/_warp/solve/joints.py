@@ -129,7 +129,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             kind = joints.joint_kind[j]
             asleep = wp.min(motion.predicted[a][3], motion.predicted[b][3]) < real(0.0)
             e = ends_of(j, w, launch, config, model, state, motion, joints)
-            if not asleep and joints.joint_broken[j] != BROKEN:
+            if launch.resume == 0 and not asleep and joints.joint_broken[j] != BROKEN:
                 check += unsound(j, kind, joints)
             if joints.joint_broken[j] == BROKEN:
                 for k in range(joints.joint_row_start[j], joints.joint_row_start[j + 1]):
