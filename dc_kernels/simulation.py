@@ -46,29 +46,29 @@ class Simulation(Driven):
     """Rigid bodies with contacts in any number of worlds, stepped together.
 
     A step is three phases that can be called one by one: ``collide`` (predict velocities, find contacts, match them
-    with those of the step before), ``solve`` (from ``contacts.impulse`` to the solution), ``advance`` (commit).
-    Before ``advance`` nothing of ``state`` changes, so the first two may be repeated.
+    with those of the previous step), ``solve`` (from ``contacts.impulse`` to the solution), ``advance`` (commit).
+    Only ``advance`` changes ``state``, so the first two may be repeated.
 
     Worlds are independent: the result of each has the same bits whatever the others, ``threads`` and the schedule.
 
-    Several Python threads may call simulations at once, and one simulation in turn; a call during that of another
-    thread raises RuntimeError, by which neither is harmed. An interrupt (Ctrl-C) leaves all worlds at the same time;
-    solves that take longer than half a second from then on are cut short (``running``).
+    Several Python threads may call different simulations at once, and take turns with one simulation; a call during
+    that of another thread raises RuntimeError and has no effect. An interrupt (Ctrl-C) leaves all worlds at the same
+    time; solves that take longer than half a second from then on are cut short (``running``).
 
     A call on the CPU within ``wp.ScopedCapture`` becomes part of that graph, or raises RuntimeError before anything is
-    recorded; ``phase`` stays that of the calls that ran. The graph cannot grow: a world that runs out of room stays
-    where it is, its flag set, until the next call outside the graph mends that. ``layout_version`` has changed then,
-    and the graph, which knows the arrays of before, is to be made anew. On a GPU the calls of all simulations wait for
-    each other, and none becomes part of a graph.
+    recorded; ``phase`` stays that of the calls that ran. Arrays cannot grow while a graph is replayed: a world that
+    runs out of room stops with its flag set, until the next call outside the graph allocates more. Then
+    ``layout_version`` has changed, and the graph, which refers to the old arrays, must be recorded again. On a GPU the
+    calls of all simulations wait for each other, and none becomes part of a graph.
 
-    A world whose numbers become NaN or inf stops without an error and keeps its state: look at ``state.flags``, bits of
-    ``Flag``. It goes on once finite values and flags of 0 are written (``state.assign``).
+    A world whose numbers become NaN or inf stops without an error and keeps its state: check ``state.flags``, bits of
+    ``Flag``. It continues once finite values and flags of 0 are written (``state.assign``).
 
     Attributes:
         overlaps: pairs of a sensor and another shape, of the last step (docs/events.md).
         touches: pairs of shapes whose contacts touch, with ``SolverConfig.contact_events``.
-        built: the state that it was made with, which ``reset`` goes back to.
-        calls: what each call holds while it works; ``with sim.calls:`` keeps other threads out of several calls.
+        built: the state that the simulation was made with, to which ``reset`` returns.
+        calls: the lock that each call holds; ``with sim.calls:`` keeps other threads out for several calls.
     """
 
     built: State
@@ -101,21 +101,21 @@ class Simulation(Driven):
         """Allocate everything a step needs.
 
         Args:
-            model: from ``ModelBuilder.finalize``; its backend, device and dtype are the simulation's.
-            state: from there, too; evolves in place.
-            joints: None for none.
+            model: model from ``ModelBuilder.finalize``; it determines backend, device and dtype.
+            state: state from ``ModelBuilder.finalize``; the simulation changes it in place.
+            joints: joints from ``ModelBuilder.finalize``, or None.
             config: settings of the solver; the attribute ``config`` may be replaced between steps and solves.
-            threads: at most so many Python threads share the worlds (launches release the GIL), and the loops within
-                large worlds, fewer where handing work over would cost more; on a GPU one.
-            schedule: "world" (a thread runs a world's solve) or "color" (a launch a colour, for large worlds on a GPU).
-            on_overflow: what happens when a step needs more pairs or contacts than reserved: reallocate and go on, or
-                raise OverflowError with the state of the last step intact.
-            specialize: use kernels for discs only where a scene has only discs.
-            pairs_per_shape: candidate pairs reserved at first.
-            contacts_per_body: contacts reserved at first.
+            threads: largest number of threads that share the worlds (launches release the GIL) and the loops within
+                large worlds; fewer are used where sharing would cost more; on a GPU one.
+            schedule: "world" (one thread solves a world) or "color" (one launch per colour, for large worlds on a GPU).
+            on_overflow: whether a step that needs more pairs or contacts than reserved reallocates ("grow"), or
+                raises OverflowError with the state of the last step intact ("raise").
+            specialize: use special kernels if a scene has only discs.
+            pairs_per_shape: candidate pairs reserved at first, per shape.
+            contacts_per_body: contacts reserved at first, per body.
 
         Raises:
-            ValueError: for settings out of range, or arrays that do not belong together or break a rule of their field.
+            ValueError: a setting is out of range; arrays do not belong together, or violate a rule of their field.
         """
         options = SimulationOptions(
             config, threads, schedule, on_overflow, specialize, pairs_per_shape, contacts_per_body
@@ -163,16 +163,16 @@ class Simulation(Driven):
             group.users.add(self)
 
     def __repr__(self) -> str:
-        """Number of worlds and bodies, and worlds that do not advance."""
+        """Return the numbers of worlds and bodies, and of worlds that do not advance."""
         return describe(self)
 
     def _choose_kernels(self, config: SolverConfig, facts: Facts | None = None) -> None:
-        """Take the kernels that the model, of which maybe ``facts`` are known, and the settings need."""
+        """Choose the kernels that the model and the settings need; ``facts`` of the model may be known already."""
         chosen = choose_kernels(self.model, self.joints, config, self.specialize, facts)
         self.only_discs, self.variant, self.added_kernels, self.kernels = chosen
 
     def adapt_to_model(self, stale: bool) -> None:
-        """Take the kernels and the coefficients of a model that has changed; ``stale``: graphs are to be made anew."""
+        """Adopt the kernels and coefficients of a changed model; with ``stale`` recorded graphs become invalid."""
         variant, kernels = self.variant, self.kernels
         self._choose_kernels(self._config)
         if variant != self.variant or self.storage.general == are_rods(self.joints):
@@ -185,7 +185,7 @@ class Simulation(Driven):
             self._bind_all()
 
     def _bind_all(self) -> None:
-        """Take arrays and settings anew; launches are bound when they are first wanted."""
+        """Fetch all arrays and settings again; launches are bound when they are first needed."""
         config = self._config
         self.storage.share_joints()
         self._parts = config.whole_substeps
@@ -212,7 +212,7 @@ class Simulation(Driven):
 
     @property
     def values(self) -> Mapping[str, Any]:
-        """The groups and the settings as kernels take them, by name."""
+        """Groups and settings as kernel arguments, by name."""
         return self._binding.values
 
     def _phase_launches(
@@ -230,11 +230,11 @@ class Simulation(Driven):
         return [Needing(launch, need) for launch, need in zip(launches, needs_of(names))] if config.sleep else launches
 
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
-        """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
+        """Return a launch of a kernel over the worlds first .. first + count, one thread each."""
         return self._binding.bind(name, first, count, changed or {})
 
     def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:
-        """Arguments of the kernels for worlds from ``first`` on, with ``changed`` settings or numbers of the launch."""
+        """Return the kernel arguments for worlds from ``first`` on, with ``changed`` settings or launch numbers."""
         return self._binding.launch_values(first, changed)
 
     @property
@@ -264,36 +264,36 @@ class Simulation(Driven):
 
     @property
     def phase(self) -> Phase:
-        """The part of a step that was called last: "advance" between two steps, "collide" or "solve" within one."""
+        """Phase of a step that was called last: "advance" between two steps, "collide" or "solve" within one."""
         return self._turn.ran
 
     @property
     def layout_version(self) -> int:
-        """A number that changes whenever arrays are allocated anew; no step then writes to views of the old ones.
+        """Number that changes whenever arrays are reallocated; views of the old arrays are then no longer updated.
 
-        Arrays are allocated anew when a step, a new configuration or the contacts of an earlier run need more room. A
-        view is an array, NumPy array or tensor taken from a field such as ``contacts.impulse``; where the number has
-        changed, take it again. So it has with ``change_model``, where a graph recorded before goes by the old model.
+        Arrays are reallocated when a step, a new configuration or the contacts of an earlier run need more room. A
+        view is an array, NumPy array or tensor taken from a field such as ``contacts.impulse``; if the number has
+        changed, fetch it again. ``change_model`` changes it too, where a recorded graph would use the old model.
         """
         return self.storage.version
 
     def warmup(self) -> None:
-        """Compile and bind everything now, which the first step would do otherwise (seconds, if not in the cache)."""
+        """Compile and bind everything now instead of in the first step (seconds, if kernels are not in the cache)."""
         with self.calls:
             for phase in (*PHASES, "step"):
                 self._phase_rounds(phase)
 
     def step(self, dt: float, start: Start | None = None, *, stepper: Stepper | None = None) -> None:
-        """One time step of dt [s] in every world.
+        """Make one time step of dt [s] in every world.
 
         Args:
             dt: time step, > 0 [s].
-            start: called between ``collide`` and ``solve``; writes start impulses to ``contacts.impulse``.
-            stepper: makes the part between ``collide`` and ``advance`` in the place of ``solve``, by its own ``solve``.
+            start: function called between ``collide`` and ``solve``; writes start impulses to ``contacts.impulse``.
+            stepper: object whose ``solve`` is called between ``collide`` and ``advance`` instead of the solver.
 
         Raises:
-            ValueError: dt not finite and positive, or a start impulse not finite.
-            OverflowError: capacity exceeded with on_overflow="raise"; the state is that of the step before.
+            ValueError: dt is not finite and positive, or a start impulse is not finite.
+            OverflowError: capacity is exceeded with on_overflow="raise"; the state is that of the previous step.
         """
         self.run(1, dt, start, stepper=stepper)
 
@@ -306,13 +306,13 @@ class Simulation(Driven):
         *,
         stepper: Stepper | None = None,
     ) -> None:
-        """Many time steps; without what is called in between each thread runs its worlds through all of them at once.
+        """Make many time steps; without start, callback and stepper each thread runs its worlds through all at once.
 
         Args:
             steps: number of steps.
             dt: time step, > 0 [s].
-            start: see ``step``; called in each of the ``whole_substeps`` of a step.
-            callback: called after each step.
+            start: see ``step``; it is called in each of the ``whole_substeps`` of a step.
+            callback: function called after each step.
             stepper: see ``step``.
 
         Raises:
@@ -335,10 +335,10 @@ class Simulation(Driven):
             self.calls.end()
 
     def collide(self, dt: float | np.ndarray) -> None:
-        """Predict velocities and find the contacts of the step; their impulses hold the start of the solve.
+        """Predict velocities and find the contacts of the step; their impulses are the start of the solve.
 
         Args:
-            dt: time step, > 0 [s], of all worlds, or of each, (W,); it has no substeps but those of "tgs_soft".
+            dt: time step, > 0 [s], of all worlds, or of each, (W,); only "tgs_soft" divides it into substeps.
 
         Raises:
             ValueError, OverflowError: see ``step``.
@@ -352,29 +352,29 @@ class Simulation(Driven):
         """Solve from ``contacts.impulse`` and the predicted velocities; the impulses then hold the solution.
 
         Args:
-            config: settings of this one solve, which may differ from the simulation's in those of the iteration
+            config: settings of this solve, which may differ from the simulation's in those of the iteration
                 (``solve.schedules.ITERATION``); None: the simulation's.
-            pause: stop after about so many sweeps in each world, 0 before the first, with ``resume`` to go on; with
-                acceleration "aitken", which a solve that pauses takes for "adaptive", at the end of a period. Impulses,
-                ``motion.solved`` and ``stats`` are then those of a solve in flight; ``running`` tells which worlds have
-                not finished.
+            pause: number of sweeps in each world after which the solve pauses, 0 before the first; ``resume``
+                continues it. With acceleration "aitken", which replaces "adaptive" in a solve that pauses, it pauses
+                at the end of a period. Impulses, ``motion.solved`` and ``stats`` are then intermediate values;
+                ``running`` tells which worlds have not finished.
 
         Raises:
-            ValueError: out of turn, or for another setting or a pause out of range.
+            ValueError: the call is out of turn; another setting differs, or the pause is out of range.
         """
         with self.calls:
             self._turn.check("solve")
             self._solve(config, pause, resume=False)
 
     def resume(self, config: SolverConfig | None = None, *, pause: int | None = None) -> None:
-        """Go on with a solve that paused: worlds that finished are left alone.
+        """Continue a paused solve in the worlds that have not finished.
 
-        Where ``stats.replaced`` is 1 a world goes on from ``contacts.impulse``, which may have been changed; the others
-        end with the bits of a solve that never paused.
+        A world whose ``stats.replaced`` is 1 continues from ``contacts.impulse``, which may have been changed; the
+        others end with the bits of a solve without a pause.
 
         Args:
-            config: as in ``solve``; that of the solve in flight.
-            pause: sweeps until the next pause; None: to the end.
+            config: as in ``solve``; it must be that of the paused solve.
+            pause: sweeps until the next pause; None: solve to the end.
 
         Raises:
             ValueError: see ``solve``.
@@ -385,7 +385,7 @@ class Simulation(Driven):
 
     @property
     def running(self) -> np.ndarray:
-        """Worlds whose solve is paused, or was cut short by an interrupt, bool (W,)."""
+        """Mask of the worlds whose solve is paused, or was cut short by an interrupt, bool (W,)."""
         done = self.stats.numpy("iteration")["finished"] != 0
         return ~done & (self.state.numpy("flags") == 0)
 
@@ -408,7 +408,7 @@ class Simulation(Driven):
             self._take("solve", self._solves[key])
 
     def advance(self) -> None:
-        """Commit the step: velocities, positions, their correction, time, and the contact cache."""
+        """Commit the step: update velocities, positions with their correction, time, and the contact cache."""
         with self.calls:
             self._turn.check("advance")
             refuse_hosted(self.backend, self.schedule, self.device)
@@ -419,16 +419,16 @@ class Simulation(Driven):
         self.storage.narrowphase.check_start()
 
     def restore_contacts(self, count: np.ndarray, arrays: Mapping[str, np.ndarray], contact_dt: np.ndarray) -> None:
-        """Put contacts of an earlier run into the cache that the next step starts from.
+        """Put contacts of an earlier run into the cache from which the next step starts.
 
         Args:
-            count: contacts of each world, (W,).
+            count: number of contacts of each world, (W,).
             arrays: fields of ``model.fields.CONTACTS`` by name, the worlds' contacts one after the other, sorted by
                 key; key, impulse, color and age are needed.
             contact_dt: time step of the impulses, (W,) [s].
 
         Raises:
-            ValueError: naming what is missing, of a wrong shape, or out of its range, with index and limit.
+            ValueError: an array is missing, has a wrong shape or a value out of range (with index and limit).
         """
         refuse_recording("restore_contacts", "it writes at once")
         with self.calls, uninterrupted():
@@ -437,13 +437,13 @@ class Simulation(Driven):
             self._bind_all()
 
     def capacity(self) -> dict[str, dict[str, int]]:
-        """Pairs, contacts and blocks of rows: reserved in all worlds, used now, and the most one world used."""
+        """Return numbers of pairs, contacts and row blocks: reserved, used now, and the largest of one world."""
         return capacity(self.storage, self._shards.peak.max(axis=0))
 
     def memory(self) -> dict[str, int]:
-        """Bytes allocated: by what they grow with (bodies with their shapes and pairs, contacts with their rows)."""
+        """Return the bytes allocated for bodies (with their shapes and pairs) and for contacts (with their rows)."""
         return memory((self.model, self.state, self.built, self.joints, *self.storage.groups().values()))
 
     def explain(self) -> str:
-        """What runs for this scene, what is skipped, and why."""
+        """Return a text that tells what runs for this scene, what is skipped, and why."""
         return explain(self)

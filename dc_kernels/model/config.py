@@ -71,41 +71,41 @@ class SolverConfig(Settings):
     settings_prefix: ClassVar[str] = "SolverConfig."
 
     method: Literal["pgs", "jacobi", "tgs_soft"] = "pgs"
-    """Projected Gauss-Seidel in colour order; Jacobi with mass splitting (Tonge et al. 2012); or substeps of one sweep
-    with soft contacts and one that relaxes them (Catto 2024, as in Box2D 3), which is not solved to any tolerance."""
+    """Projected Gauss-Seidel in colour order ("pgs"); Jacobi with mass splitting (Tonge et al. 2012); or substeps of
+    one sweep with soft contacts and one relaxing sweep (Catto 2024, as in Box2D 3), without any tolerance."""
     joint_solver: Literal["direct", "sweeps"] = "direct"
-    """How joints are solved: "direct", all whose bodies form trees at once, exactly whatever their masses, where sweeps
-    leave them apart; "sweeps", row by row as the contacts are. Method "jacobi" knows sweeps alone."""
+    """How joints are solved: "direct" solves all joints whose bodies form trees at once, exactly whatever their masses,
+    where sweeps leave an error; "sweeps" solves them row by row like contacts, as method "jacobi" always does."""
     substeps: Count = 1
-    """Parts of a step. With method "tgs_soft" they share pairs, contacts and their rows, whose gaps follow the bodies
-    to first order; with the others ``step`` and ``run`` take as many whole steps of dt / substeps, whose narrowphase is
-    their own and whose pairs are kept while no shape leaves its box [1]."""
+    """Substeps of a step. With method "tgs_soft" they share pairs, contacts and rows, whose gaps follow the bodies
+    to first order; with other methods ``step`` and ``run`` take whole steps of dt / substeps, each with its own
+    narrowphase, which keep pairs while no shape leaves its box [1]."""
     soft_frequency: Annotated[float, Limits(above=0.0, most=1.0)] = 0.125
-    """With method "tgs_soft" the natural frequency of a contact of two moving bodies, half of that of one with a fixed
-    body and of joints; 30 Hz of 240 substeps a second, as in Box2D 3 [1/substep]."""
+    """With method "tgs_soft" the natural frequency of a contact between two dynamic bodies, half of that of a contact
+    with another body and of joints; 30 Hz at 240 substeps a second, as in Box2D 3 [1/substep]."""
     soft_damping: Positive = 10.0
-    """With method "tgs_soft" the damping of contacts over the critical one, as in Box2D 3 [1]."""
+    """With method "tgs_soft" the damping ratio of contacts, as in Box2D 3 [1]."""
     acceleration: Literal["none", "sor", "aitken", "nncg", "adaptive"] = "adaptive"
-    """What is done between sweeps: "none"; "sor", over-relaxation by omega; "aitken", extrapolation with back-off;
+    """Acceleration of the sweeps: "none"; "sor", over-relaxation by omega; "aitken", extrapolation with back-off;
     "nncg", nonsmooth nonlinear conjugate gradients (Silcowitz et al. 2010); "adaptive", Aitken's extrapolation,
-    Nesterov's momentum and Anderson's update in turns, chosen by what each gained."""
+    Nesterov's momentum or Anderson's update, chosen by their gains so far."""
     max_sweeps: Whole = 1000
-    """Sweeps after which a solve ends unconverged [1]."""
+    """Largest number of sweeps: a solve then ends even if it has not converged [1]."""
     min_sweeps: Whole = 10
-    """Sweeps that a solve makes at least, if max_sweeps allows: what one step at rest leaves unsolved the next one
-    takes up, so that piles lie still (up to 1e3 times less creep than with 1) and need fewer long solves [1]."""
+    """Smallest number of sweeps of a solve, if max_sweeps allows: each step at rest continues from the error of the
+    previous one, so that piles lie still (up to 1e3 times less creep than with 1) and need fewer long solves [1]."""
     tolerance: Tolerance | None = None
     """A solve ends when a sweep changes no impulse by more than this [N s]; with stop "residual", when the residual is
-    not above it [1]. None: 1e-4, and ``stop`` may end it before."""
+    not above it [1]. None: 1e-4, and ``stop`` may end a solve earlier."""
     relative_tolerance: Tolerance | None = None
-    """Second bound on the impulse change, as a multiple of the impulse that the weight of a typical body gives in a
-    step. A solve ends when both bounds hold, so that light bodies and short steps are solved as well; inf leaves the
-    tolerance alone to decide. None: 1.3e-3, with which the tolerance of 1e-4 N s decides for the theses' discs [1]."""
+    """Second bound on the impulse change, as a multiple of the impulse of a typical body's weight in a
+    step. A solve ends when both bounds hold, so that light bodies and short steps are also solved accurately; inf
+    disables it. None: 1.3e-3, with which the tolerance of 1e-4 N s is the smaller bound for the theses' discs [1]."""
     stop: Literal["change", "residual", "motion"] | None = None
-    """What ends a solve: "change", the largest impulse change of a sweep, at the tolerances; "residual", the natural
-    map of the contact problem relative to its size, at the tolerance; "motion", the change, or what a sweep still does
-    to the motion of the bodies (``motion_tolerance``), but in worlds of rods. None: "change" where a tolerance is
-    given, else "motion"."""
+    """Criterion that ends a solve: "change", the largest impulse change of a sweep, at the tolerances; "residual", the
+    natural map of the contact problem relative to its size, at the tolerance; "motion", the impulse change, or the
+    change of the bodies' motion by a sweep (``motion_tolerance``), which worlds of rods do not use. None: "change" if
+    a tolerance is given, else "motion"."""
     motion_tolerance: NotNegative = 0.02
     """With stop "motion" a sweep moves a contact that it changes the speed of, along the normal or the tangent, by more
     than this many slops a step, and more where ``motion_share`` says so. A solve ends when a sweep moves at most one
@@ -119,65 +119,65 @@ class SolverConfig(Settings):
     velocities of the bodies by that they push, beyond 1.5 times what gravity does, in the mean over their mass. So a
     world in which much collides is solved less far than one at rest; 0: each contact by its own bodies alone [1]."""
     residual_every: Count = 5
-    """Sweeps between two looks at the residual, or at the motion [1]."""
+    """Number of sweeps between two checks of the residual or of the motion [1]."""
     start: Literal["cache", "zero"] = "cache"
-    """Start impulses of a step: those of the step before, or zero."""
+    """Start impulses of a step: those of the previous step, or zero."""
     omega: Annotated[float, Limits(above=0.0, most=2.0)] = 1.4
     """Relaxation factor of acceleration "sor" [1]."""
     aitken_period: Annotated[int, Limits(least=3, most=2**29)] = 3
-    """Fewest sweeps between two extrapolations by Aitken: at 100 discs 3 needs a tenth fewer sweeps in all than 5
-    [1]."""
+    """Smallest number of sweeps between two Aitken extrapolations: with 100 discs 3 needs a tenth fewer sweeps in
+    total than 5 [1]."""
     aitken_period_max: Annotated[int, Limits(least=3, most=2**29)] = 40
-    """Most sweeps between two extrapolations by Aitken, to which back-off lengthens them [1]."""
+    """Largest number of sweeps between two Aitken extrapolations after back-off [1]."""
     aitken_cap: NotNegative = 200.0
     """Largest multiple of the last sweep's change that Aitken's extrapolation adds [1]."""
     aitken_threshold: Annotated[float, Limits(above=0.0, most=1.0)] = 0.95
-    """Aitken's extrapolation backs off when the change of a sweep is still more than this multiple of what it was a
+    """Aitken's extrapolation backs off when the change of a sweep is more than this multiple of the change one
     period before [1]."""
     aitken_patience: Count = 20
-    """Periods without a new least change after which sweeps without extrapolation follow: 2 aitken_period_max of them
-    the first time, twice as many each time after. Extrapolation alone can cycle for good where plain Gauss-Seidel
-    converges [1]."""
+    """Number of periods without a new smallest change after which sweeps without extrapolation follow:
+    2 aitken_period_max of them the first time, twice as many each later time. Extrapolation alone can cycle forever
+    where plain Gauss-Seidel converges [1]."""
     stretch: Annotated[int, Limits(least=10, most=2**30)] = 120
-    """Sweeps that acceleration "adaptive" stays with a method before it compares them; with 80 to 240 the sweeps in
-    all differ by 5 % [1]."""
+    """Number of sweeps for which acceleration "adaptive" keeps a method before it compares them; between 80 and 240
+    the total number of sweeps differs by 5 % [1]."""
     position_correction: Literal["ngs", "baumgarte", "none"] = "ngs"
-    """How overlap is undone: "ngs", by a phase that moves the bodies after the velocities are solved (nonlinear
+    """How overlap is corrected: "ngs", by a phase that moves the bodies after the velocities are solved (nonlinear
     Gauss-Seidel, as in Box2D 2.3); "baumgarte", by a bias of the velocities; "none", not at all."""
     position_iterations: Whole = 3
     """Sweeps of the "ngs" phase; a world without joints skips it where nothing overlaps by more than the slop [1]."""
     position_factor: Annotated[float, Limits(above=0.0, most=1.0)] = 0.2
     """Share of an overlap that a sweep of the "ngs" phase removes, or a step with "baumgarte" [1]."""
     slop: NotNegative = 5e-4
-    """Overlap that is left alone, and gap that counts as closed [length_scale]."""
+    """Overlap that is not corrected, and gap that counts as closed [length_scale]."""
     max_correction: Positive = 0.2
     """Largest overlap corrected at once [length_scale]."""
     speculative: NotNegative = 0.02
     """A gap below this is a contact, as is one that closes within the step [length_scale]."""
     speculative_max: NotNegative = 0.1
-    """Where a body moves by more than ``speculative`` in a step, gaps up to what the fastest moves in a step are
-    contacts, but none above this [length_scale]."""
+    """If a body moves by more than ``speculative`` in a step, gaps up to the largest such motion are contacts, but no
+    larger ones than this [length_scale]."""
     continuous: bool = False
-    """Whether pairs are followed along their way: what they miss does not deflect bodies, and they pass through nothing
-    (``collide/continuous.py``)."""
+    """Whether pairs are followed along their path in a step: near misses do not deflect bodies, and bodies pass through
+    nothing (``collide/continuous.py``)."""
     margin: NotNegative = 0.1
-    """Broadphase boxes are this much larger on each side, so that pairs last several steps [length_scale]."""
+    """Enlargement of broadphase boxes on each side, with which pairs are kept for several steps [length_scale]."""
     restitution_threshold: NotNegative = 0.32
-    """Approach speed below which a contact does not bounce unless it is elastic: that of a fall from a twentieth of the
-    length scale, 1 m/s for 1 m on Earth [sqrt(gravity length_scale)]."""
+    """Approach speed below which a contact does not bounce unless it is elastic: the speed after a fall from a
+    twentieth of the length scale, 1 m/s for 1 m on Earth [sqrt(gravity length_scale)]."""
     sleep: bool = False
-    """Whether bodies fall asleep that have come to rest with all that they touch, until something disturbs them."""
+    """Whether bodies fall asleep when they and all bodies that they touch have come to rest, until a disturbance."""
     sleep_speed: NotNegative = 0.01
-    """A body below this speed, of its centre and of the rim of a disc of typical size that turns as it does, comes to
-    rest: 3 cm/s for 1 m on Earth [sqrt(gravity length_scale)]."""
+    """Speed below which a body counts as slow, for its centre and for the rim of a disc of typical size with the
+    body's rotation: 3 cm/s for 1 m on Earth [sqrt(gravity length_scale)]."""
     sleep_time: Positive = 1.6
-    """An island all of whose bodies have been so slow for this long falls asleep: 0.5 s for 1 m on Earth; never where
-    there is no gravity [sqrt(length_scale / gravity)]."""
+    """Time for which all bodies of an island must be slow before it falls asleep: 0.5 s for 1 m on Earth; without
+    gravity it never does [sqrt(length_scale / gravity)]."""
     contact_events: bool = False
-    """Whether each step lists the pairs of shapes that touch, and what has begun, ended and hit
-    (``Simulation.touches``)."""
+    """Whether each step lists the pairs of shapes that touch, and those that have begun and ended to touch or hit each
+    other (``Simulation.touches``)."""
     hit_speed: NotNegative = 1.0
-    """With contact_events a pair has hit that approached faster than this [m/s]."""
+    """With contact_events the approach speed above which a pair counts as a hit [m/s]."""
     contact_switches: bool = False
     """Whether contacts may be switched off between ``collide`` and ``solve`` (``Simulation.change_contacts``)."""
     history: bool = False
@@ -185,15 +185,15 @@ class SolverConfig(Settings):
 
     @classmethod
     def preset(cls, name: str, **changed: Any) -> SolverConfig:
-        """Make the settings of a name, but for those that are ``changed``.
+        """Return the settings of a preset, with some ``changed``.
 
-        "default" is ``SolverConfig()``. "strict" ends solves as it does, but where much collides not before each
-        contact is solved as in a world at rest. "accurate" solves every step to an impulse change of 1e-4 N s, or
-        1.3e-3 of what a typical weight gives in a step, with up to 1000 sweeps. "fast" makes at most 10 sweeps a step.
+        "default" is ``SolverConfig()``. "strict" also ends by motion, but solves each contact of an impact as far as
+        in a world at rest. "accurate" solves every step to an impulse change of 1e-4 N s, or
+        1.3e-3 of the impulse of a typical weight, with up to 1000 sweeps. "fast" makes at most 10 sweeps a step.
         "thesis" is the protocol of the theses: plain sweeps to 1e-4 N s, contacts where surfaces touch, a slop of 5 mm.
 
         Raises:
-            ValueError: for another name, or ``min_sweeps`` beyond the sweeps that the preset allows.
+            ValueError: the name is unknown, or ``min_sweeps`` exceeds the sweeps that the preset allows.
         """
         config = cls(**{**PRESETS[check_choice("preset", name, PRESETS)], **changed})
         if "min_sweeps" in changed and "max_sweeps" not in changed and config.min_sweeps > config.max_sweeps:
@@ -224,21 +224,21 @@ class SolverConfig(Settings):
 
     @property
     def soft(self) -> bool:
-        """Whether the method has substeps of its own, which move the bodies as well."""
+        """Whether the method makes its own substeps, which also move the bodies."""
         return self.method == "tgs_soft"
 
     @property
     def choosing(self) -> tuple[bool, ...]:
-        """What the kernels of a simulation depend on."""
+        """Settings on which the choice of kernels depends."""
         return self.sleep, self.soft, self.contact_events, self.contact_switches, self.continuous
 
     @property
     def whole_substeps(self) -> int:
-        """Whole steps that ``Simulation.step`` is made of."""
+        """Number of whole steps that ``Simulation.step`` makes."""
         return 1 if self.soft else self.substeps
 
     def restitution_speed(self, gravity: np.ndarray, length_scale: np.ndarray) -> np.ndarray:
-        """Approach speed below which contacts of each world do not bounce, unless they are elastic, (W,) [m/s].
+        """Return the approach speed below which contacts of each world do not bounce, unless elastic, (W,) [m/s].
 
         Args:
             gravity: (W, 2) [m/s^2].
@@ -248,14 +248,14 @@ class SolverConfig(Settings):
 
     @property
     def ends_at(self) -> tuple[Literal["change", "residual", "motion"], float, float]:
-        """What ends a solve, ``tolerance`` and ``relative_tolerance``, with what None stands for."""
+        """``stop``, ``tolerance`` and ``relative_tolerance``, with None replaced by the default."""
         given = self.tolerance is not None or self.relative_tolerance is not None
         stop = self.stop or ("change" if given else "motion")
         tolerance = TOLERANCE if self.tolerance is None else self.tolerance
         return stop, tolerance, RELATIVE_TOLERANCE if self.relative_tolerance is None else self.relative_tolerance
 
     def kernel_values(self) -> dict[str, Any]:
-        """The settings as kernels take them: a choice is its number, and inf is a large one."""
+        """Return the settings as kernel arguments: a choice as its number, and inf as a large number."""
         stop, tolerance, relative = self.ends_at
         # a float32 kernel argument holds no product of inf and 0
         known = {"stop": stop, "tolerance": tolerance, "relative_tolerance": min(relative, 1e30)}
@@ -271,7 +271,7 @@ class SolverConfig(Settings):
 
 @dataclass(frozen=True)
 class SimulationOptions(Settings):
-    """What a ``Simulation`` is made with beside its arrays; see there."""
+    """Arguments of ``Simulation`` other than arrays; they are described there."""
 
     config: SolverConfig | None = None
     threads: Count = 1
@@ -302,10 +302,10 @@ check_config = checker(SolverConfig)
 
 
 def check_awake(config: SolverConfig) -> SolverConfig:
-    """Return settings of what moves no bodies, and so cannot let them sleep or take substeps.
+    """Return settings of a stage that moves no bodies, and so supports neither sleep nor substeps.
 
     Raises:
-        ValueError: for settings that want it to.
+        ValueError: the settings ask for these.
     """
     if config.soft or config.substeps > 1:
         raise ValueError(
