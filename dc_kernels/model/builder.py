@@ -72,12 +72,12 @@ if TYPE_CHECKING:
 class ModelBuilder(JointBuilder):
     """Collects worlds and makes their ``Model``, ``State`` and ``Joints``.
 
-    Worlds are built one after the other: whatever is added goes to the latest. Every ``add_*`` checks its
-    arguments and raises a ValueError that names field, index and limit. The keywords of ``Material`` go with every
-    shape.
+    Worlds are built one after the other: every ``add_*`` adds to the latest world, checks its
+    arguments and raises a ValueError that names field, index and limit. All shapes take the keywords of
+    ``Material``.
 
-    Shape indices count shapes in the order of their adding. In the model shapes are sorted by body, so the two
-    agree only if shapes are added body by body.
+    Shape indices count shapes in the order in which they are added. In the model shapes are sorted by body, so the
+    two agree only if shapes are added body by body.
     """
 
     def __init__(self) -> None:
@@ -93,9 +93,9 @@ class ModelBuilder(JointBuilder):
         """Begin a new world and return its index.
 
         Args:
-            gravity: (2,) [m/s^2].
+            gravity: acceleration (2,) [m/s^2].
             origin: (2,) [m], subtracted from all positions before they are cast to the model's dtype.
-            length_scale: [m], > 0, the typical diameter; None: the median diameter of the dynamic bodies' shapes
+            length_scale: typical diameter of a body, > 0 [m]; None: the median diameter of the dynamic bodies' shapes
                 (of all shapes if there are none, and 1 m in an empty world).
         """
         where = f"world {len(self._worlds)}"
@@ -124,15 +124,15 @@ class ModelBuilder(JointBuilder):
         """Add a body to the latest world and return its index over all worlds.
 
         Args:
-            position: (2,) [m], of the origin of the body's frame, in world coordinates.
-            angle: [rad].
-            velocity: (2,) [m/s], of the origin of the body's frame; zero for a static body.
-            angular_velocity: [rad/s]; zero for a static body.
+            position: position (2,) [m] of the origin of the body's frame, in world coordinates.
+            angle: orientation [rad], counter-clockwise.
+            velocity: velocity (2,) [m/s] of the origin of the body's frame; zero for a static body.
+            angular_velocity: [rad/s], counter-clockwise; zero for a static body.
             type: static, kinematic or dynamic.
-            mass: [kg], > 0; None: from the shapes' density. Without effect on bodies that are not dynamic.
-            inertia: [kg m^2] about the centre of mass, >= 0, where 0 means that the body does not rotate; None:
-                from the shapes (a given mass spread as their density says), 0 for a point mass without shape.
-            **traits: see ``BodyTraits``; without effect on bodies that are not dynamic.
+            mass: [kg], > 0; None: from the shapes' density. It only affects dynamic bodies.
+            inertia: moment of inertia [kg m^2] about the centre of mass, >= 0; with 0 the body does not rotate; None:
+                from the shapes (a given mass is distributed by their densities), 0 for a point mass without shape.
+            **traits: see ``BodyTraits``; they only affect dynamic bodies.
         """
         where = f"body {self._bodies.count}"
         self._need_world(where)
@@ -157,7 +157,7 @@ class ModelBuilder(JointBuilder):
         )
 
     def add_disc(self, body: int, radius: float, center: Any = (0.0, 0.0), **material: Unpack[Material]) -> int:
-        """Add a disc of ``radius`` [m] > 0 about ``center`` (2,) [m] in the body's frame; return its shape index."""
+        """Add a disc of ``radius`` > 0 [m] around ``center`` (2,) [m] in the body's frame; return its shape index."""
         where = self._shape_of(body)
         radius = number("radius", radius, where)
         return self._add(
@@ -177,12 +177,12 @@ class ModelBuilder(JointBuilder):
         """Add a box and return its shape index.
 
         Args:
-            body: index.
-            half_width: [m] > 0, without the rounding.
-            half_height: [m] > 0, without the rounding.
-            center: (2,) [m], in the body's frame.
-            angle: [rad], in the body's frame.
-            radius: [m] >= 0, by which the box grows on all sides, rounding its corners.
+            body: index of the body.
+            half_width: half the width > 0 [m], without the rounding.
+            half_height: half the height > 0 [m], without the rounding.
+            center: centre (2,) [m], in the body's frame.
+            angle: orientation [rad], in the body's frame.
+            radius: radius >= 0 [m] of the rounding, which enlarges the box on all sides.
             **material: see ``Material``.
         """
         where = self._shape_of(body)
@@ -201,9 +201,9 @@ class ModelBuilder(JointBuilder):
         """Add a convex polygon and return its shape index.
 
         Args:
-            body: index.
+            body: index of the body.
             vertices: (n, 2) [m], 3 <= n <= 8, in the body's frame, in either order; see ``convex_polygon``.
-            radius: [m] >= 0, by which the polygon grows on all sides, rounding its corners.
+            radius: radius >= 0 [m] of the rounding, which enlarges the polygon on all sides.
             **material: see ``Material``.
         """
         where = self._shape_of(body)
@@ -212,7 +212,7 @@ class ModelBuilder(JointBuilder):
         return self._add(body, ShapeType.POLYGON, checked, radius, self._material(where, material))
 
     def add_capsule(self, body: int, p1: Any, p2: Any, radius: float, **material: Unpack[Material]) -> int:
-        """Add the line from ``p1`` to ``p2`` (2,) [m], thickened by ``radius`` [m] > 0; return its shape index."""
+        """Add a capsule of ``radius`` > 0 [m] around the segment from ``p1`` to ``p2`` (2,) [m]; return its index."""
         where = self._shape_of(body)
         ends = np.array((pair("p1", p1, where), pair("p2", p2, where)))
         radius = number("radius", radius, where)
@@ -226,15 +226,16 @@ class ModelBuilder(JointBuilder):
     ) -> np.ndarray:
         """Add a chain of segments and return their shape indices.
 
-        Each segment knows its neighbours in the chain, so that nothing catches on the joints. Segments do not meet
-        segments. They weigh nothing; the ``mass`` of a dynamic body of chains alone is spread along them.
+        Each segment stores its neighbours in the chain, so that bodies do not catch on the vertices. Segments do not
+        collide with segments. They have no mass; the ``mass`` of a dynamic body that has only chains is spread along
+        them.
 
         Args:
-            body: index.
+            body: index of the body.
             vertices: (n, 2) [m], n >= 2, or n >= 3 if closed, in the body's frame. Successive ones must be further
                 apart than 1e-6 of the chain's size.
-            closed: add the segment from the last vertex to the first.
-            one_sided: let contacts hold only what is to the right of the way from vertex to vertex.
+            closed: whether to add the segment from the last vertex to the first.
+            one_sided: whether the chain collides only on the right of the path from vertex to vertex.
             **material: see ``Material``.
         """
         where = self._shape_of(body)
@@ -277,19 +278,21 @@ class ModelBuilder(JointBuilder):
     ) -> np.ndarray:
         """Add n dynamic bodies with a centred disc each, and return their body indices.
 
+        All arguments after ``positions`` except ``velocity`` are one number, or an array (n,).
+
         Args:
-            positions: (n, 2) [m], in world coordinates.
-            radius: [m] > 0, a number or (n,), as is what follows the velocity.
+            positions: positions (n, 2) [m], in world coordinates.
+            radius: > 0 [m].
             velocity: (n, 2) or (2,) [m/s]; None: at rest.
             angle: [rad].
             angular_velocity: [rad/s].
-            density: see ``Material``, as for what follows.
-            friction: [1].
-            restitution: [1].
-            category: 32 bits.
-            mask: 32 bits.
+            density: see ``Material``.
+            friction: see ``Material``.
+            restitution: see ``Material``.
+            category: see ``Material``.
+            mask: see ``Material``.
             **traits: those of ``BodyTraits``, and ``surface_speed``, ``rolling_resistance``, ``sensor`` of
-                ``Material``; each a value or (n,).
+                ``Material``.
         """
         first = self._bodies.count
         self._need_world(f"body {first}")
@@ -328,11 +331,11 @@ class ModelBuilder(JointBuilder):
     def finalize(
         self, dtype: Any = "float32", device: str = "cpu", backend: str = "warp"
     ) -> tuple[Model, State, Joints]:
-        """The arrays of all worlds. The builder is left as it is and may be added to and finalized again.
+        """Return the model, state and joints of all worlds; the builder can be extended and finalized again.
 
-        The reference point of a body is its centre of mass; of a static body it is the mean of its shapes'
-        centroids, which keeps coordinates small and exact, and of a kinematic body the origin of its frame, whose
-        velocity is the one given.
+        The reference point of a body is its centre of mass; that of a static body is the mean of its shapes'
+        centroids, which keeps coordinates small and exact, and that of a kinematic body the origin of its frame,
+        whose velocity is the given one.
 
         Args:
             dtype: "float32" or "float64".
@@ -340,8 +343,8 @@ class ModelBuilder(JointBuilder):
             backend: "warp", or on the CPU "numpy" or "taichi", see ``runtime.backends``.
 
         Raises:
-            ValueError: no world; a dynamic body without mass; too many shapes in a world; a value that the dtype
-                cannot hold; an unknown dtype, device or backend.
+            ValueError: there is no world; a dynamic body has no mass; a world has too many shapes; the dtype cannot
+                represent a value; dtype, device or backend is unknown.
         """
         real = float_dtype(dtype)
         check_device(device, backend)
@@ -358,7 +361,7 @@ class ModelBuilder(JointBuilder):
         return model, state, joints
 
     def _key(self, real: np.dtype, device: str, backend: str) -> Key | None:
-        """All that the model and the joints are made of."""
+        """Return a key of all data from which the model and the joints are made."""
         if self._centers or device != "cpu":
             return None
         bodies, shapes = self._bodies.collect()[:, TYPE:], self._shapes.collect()
@@ -367,7 +370,7 @@ class ModelBuilder(JointBuilder):
         return tables_key((real, backend, *self._worlds, *(one[:-1] for one in given)), tables)
 
     def _fields(self) -> dict[str, np.ndarray]:
-        """All fields of the model, state and joints that are not zero, in float64 (integers as they are)."""
+        """Return all nonzero fields of the model, state and joints, in float64 (integers unchanged)."""
         traits = self._body_traits.collect(np.arange(self._bodies.count))
         surfaces = self._shape_traits.collect(np.argsort(self._shapes.collect()[:, BODY], kind="stable"), "shape_")
         sensors = surfaces["shape_role"] == ShapeRole.SENSOR if surfaces else None
@@ -381,7 +384,7 @@ class ModelBuilder(JointBuilder):
             raise ValueError(f"{where} has no world: call add_world first")
 
     def _body(self, name: str, body: Any, where: str) -> int:
-        """The index of a body of the latest world."""
+        """Return the index of a body of the latest world, checked."""
         self._need_world(where)
         index = whole(f"{name} of {where}", body)
         if not 0 <= index < self._bodies.count:
@@ -394,7 +397,7 @@ class ModelBuilder(JointBuilder):
         return index
 
     def _shape_of(self, body: Any) -> str:
-        """What error messages call the next shape; its body is checked."""
+        """Return the name of the next shape in error messages, after checking its body."""
         where = f"shape {self._shapes.count}"
         self._body("body", body, where)
         return where
@@ -406,7 +409,7 @@ class ModelBuilder(JointBuilder):
     def _material(
         self, where: str, given: Mapping[str, Any], count: int = 1, one_sided: bool = False
     ) -> tuple[float, ...]:
-        """What the keywords of the next ``count`` shapes say; those that few shapes have are kept for them."""
+        """Return the material of the next ``count`` shapes, and store the keywords that few shapes have."""
         if given.keys().isdisjoint((*SHAPE_TRAITS, *ROLES)) and not one_sided:
             return material(where, **given)
         traits = {name: np.full(count, number(name, given[name], where)) for name in SHAPE_TRAITS if name in given}

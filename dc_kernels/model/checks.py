@@ -60,7 +60,7 @@ FIELDS: dict[str, Any] = {
     "angular_damping": NotNegative,
     "gravity_scale": Finite,
 }
-"""What the numbers of bodies, shapes and joints may be, by name."""
+"""Types and limits of the numbers of bodies, shapes and joints, by name."""
 _LABELS = {"rounding": "radius", "spring_frequency": "frequency", "present_length": "length"}
 _CHECKS = {name: checker(hint) for name, hint in FIELDS.items()}
 _LIMITS = {name: number_limits(hint) for name, hint in FIELDS.items()}
@@ -74,37 +74,37 @@ whole = checker(int)
 class Material(TypedDict, total=False):
     """Keywords that every shape takes."""
 
-    density: float  # [kg/m^2] >= 0, default 1, 0 of a sensor; 0 for what should not weigh; not of segments
-    friction: float  # Coulomb coefficient [1] >= 0, default 0.5
-    restitution: float  # [1], in [0, 1], default 0
-    category: int  # 32 bits of what the shape is, default 1
-    mask: int  # 32 bits of what it collides with, default all
-    surface_speed: float  # [m/s], of the surface, clockwise: the top of a belt moves to the right, default 0
-    rolling_resistance: float  # [1] >= 0: the most torque over normal force and radius of the round shape, default 0
-    one_way: Any  # (2,), direction in the body's frame: contacts hold what came from that side alone; default none
-    sensor: bool  # whether it only detects what overlaps it (``Simulation.overlaps``), default False
+    density: float  # >= 0 [kg/m^2], default 1, of a sensor 0; segments have no mass
+    friction: float  # Coulomb coefficient >= 0 [1], default 0.5
+    restitution: float  # coefficient of restitution in [0, 1], default 0
+    category: int  # 32 bits: the categories of the shape, default 1
+    mask: int  # 32 bits: the categories with which it collides, default all
+    surface_speed: float  # speed of the surface, clockwise: the top of a belt moves right [m/s], default 0
+    rolling_resistance: float  # largest torque over normal force and radius of the round shape, >= 0 [1], default 0
+    one_way: Any  # direction (2,) in the body's frame: it collides only with bodies from that side; default none
+    sensor: bool  # whether it only detects overlaps (``Simulation.overlaps``), default False
 
 
 BODY_TRAITS = {"linear_damping": 0.0, "angular_damping": 0.0, "gravity_scale": 1.0}
 SHAPE_TRAITS = {"surface_speed": 0.0, "rolling_resistance": 0.0}
-"""What few bodies, and few shapes, have, by name, with the number of the others."""
+"""Neutral values of the optional numbers of bodies and of shapes, by name."""
 ROLES = ("sensor", "one_way")
-"""Keywords that give a shape another role than that of a solid one."""
+"""Keywords that make a shape something other than solid."""
 ROLE_TRAITS = {"role": 0.0, "one_way": 0.0}
-"""What is kept of them: a ``ShapeRole``, and the angle of a direction."""
+"""Stored values of these keywords: a ``ShapeRole``, and the angle of a direction."""
 
 
 class BodyTraits(TypedDict, total=False):
-    """Keywords of bodies that few have; a scene without them takes no time and no memory for them."""
+    """Optional keywords of bodies; a scene without them spends no time and no memory on them."""
 
-    fixed_rotation: bool  # whether nothing turns the body: its inverse inertia is 0; default False
-    linear_damping: float  # [1/s] >= 0, default 0: without forces the velocity falls as exp(-linear_damping t)
-    angular_damping: float  # [1/s] >= 0, default 0: without torques the spin falls as exp(-angular_damping t)
-    gravity_scale: float  # [1], default 1: what the world's gravity is multiplied by for the body
+    fixed_rotation: bool  # whether the body cannot rotate (its inverse inertia is 0), default False
+    linear_damping: float  # rate >= 0 [1/s], default 0: a free velocity decays as exp(-linear_damping t)
+    angular_damping: float  # rate >= 0 [1/s], default 0: a free spin decays as exp(-angular_damping t)
+    gravity_scale: float  # factor of the world's gravity for the body [1], default 1
 
 
 def body_type(value: Any, where: str) -> BodyType:
-    """Return a type of body, given as such or as its number.
+    """Return a ``BodyType``, given as such or as its number.
 
     Raises:
         TypeError, ValueError: naming ``where``.
@@ -136,7 +136,7 @@ def material(
     category: Any = 1,
     mask: Any = ALL_BITS,
 ) -> tuple[float, ...]:
-    """Return what the keywords of a shape say, each within its limits.
+    """Return the values of a shape's keywords, each checked against its limits.
 
     Raises:
         TypeError, ValueError: naming field and ``where``.

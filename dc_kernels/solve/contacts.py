@@ -1,4 +1,4 @@
-"""The contact solver as a stage for anybody's bodies and contacts, on the arrays that they lie in."""
+"""The contact solver as a stage for the bodies and contacts of any engine, on the engine's own arrays."""
 
 from __future__ import annotations
 
@@ -49,25 +49,25 @@ Call = Literal["pack", "solve", "solve kept"]
 
 
 class ContactSolver(InPlace):
-    """Impulses and velocities of bodies in contact, of any engine: the solver of ``Simulation`` as a stage.
+    """Computes impulses and velocities of bodies in contact, for any engine: the solver of ``Simulation`` as a stage.
 
-    The arrays of bodies and contacts are given once and read where they lie at each call: refill them in place. They
-    have the length of what a world may have at most; ``count`` says how many contacts it has. Worlds are an axis: those
-    of many lie flat, one world after the other.
+    The arrays of bodies and contacts are given once and read in place at each call: refill them in place. They
+    have room for the largest number of contacts; ``count`` is the number in use. The arrays of many worlds are
+    stored one after the other.
 
-    A contact's normal is a unit vector from body A to body B, its tangent the normal turned by -90 degrees, t = (n_y,
-    -n_x); impulses act on B, the opposite ones on A. A body with inverse mass and inverse inertia 0 is moved by no
-    contact, but may have a velocity. All is in SI units. The method is projected Gauss-Seidel in the order of a
-    colouring (Wu 2018, section 2.2; ``SolverConfig``), in SIMD lanes on a CPU; the result has the same bits whatever
+    A contact's normal is a unit vector from body A to body B, its tangent the normal rotated by -90 degrees, t = (n_y,
+    -n_x); impulses act on B, the opposite ones on A. Contacts do not move a body with inverse mass and inverse inertia
+    0, which may have a velocity. All quantities are in SI units. The method is projected Gauss-Seidel in the order of
+    a colouring (Wu 2018, section 2.2; ``SolverConfig``), in SIMD lanes on a CPU; the result has the same bits whatever
     ``threads`` and the other worlds are.
 
     Within ``wp.ScopedCapture`` a call becomes part of the graph; a replay reads and writes the arrays that it was
-    recorded with, and a world whose arrays are out of range is left as it is, with a bit in ``state.flags``.
+    recorded with, and does not change a world whose arrays are out of range but sets a bit of its ``state.flags``.
 
     Attributes:
-        contacts, joints, motion, rows, stats, state, model: what kernels work on (``model.fields``); ``contacts.color``
-            holds the colours, ``stats`` what the last solve did.
-        calls: what each call holds while it works; a call during that of another thread raises RuntimeError.
+        contacts, joints, motion, rows, stats, state, model: groups of arrays of the kernels (``model.fields``);
+            ``contacts.color`` has the colours, ``stats`` the statistics of the last solve.
+        calls: the lock that each call holds; a call during that of another thread raises RuntimeError.
     """
 
     def __init__(
@@ -108,61 +108,61 @@ class ContactSolver(InPlace):
         schedule: Literal["world", "color"] = "world",
         backend: str = "warp",
     ) -> None:
-        """Look at the arrays, which stay where they are, and allocate what a solve needs.
+        """Check the arrays, which are used in place, and allocate the memory of a solve.
 
-        The arrays are numpy arrays, torch tensors, ``wp.array`` or whatever has ``__dlpack__``, in the CPU's memory,
-        contiguous, of int32 or of the scalar that ``normal`` has, float32 or float64. N is the number of bodies, C the
-        contacts that there is room for, W the worlds.
+        The arrays are numpy arrays, torch tensors, ``wp.array`` or any object with ``__dlpack__``, in the CPU's
+        memory, contiguous, of int32 or of the scalar type of ``normal``, float32 or float64. N is the number of
+        bodies, C the capacity for contacts, W the number of worlds.
 
         Args:
             body_a: body A of each contact, (C,) int32.
             body_b: body B, (C,) int32.
-            point: contact points in the coordinates of ``position``, (C, 2) [m]; None: arms are given.
+            point: contact points in the coordinates of ``position``, (C, 2) [m]; None: give ``arm_a`` and ``arm_b``.
             normal: unit vectors from A to B, (C, 2).
-            gap: distance of the surfaces, < 0 where they overlap, (C,) [m]; one above the slop may close in the step.
-            friction: Coulomb coefficients, (C,), or one of all.
-            restitution: coefficients in [0, 1], (C,), or one of all; bounces are those of ``SolverConfig``.
+            gap: distances of the surfaces, < 0 for an overlap, (C,) [m]; a gap above the slop may close in the step.
+            friction: Coulomb coefficients, (C,), or one for all.
+            restitution: coefficients in [0, 1], (C,), or one for all; ``SolverConfig`` defines the bounces.
             inv_mass: inverse masses, (N,) [1/kg].
             inv_inertia: inverse moments of inertia about the centres of mass, (N,) [1/(kg m^2)].
             position: centres of mass, (N, 2) [m]; needed with ``point`` and with joints.
-            angle: of the bodies, (N,) [rad]; needed with joints.
-            arm_a: from the centre of mass of A to the contact point, world axes, (C, 2) [m]; None: made of ``point``.
-            arm_b: from the centre of mass of B, (C, 2) [m].
-            count: contacts of each world, (W,) int32, read at each call; None: all that there is room for.
-            color: colours that contacts keep from call to call, -1 for a new one, (C,) int32, to be moved along with
-                the contacts; it is then written to. One that another contact of a body has too is chosen anew. None:
-                each call colours all contacts anew, in their order.
-            velocity: of the centres of mass, with the forces of the step applied, (N, 2) [m/s]; then the solution.
-                This and the next four may also be given with each call.
-            angular_velocity: counter-clockwise, (N,) [rad/s]; then the solution.
+            angle: orientations of the bodies, (N,) [rad]; needed with joints.
+            arm_a: vectors from the centre of mass of A to the contact point, world axes, (C, 2) [m]; None: ``point``.
+            arm_b: vectors from the centre of mass of B, (C, 2) [m].
+            count: number of contacts of each world, (W,) int32, read at each call; None: C.
+            color: colours that contacts keep from call to call, -1 for a new contact, (C,) int32; move them along with
+                the contacts. The solver writes to it, and replaces a colour that two contacts of a body share. None:
+                each call colours all contacts, in their order.
+            velocity: velocities of the centres of mass, with the forces of the step applied, (N, 2) [m/s]; replaced by
+                the solution. This and the next four may also be given with each call.
+            angular_velocity: counter-clockwise, (N,) [rad/s]; replaced by the solution.
             velocity_before: before the step's forces, (N, 2) [m/s], for bounces and joints; None: as ``velocity``.
             angular_velocity_before: before the torques of the step, (N,) [rad/s].
-            impulse: normal and tangential: start, then solution, (C, 2) [N s]; None: ``exchange.impulse``, from zero.
+            impulse: normal and tangential, start, then solution, (C, 2) [N s]; None: ``exchange.impulse``, from 0.
             joints: distance joints: ``joint_body_a``, ``joint_body_b``, ``joint_anchor_a``, ``joint_anchor_b``,
-                ``joint_length`` and perhaps ``joint_impulse`` (start, then solution) by name (``model.fields.JOINTS``).
-            rows: any other constraints of two bodies, by their Jacobians: arrays (R, ...), read at each call, by name
+                ``joint_length`` and optionally ``joint_impulse`` (start, then solution) (``model.fields.JOINTS``).
+            rows: other constraints between two bodies, by their Jacobians: arrays (R, ...), read at each call, by name
                 (``solve.exchange.OWN_ROWS``). ``row_body_a`` and ``row_body_b``, (R,) int32; ``row_jacobian_a`` and
-                ``row_jacobian_b``, (R, 3), what (x, y, spin) of their velocities are multiplied by. The impulse makes
+                ``row_jacobian_b``, (R, 3), the factors of their velocities (x, y, spin). The impulse makes
                 J_A V_A + J_B V_B + bias + softness impulse = 0 unless it is at a bound, and changes V_A by M_A^-1
                 J_A^T impulse. Arrays or numbers: ``row_bias`` (0) [m/s], ``row_lower`` (-inf) and ``row_upper`` (inf)
-                [N s], ``row_softness`` (0) [1/kg]; ``row_impulse``: start, then solution [N s], None: own memory,
-                ``rows.row_impulse``, zero at first.
+                [N s], ``row_softness`` (0) [1/kg]; ``row_impulse``: start, then solution [N s], None:
+                ``rows.row_impulse``, initially zero.
             body_start: first body of each world and N, (W + 1,); None: one world.
             contact_start: first contact of each world and C, (W + 1,); None: one world.
             joint_start: first joint of each world and their number, (W + 1,); None: one world.
             row_start: first of each world's ``rows`` and their number, (W + 1,); None: one world.
-            length_scale: typical diameter, unit of lengths in the settings, (W,) or one [m]; read now, as the next two.
-            weight: of a typical body, (W,) or one [N], to which ``relative_tolerance`` is relative; 0: to nothing.
-            gravity: (W,) or one [m/s^2], to which the threshold of bounces is relative (``SolverConfig``); needed
-                unless ``restitution`` is the number 0 or 1.
-            discs: all bodies that contacts turn are discs about their centres, whose normals have no arm: less work.
+            length_scale: typical diameter, unit of lengths in the settings, (W,) or one [m]; fixed, as the next two.
+            weight: weight of a typical body, (W,) or one [N], the unit of ``relative_tolerance``; 0: not used.
+            gravity: (W,) or one [m/s^2], which with ``length_scale`` defines the threshold of bounces
+                (``SolverConfig``); needed unless ``restitution`` is the number 0 or 1.
+            discs: whether all bodies that contacts rotate are centred discs, whose normals have no arm (faster).
             config: settings of the solver; it has no position phase: only position_correction="baumgarte" acts.
-            threads: at most so many threads share the worlds, and the loops within large ones.
-            schedule: "world" (a thread runs a world's solve) or "color" (a launch a colour).
-            backend: "warp", "taichi", or "numpy": the oracle, never fast.
+            threads: largest number of threads that share the worlds, and the loops within large ones.
+            schedule: "world" (one thread solves a world) or "color" (one launch per colour).
+            backend: "warp", "taichi", or "numpy", the slow oracle.
 
         Raises:
-            ValueError: naming argument, index and limit.
+            ValueError: an argument is invalid; the error names argument, index and limit.
         """
         options = SimulationOptions(config, threads, schedule)
         discs, config = check_truth("discs", discs), check_awake(options.config or SolverConfig())
@@ -239,11 +239,11 @@ class ContactSolver(InPlace):
 
     @property
     def _in_turn(self) -> bool:
-        """Whether a shard of the host solves world after world; threads of the backend's own share one shard."""
+        """Whether a shard on the host solves world after world; the backend's own threads share one shard."""
         return self.schedule == "world" and self._shards.parts == len(self._shards.ranges)
 
     def _bind_all(self) -> None:
-        """Take arrays and settings anew; launches are bound when they are first wanted."""
+        """Fetch all arrays and settings again; launches are bound when they are first needed."""
         self._shared |= share_all(self.exchange, self._given, writes=WRITTEN)
         groups: dict[str, ArrayGroup] = {name: getattr(self, name) for name in GROUPS_TAKEN}
         self._binding.renew(self._config, groups, self._storage.past_width, self._in_turn)
@@ -254,7 +254,7 @@ class ContactSolver(InPlace):
 
     @property
     def lengths(self) -> Mapping[str, int]:
-        """How many it works on, by noun."""
+        """Return the numbers of its elements, by noun."""
         return {name: self.contacts.sizes[name] for name in ("contact", "body", "joint", "world")}
 
     @property
@@ -274,15 +274,15 @@ class ContactSolver(InPlace):
             self._bind_all()
 
     def _provide(self, config: SolverConfig) -> bool:
-        """Allocate what settings need and have not got yet; whether there was any."""
+        """Allocate the memory that settings additionally need; return whether there was any."""
         return any([self._integrator.provide(config.method), self._storage.provide(config)])
 
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
-        """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
+        """Return a launch of a kernel over the worlds first .. first + count, one thread each."""
         return bind(self.kernels[name], count, self.launch_values(first, changed or {}), self.device)
 
     def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:
-        """Arguments of the kernels for worlds from ``first`` on, with ``changed`` settings or numbers."""
+        """Return the kernel arguments for worlds from ``first`` on, with ``changed`` settings or numbers."""
         rest = {name: value for name, value in changed.items() if name != "kept"}
         return {**self._binding.launch_values(first, rest), "discs": self.discs, "kept": changed.get("kept", 0)}
 
@@ -296,7 +296,7 @@ class ContactSolver(InPlace):
         angular_velocity_before: Any = None,
         impulse: Any = None,
     ) -> None:
-        """Take the contacts as they now stand, colour them and make their rows; ``solve(kept=True)`` goes on from them.
+        """Read the present contacts, colour them and make their rows, from which ``solve(kept=True)`` continues.
 
         Arguments and errors are those of ``solve``.
         """
@@ -324,30 +324,30 @@ class ContactSolver(InPlace):
         config: SolverConfig | None = None,
         kept: bool = False,
     ) -> SolveStats:
-        """Solve from the start impulses and the velocities, which the solution is written over.
+        """Solve from the start impulses and velocities, and write the solution to the same arrays.
 
-        Arrays that were given to the constructor or to an earlier call need not be given again; others may be, of the
-        same sizes, and cost some microseconds. Giving an array is free where it is the one of the call before.
+        Arrays that were given to the constructor or to an earlier call need not be given again; other arrays of the
+        same sizes may be given, which takes some microseconds. Giving the array of the previous call costs nothing.
 
         Args:
-            dt: time step, of all worlds or of each, (W,), > 0 [s]; None with ``kept``.
-            velocity: see the constructor, as the others.
-            angular_velocity: see there.
-            impulse: see there.
-            velocity_before: see there.
-            angular_velocity_before: see there.
-            config: settings of this one solve, which may differ from the solver's in those of the iteration
+            dt: time step of all worlds, or of each (W,), > 0 [s]; None with ``kept``.
+            velocity: see the constructor.
+            angular_velocity: see the constructor.
+            impulse: see the constructor.
+            velocity_before: see the constructor.
+            angular_velocity_before: see the constructor.
+            config: settings of this solve, which may differ from the solver's in those of the iteration
                 (``solve.schedules.ITERATION``).
-            kept: contacts, joints, masses, time step and colours are those of the call before, whatever their arrays
-                now hold: only velocities and impulses are taken anew. A bounce and the norm that the residual is
-                relative to are then those of that call's velocities.
+            kept: whether contacts, joints, masses, time step and colours are those of the previous call, whatever their
+                arrays now hold: only velocities and impulses are read. Bounces, and the norm to which the residual is
+                relative, are then those of that call's velocities.
 
         Returns:
-            ``stats``: sweeps, largest change of the last [N s], and relative residual of each world.
+            ``stats``: sweeps, largest change of the last sweep [N s], and relative residual of each world.
 
         Raises:
-            ValueError: naming array, index and limit, for what is out of range, with nothing of its world written;
-                of several worlds others may have been solved. Or for a solve that ran off to infinity.
+            ValueError: a value is out of range, and nothing of its world was written (other worlds may have been
+                solved); the error names array, index and limit. Or the solve diverged to infinity.
         """
         given = None
         if not velocity is angular_velocity is impulse is velocity_before is angular_velocity_before is None:
@@ -373,7 +373,7 @@ class ContactSolver(InPlace):
         return self.stats
 
     def _run(self, call: Call, config: SolverConfig | None, given: Sequence[Any] | None) -> None:
-        """Take the arrays of a call, run its kernels, and say what they found out of range."""
+        """Adopt the arrays of a call, run its kernels, and raise an error for values out of range."""
         only = self._brief.get(call) if given is None and config is None else None
         if self._shards.disturbed or recording():
             only = None
@@ -386,7 +386,7 @@ class ContactSolver(InPlace):
         self._packed = True
 
     def _rounds_of(self, call: Call, config: SolverConfig | None, given: Sequence[Any] | None) -> list[Rounds]:
-        """Take the arrays of a call; its launches."""
+        """Adopt the arrays of a call and return its launches."""
         for name, array in zip(PER_CALL, given or ()):
             if array is not None and not stays(array, self._given.get(name), self._at.get(name)):
                 self._take(name, array)
@@ -398,7 +398,7 @@ class ContactSolver(InPlace):
         return self._rounds.get((call, config)) or self._bind(call, config)
 
     def _take(self, name: str, array: Any) -> None:
-        """Let bound launches work on another array, which errors name."""
+        """Let bound launches use another array; ``name`` is its name in errors."""
         self._complete = False
         self._brief.clear()
         if name in BEFORE:
@@ -414,7 +414,7 @@ class ContactSolver(InPlace):
             share_all(self.exchange, {name: array}, writes=WRITTEN)
 
     def _bind(self, call: Call, config: SolverConfig | None) -> list[Rounds]:
-        """Bind the launches of a kind of call with settings of its own."""
+        """Bind the launches of a kind of call with its own settings."""
         if len(self._rounds) >= SOLVES:
             self._rounds.clear()
             self._brief.clear()

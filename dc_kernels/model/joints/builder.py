@@ -19,10 +19,10 @@ _X, _Y, _ANGLE, _TYPE = 0, 1, 2, 6  # columns of a builder's table of bodies
 
 
 class JointBuilder:
-    """The calls of a builder that add joints to its latest world; each returns the index of the joint.
+    """The methods of a builder that add joints to its latest world; each returns the index of the joint.
 
-    Anchors are in the frames of the bodies. Every call checks its arguments and raises a TypeError or ValueError that
-    names field, joint and limit. The keywords of ``JointOptions`` go with every joint.
+    Anchors are in the frames of the bodies. Every method checks its arguments and raises a TypeError or ValueError
+    that names field, joint and limit. All joints take the keywords of ``JointOptions``.
     """
 
     _bodies: RowTable
@@ -47,21 +47,20 @@ class JointBuilder:
         across: bool | None = False,
         **options: Unpack[JointOptions],
     ) -> int:
-        """Keep two points at a distance: by a rod, or by a spring.
+        """Keep two points at a distance, by a rod or by a spring.
 
         Args:
             body_a: index of a body of the latest world.
-            body_b: index of another one; one of the two at least is dynamic.
+            body_b: index of another body; at least one of the two must be dynamic.
             anchor_a: (2,) [m], in the frame of body A.
             anchor_b: (2,) [m], in the frame of body B.
-            length: [m] >= 0; None: the present distance. A rod of length 0 holds the points together, as a revolute
-                joint does, and is one.
-            frequency: [Hz] >= 0, of a spring between the bodies if nothing else held them; 0: a rod.
-            damping_ratio: [1] >= 0 of the spring; 1: critical damping.
-            lower: [m] >= 0, least distance of a spring's ends; None: 0.
-            upper: [m] > 0, largest distance of a spring's ends; None: none.
-            across: whether a rod, not a spring, is solved with its tree and has ``JointPart.ACROSS``, a row of its own;
-                None: where its tree weighs more than 12 times the lightest body in it.
+            length: >= 0 [m]; None: the present distance. A rod of length 0 becomes a revolute joint.
+            frequency: natural frequency >= 0 [Hz] of a spring between the bodies without other constraints; 0: a rod.
+            damping_ratio: damping ratio >= 0 [1] of the spring; 1: critical damping.
+            lower: smallest distance >= 0 [m] of a spring's ends; None: 0.
+            upper: largest distance > 0 [m] of a spring's ends; None: no limit.
+            across: whether a rod (not a spring) is solved with its tree and has the additional row
+                ``JointPart.ACROSS``; None: if its tree weighs more than 12 times the lightest body in it.
             **options: see ``JointOptions``.
         """
         where = f"joint {self._joints.count}"
@@ -102,15 +101,15 @@ class JointBuilder:
         min_length: float = 0.0,
         **options: Unpack[JointOptions],
     ) -> int:
-        """Keep two points from being further apart than a length, or nearer than another one.
+        """Keep the distance of two points between two lengths.
 
         Args:
-            body_a: see ``add_distance_joint``, as for what follows.
-            body_b: index.
-            anchor_a: (2,) [m].
-            anchor_b: (2,) [m].
-            max_length: [m] > 0; None: the present distance.
-            min_length: [m], from 0 to ``max_length``.
+            body_a: see ``add_distance_joint``.
+            body_b: see ``add_distance_joint``.
+            anchor_a: (2,) [m], in the frame of body A.
+            anchor_b: (2,) [m], in the frame of body B.
+            max_length: largest distance > 0 [m]; None: the present distance.
+            min_length: smallest distance [m], from 0 to ``max_length``.
             **options: see ``JointOptions``.
         """
         where = f"joint {self._joints.count}"
@@ -140,18 +139,18 @@ class JointBuilder:
         reference_angle: float | None = None,
         **options: Unpack[JointOptions],
     ) -> int:
-        """Hold two points together, a hinge, about which a motor may turn body B against A within limits.
+        """Hold two points together by a hinge, with an optional motor and limits of the angle of B relative to A.
 
         Args:
             body_a: index of a body of the latest world.
-            body_b: index of another one; one of the two at least is dynamic.
+            body_b: index of another body; at least one of the two must be dynamic.
             anchor_a: (2,) [m], in the frame of body A.
-            anchor_b: (2,) [m], in the frame of body B; None: where ``anchor_a`` now is.
-            lower: [rad], least angle of the joint; None: none.
-            upper: [rad], largest angle of the joint; None: none.
-            motor_speed: [rad/s] of B against A that the motor drives at.
-            max_motor_torque: [N m] >= 0 of the motor; None: there is none.
-            reference_angle: [rad], angle of B less that of A at which the joint's angle is 0; None: the present one.
+            anchor_b: (2,) [m], in the frame of body B; None: the present position of ``anchor_a``.
+            lower: smallest angle of the joint [rad]; None: no limit.
+            upper: largest angle of the joint [rad]; None: no limit.
+            motor_speed: target angular velocity of B relative to A [rad/s].
+            max_motor_torque: largest torque of the motor >= 0 [N m]; None: no motor.
+            reference_angle: angle of B minus that of A at which the joint's angle is 0 [rad]; None: the present one.
             **options: see ``JointOptions``.
         """
         where = f"joint {self._joints.count}"
@@ -175,19 +174,19 @@ class JointBuilder:
         reference_angle: float | None = None,
         **options: Unpack[JointOptions],
     ) -> int:
-        """Let body B slide along a line of body A without turning against it, driven by a motor, within limits.
+        """Let body B slide on a line of body A without rotating against it, with an optional motor and limits.
 
         Args:
-            body_a: see ``add_revolute_joint``, as for what follows.
-            body_b: index.
-            axis: (2,), direction of the line in the frame of body A; of any length but 0.
-            anchor_a: (2,) [m], through which the line goes.
-            anchor_b: (2,) [m].
-            lower: [m], least way of anchor B from anchor A along the axis; None: none.
-            upper: [m], largest way; None: none.
-            motor_speed: [m/s] along the axis that the motor drives at.
-            max_motor_force: [N] >= 0 of the motor; None: there is none.
-            reference_angle: [rad].
+            body_a: see ``add_revolute_joint``.
+            body_b: see ``add_revolute_joint``.
+            axis: direction of the line (2,) in the frame of body A; its length may be any but 0.
+            anchor_a: a point of the line (2,) [m], in the frame of body A.
+            anchor_b: see ``add_revolute_joint``.
+            lower: smallest displacement of anchor B from anchor A along the axis [m]; None: no limit.
+            upper: largest displacement [m]; None: no limit.
+            motor_speed: target velocity along the axis [m/s].
+            max_motor_force: largest force of the motor >= 0 [N]; None: no motor.
+            reference_angle: see ``add_revolute_joint``.
             **options: see ``JointOptions``.
         """
         where = f"joint {self._joints.count}"
@@ -209,16 +208,16 @@ class JointBuilder:
         reference_angle: float | None = None,
         **options: Unpack[JointOptions],
     ) -> int:
-        """Hold two points together and the angle between their bodies, or draw it back by a spring.
+        """Hold two points together, and the angle between their bodies rigidly or by a spring.
 
         Args:
-            body_a: see ``add_revolute_joint``, as for what follows.
-            body_b: index.
-            anchor_a: (2,) [m].
-            anchor_b: (2,) [m].
-            frequency: [Hz] >= 0, of a spring that turns the bodies back; 0: they cannot turn against each other.
-            damping_ratio: [1] >= 0 of the spring; 1: critical damping.
-            reference_angle: [rad].
+            body_a: see ``add_revolute_joint``.
+            body_b: see ``add_revolute_joint``.
+            anchor_a: see ``add_revolute_joint``.
+            anchor_b: see ``add_revolute_joint``.
+            frequency: natural frequency >= 0 [Hz] of a spring of the angle; 0: rigid.
+            damping_ratio: damping ratio >= 0 [1] of the spring; 1: critical damping.
+            reference_angle: see ``add_revolute_joint``.
             **options: see ``JointOptions``.
         """
         where = f"joint {self._joints.count}"
@@ -244,20 +243,20 @@ class JointBuilder:
         max_motor_torque: float | None = None,
         **options: Unpack[JointOptions],
     ) -> int:
-        """Hold a point of body B, a wheel that turns freely, on a line of body A by a spring: a suspension.
+        """Hold a point of body B, a freely rotating wheel, on a line of body A by a spring: a suspension.
 
         Args:
-            body_a: see ``add_revolute_joint``, as for what follows.
+            body_a: see ``add_revolute_joint``.
             body_b: index of the wheel.
-            axis: (2,), direction of the suspension in the frame of body A; of any length but 0.
-            anchor_a: (2,) [m], where the spring holds the wheel.
-            anchor_b: (2,) [m].
-            frequency: [Hz] >= 0 of the spring; 0: it does not give way.
-            damping_ratio: [1] >= 0 of the spring.
-            lower: [m], least way of anchor B from anchor A along the axis; None: none.
-            upper: [m], largest way; None: none.
-            motor_speed: [rad/s] of B against A that the motor drives at.
-            max_motor_torque: [N m] >= 0 of the motor; None: there is none.
+            axis: direction of the suspension (2,) in the frame of body A; its length may be any but 0.
+            anchor_a: position at which the spring holds the wheel (2,) [m], in the frame of body A.
+            anchor_b: see ``add_revolute_joint``.
+            frequency: natural frequency >= 0 [Hz] of the spring; 0: rigid.
+            damping_ratio: damping ratio >= 0 [1] of the spring.
+            lower: smallest displacement of anchor B from anchor A along the axis [m]; None: no limit.
+            upper: largest displacement [m]; None: no limit.
+            motor_speed: target angular velocity of B relative to A [rad/s].
+            max_motor_torque: largest torque of the motor >= 0 [N m]; None: no motor.
             **options: see ``JointOptions``.
         """
         where = f"joint {self._joints.count}"
@@ -280,17 +279,17 @@ class JointBuilder:
         damping_ratio: float = 0.7,
         **options: Unpack[JointOptions],
     ) -> int:
-        """Draw a point of body B to one of body A by a spring of limited force: what a mouse drags follows so.
+        """Pull a point of body B to a point of body A by a spring of limited force, as for dragging with a mouse.
 
         Args:
-            body_a: index of a body of the latest world; of a static one ``anchor_a``, which may be written between
-                steps (``joints.assign``), is the target.
+            body_a: index of a body of the latest world; with a static body, ``anchor_a`` is a target that may be moved
+                between steps: ``joint_anchor_a`` of ``joints.assign``, relative to ``model.center_of_mass`` of A.
             body_b: index of a dynamic body.
             anchor_a: (2,) [m], in the frame of body A.
             anchor_b: (2,) [m], in the frame of body B.
-            max_force: [N] >= 0, in each direction of the world's axes.
-            frequency: [Hz] > 0 of the spring.
-            damping_ratio: [1] >= 0 of the spring.
+            max_force: largest force >= 0 [N], along each of the world's axes.
+            frequency: natural frequency > 0 [Hz] of the spring.
+            damping_ratio: damping ratio >= 0 [1] of the spring.
             **options: see ``JointOptions``.
         """
         where = f"joint {self._joints.count}"
@@ -305,13 +304,13 @@ class JointBuilder:
     def add_gear_joint(
         self, body_a: int, body_b: int, ratio: float, *, phase: float | None = None, **options: Unpack[JointOptions]
     ) -> int:
-        """Keep the angle of body B at ``ratio`` times that of A, less a phase.
+        """Keep the angle of body B at ``ratio`` times that of A, plus a phase.
 
         Args:
             body_a: index of a body of the latest world.
-            body_b: index of another one; one of the two at least is dynamic.
-            ratio: [1], turns of B for each turn of A; negative of two wheels that roll on each other.
-            phase: [rad], angle of B less ``ratio`` times that of A; None: the present one.
+            body_b: index of another body; at least one of the two must be dynamic.
+            ratio: rotations of B for each rotation of A [1]; negative for two wheels that roll on each other.
+            phase: angle of B minus ``ratio`` times that of A [rad]; None: the present one.
             **options: see ``JointOptions``.
         """
         where = f"joint {self._joints.count}"
@@ -334,18 +333,18 @@ class JointBuilder:
         upper: float | None = None,
         **options: Unpack[JointOptions],
     ) -> int:
-        """Add a row of one's own: J_A V_A + J_B V_B = speed for the velocities V = (x, y, spin), by a limited force.
+        """Add your own constraint row: J_A V_A + J_B V_B = speed for V = (x, y, spin), by a limited force.
 
         The Jacobians, the speed and the limits may be written between steps (``joints.assign``).
 
         Args:
             body_a: index of a body of the latest world.
-            body_b: index of another one; one of the two at least is dynamic.
-            jacobian_a: (3,) [1, 1, m], J_A.
-            jacobian_b: (3,) [1, 1, m], J_B.
-            speed: [m/s].
-            lower: [N], least force along the Jacobians; None: none.
-            upper: [N], largest force; None: none.
+            body_b: index of another body; at least one of the two must be dynamic.
+            jacobian_a: J_A, (3,) [1, 1, m].
+            jacobian_b: J_B, (3,) [1, 1, m].
+            speed: target of the row [m/s].
+            lower: smallest force along the Jacobians [N]; None: no limit.
+            upper: largest force [N]; None: no limit.
             **options: see ``JointOptions``.
         """
         where = f"joint {self._joints.count}"
@@ -359,7 +358,7 @@ class JointBuilder:
         return self._add_joint(JointKind.GENERAL, (a, b), ((0.0, 0.0), (0.0, 0.0)), where, options, **more)
 
     def _ends(self, body_a: Any, body_b: Any, where: str) -> tuple[int, int]:
-        """The bodies of a joint, checked."""
+        """Return the bodies of a joint, checked."""
         a, b = self._body("body_a", body_a, where), self._body("body_b", body_b, where)
         if a == b:
             raise ValueError(f"body_a and body_b of {where} are both {a}; they must differ")
@@ -368,7 +367,7 @@ class JointBuilder:
         return a, b
 
     def _placed(self, body_a: Any, body_b: Any, anchor_a: Any, anchor_b: Any, where: str) -> Any:
-        """The bodies and the anchors of a joint; anchor B where A's is, if it is not given."""
+        """Return the bodies and anchors of a joint; anchor B is at the position of anchor A if it is not given."""
         a, b = self._ends(body_a, body_b, where)
         at_a = pair("anchor_a", anchor_a, where)
         if anchor_b is not None:
@@ -379,17 +378,17 @@ class JointBuilder:
         return a, b, (at_a, (c * x + s * y, c * y - s * x))
 
     def _point(self, body: int, anchor: tuple[float, float]) -> tuple[float, float]:
-        """Where an anchor now is in the world [m]."""
+        """Return the present position of an anchor in the world [m]."""
         row, (x, y) = self._bodies.row(body), anchor
         c, s = math.cos(row[_ANGLE]), math.sin(row[_ANGLE])
         return row[_X] + c * x - s * y, row[_Y] + s * x + c * y
 
     def _distance(self, bodies: tuple[int, int], anchors: tuple[tuple[float, float], tuple[float, float]]) -> float:
-        """How far apart the anchors now are [m]."""
+        """Return the present distance of the anchors [m]."""
         return math.dist(self._point(bodies[0], anchors[0]), self._point(bodies[1], anchors[1]))
 
     def _reference(self, a: int, b: int, angle: float | None, where: str) -> float:
-        """Angle of B less that of A that counts as 0 [rad]."""
+        """Return the angle of B minus that of A at which the joint's angle is 0 [rad]."""
         if angle is None:
             return float(self._bodies.row(b)[_ANGLE] - self._bodies.row(a)[_ANGLE])
         return number("reference_angle", angle, where)
@@ -397,7 +396,7 @@ class JointBuilder:
     def _limits(
         self, lower: float | None, upper: float | None, where: str, least: float = -UNBOUNDED
     ) -> tuple[float, float, bool]:
-        """Limits, ``least`` and none where they are not given, and whether there are any."""
+        """Return both limits, ``least`` and unbounded if not given, and whether any is given."""
         low = least if lower is None else number("lower", lower, where)
         high = UNBOUNDED if upper is None else number("upper", upper, where)
         if low < least:
@@ -409,7 +408,7 @@ class JointBuilder:
     def _driven(
         self, lower: float | None, upper: float | None, speed: float, strength: float | None, name: str, where: str
     ) -> tuple[JointPart, dict[str, Any]]:
-        """Parts and numbers of limits and motor."""
+        """Return the parts and the numbers of limits and motor."""
         low, high, limited = self._limits(lower, upper, where)
         more = {"lower": low, "upper": high, "speed": number("motor_speed", speed, where)}
         parts = JointPart.LIMIT if limited else JointPart.NONE
@@ -430,7 +429,7 @@ class JointBuilder:
         parts: int = JointPart.HOLD,
         **more: Any,
     ) -> int:
-        """Put a joint into the table; fields of ``more`` are without their prefix."""
+        """Append a joint to the table; fields of ``more`` are named without their prefix."""
         known = JointOptions.__annotations__
         for name in options:
             if name not in known:

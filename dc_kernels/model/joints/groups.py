@@ -90,8 +90,8 @@ def check_extents(joints: Mapping[str, np.ndarray], label: str = "") -> None:
 class JointOptions(TypedDict, total=False):
     """Keywords that every joint takes."""
 
-    collide_connected: bool  # whether its bodies collide with each other; default False, True of a distance joint
-    break_force: float | None  # [N] > 0, at which the joint breaks and does nothing any more; default None: never
+    collide_connected: bool  # whether its bodies collide; default False, but True for distance, rope and target joints
+    break_force: float | None  # force > 0 [N] above which the joint breaks for good; default None: never
 
 
 class Joints(ArrayGroup):
