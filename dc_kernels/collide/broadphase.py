@@ -1,4 +1,4 @@
-"""Broadphase: candidate pairs of boxes, kept until a box leaves its larger one; its pairs alone are then found anew."""
+"""Broadphase: candidate pairs of boxes, kept until a box leaves its enlarged copy and its pairs are found again."""
 
 from __future__ import annotations
 
@@ -111,33 +111,33 @@ class CandidatePairs:
 
 
 class Broadphase(InPlace):
-    """Pairs of boxes that overlap, of anybody's boxes, whose sizes may differ by any ratio.
+    """Finds the pairs of overlapping boxes; the sizes of the boxes may differ by any ratio.
 
-        broadphase = dc.Broadphase(lower, upper, margin=0.1)  # numpy, torch, wp.array: read where they lie
-        broadphase()                                          # again and again, as the boxes move
+        broadphase = dc.Broadphase(lower, upper, margin=0.1)  # numpy, torch or wp.array, read in place
+        broadphase()                                          # call it again when the boxes have moved
         for a, b in broadphase.numpy(): ...                   # or broadphase.shape_a, .shape_b, .count for kernels
 
-    Each world has room of its own: its pairs lie from ``pair_start[w]`` on, ``count[w]`` of them, sorted by (A, B).
+    Each world has its own range of the arrays: its ``count[w]`` pairs begin at ``pair_start[w]``, sorted by (A, B).
     A is the box of the static body, else the one with the lower index. With a margin the pairs are those of boxes
-    that are larger by it on each side; they are kept, at the cost of one look at each box, until a box leaves the
-    larger one that was made for it: then it is given a new one, and its pairs alone are found anew (all are, where more
-    than half of the boxes have left, or a filter changes). So every pair of boxes that overlap is there, and beside
-    them some that are up to about two margins apart. Without a margin the pairs are exactly those that overlap.
+    enlarged by it on each side. They are kept, with one test of each box per call, until a box leaves its enlarged
+    copy: the box then gets a new copy, and only its pairs are found again (all pairs if more than half of the boxes
+    have left, or a filter changes). So all pairs of overlapping boxes are found, and also
+    some that are up to about two margins apart. Without a margin the pairs are exactly those that overlap.
 
-    A call within ``wp.ScopedCapture`` becomes part of the graph, which cannot grow: after a replay ``check`` tells
-    whether all pairs had room. A world that ran out of it has no pairs. Several Python threads may call one
-    broadphase; they take turns.
+    A call within ``wp.ScopedCapture`` becomes part of the graph. Arrays cannot grow in a replay: ``check`` afterwards
+    raises if some pairs did not fit; such a world has no pairs. Several Python threads may call one
+    broadphase; the calls run one after the other.
 
     Boxes are sorted into cells on levels whose cells double in size (``_warp/collide/broadphase.py``).
 
     Attributes:
-        shape_a, shape_b: boxes of the pairs, (room,) int32, numbered over all worlds.
-        count: pairs of each world, (W,) int32.
-        pair_start: where the room of each world begins, (W + 1,) int32.
+        shape_a, shape_b: boxes of the pairs, (capacity,) int32, numbered over all worlds.
+        count: number of pairs of each world, (W,) int32.
+        pair_start: first element of each world's range, (W + 1,) int32.
         flags: ``Flag`` bits of each world in the last call, (W,) int32: PAIR_OVERFLOW, or INVALID.
-        rebuilds: how often each world's pairs were found anew, (W,) int32.
+        rebuilds: number of times that each world's pairs were found again, (W,) int32.
         start: first box of each world and the number of boxes, (W + 1,) int64.
-        layout_version: changes whenever arrays are allocated anew.
+        layout_version: number that changes whenever arrays are reallocated.
     """
 
     def __init__(
@@ -155,24 +155,24 @@ class Broadphase(InPlace):
         threads: int = 1,
         backend: str = "warp",
     ) -> None:
-        """Check and allocate everything. All arrays are kept, and read at each call.
+        """Check the arguments and allocate all memory. All arrays are kept, and read at each call.
 
         Args:
             lower: lower corners, (n, 2), float32 or float64, contiguous on the CPU [m].
             upper: upper corners, (n, 2), of the same dtype [m].
             start: first box of each world and the number of boxes, (W + 1,); None for one world.
-            margin: by which boxes are larger on each side while pairs are kept, >= 0 [m].
-            max_pairs: pairs of each world that there is room for, a number or one for each, (W,): more are an error;
-                None: room grows.
-            shape_body: body of each box, (n,) int32: boxes of one body are no pair; None: each has a body of its own.
-            body_type: ``BodyType`` of each body, (bodies,) int32: a pair has a dynamic one; None: all are.
-            category: bits of what each box is, (n,) uint32; None: all bits.
-            mask: bits of what each box meets, (n,) uint32, both of a pair must accept each other; None: all bits.
-            threads: threads that the worlds are shared among; the pairs do not depend on it.
+            margin: enlargement of boxes on each side while pairs are kept, >= 0 [m].
+            max_pairs: capacity for pairs of each world, a number or (W,), beyond which an error is raised; None: the
+                capacity grows.
+            shape_body: body of each box, (n,) int32: boxes of one body form no pair; None: each box is its own body.
+            body_type: ``BodyType`` of each body, (bodies,) int32: a pair needs a dynamic one; None: all are dynamic.
+            category: category bits of each box, (n,) uint32; None: all bits.
+            mask: categories that each box accepts, (n,) uint32; both boxes must accept each other; None: all bits.
+            threads: number of threads that share the worlds; the pairs do not depend on it.
             backend: "warp", "taichi", or "numpy" for the oracle, which tests every pair.
 
         Raises:
-            ValueError: naming the argument, the index and the limit.
+            ValueError: an argument is invalid; the error names argument, index and limit.
         """
         self.backend = check_backend(backend)
         self._kept = (lower, upper, shape_body, body_type, category, mask)  # whose memory the kernels read
@@ -232,21 +232,21 @@ class Broadphase(InPlace):
 
     @property
     def lengths(self) -> Mapping[str, int]:
-        """How many it works on, by noun."""
+        """Return the numbers of its elements, by noun."""
         return {"box": len(self.lower), "world": len(self.start) - 1}
 
     @property
     def layout_version(self) -> int:
-        """A number that changes whenever arrays are allocated anew."""
+        """Number that changes whenever arrays are reallocated."""
         return self._candidates.pairs.version
 
     @property
     def pairs(self) -> ArrayGroup:
-        """The pairs as other stages take them (``model.fields.PAIRS``)."""
+        """The pairs as an array group for other stages (``model.fields.PAIRS``)."""
         return self._candidates.pairs
 
     def __call__(self) -> Any:
-        """Find the pairs of the boxes as they are now; returns ``count``.
+        """Find the pairs of the present boxes and return ``count``.
 
         Raises:
             OverflowError: naming the world, for more pairs than ``max_pairs``.
@@ -269,7 +269,7 @@ class Broadphase(InPlace):
         return self.count
 
     def check_boxes(self) -> None:
-        """Raise ValueError, naming the first box that is not finite or whose lower corner is not the lower one."""
+        """Raise a ValueError that names the first box that is not finite or whose lower corner exceeds the upper."""
         for name, corner in (("lower", self.lower), ("upper", self.upper)):
             bad = np.argwhere(~np.isfinite(corner))
             if len(bad):
@@ -281,20 +281,20 @@ class Broadphase(InPlace):
             raise ValueError(f"lower[{i}, {k}] is {self.lower[i, k]}; it must not exceed upper, {self.upper[i, k]}")
 
     def check(self, room: bool = True) -> None:
-        """Raise for what went wrong in the last call or replay, which a graph cannot tell itself.
+        """Raise an error for a failure in the last call or replay, as a replay itself cannot raise.
 
         Args:
-            room: whether pairs without room are an error.
+            room: whether to raise an error for pairs that did not fit.
 
         Raises:
             OverflowError, ValueError: see ``__call__``.
-            RuntimeError: for a replay of a graph that was recorded before ``layout_version`` changed.
+            RuntimeError: the replayed graph was recorded before ``layout_version`` changed.
         """
         self._recordings.check(self.layout_version)
         self._explain(room)
 
     def _explain(self, room: bool) -> None:
-        """Raise for the flags of the last call."""
+        """Raise an error for the flags of the last call."""
         if (self._flags & Flag.INVALID).any():
             self.check_boxes()
             check_index("shape_body", self.shape_body, len(self.body_type))
@@ -305,18 +305,18 @@ class Broadphase(InPlace):
             raise OverflowError(f"world {w} has {int(self._candidates.needed[w])} pairs; max_pairs is {reserved}")
 
     def numpy(self) -> np.ndarray:
-        """The pairs of all worlds, one world after the other, (m, 2) int32: a copy."""
+        """Return a copy of the pairs of all worlds, one world after the other, (m, 2) int32."""
         both = np.stack([to_numpy(self.shape_a), to_numpy(self.shape_b)], axis=1)
         first = to_numpy(self.pair_start)
         return np.concatenate([both[:0], *(both[a : a + n] for a, n in zip(first, to_numpy(self.count)))])
 
 
 def _turned_bodies(model: Model) -> int:
-    """Bodies of a model whose hulls are met by what is kept of their pairs; 0 where nothing is."""
+    """Return the number of bodies with hulls, whose pairs keep data between steps; 0 if there is none."""
     recycles = model.device == "cpu" and model.backend == "warp"
     return model.body_count if recycles and (model.numpy("shape_type") == ShapeType.POLYGON).any() else 0
 
 
 def _filter(array: Any, name: str, count: int | None, dtype: Any = np.int32) -> np.ndarray:
-    """Integers of boxes or bodies, read where they lie."""
+    """Return integers of boxes or bodies, used in place."""
     return check_layout(name, array, (count,), np.dtype(dtype))

@@ -49,7 +49,7 @@ def color(
         The colours, (C,) int32; ``color`` as numpy, if that was given.
 
     Raises:
-        ValueError: naming argument, index and limit.
+        ValueError: an argument is invalid; the error names argument, index and limit.
         RuntimeError: within ``wp.ScopedCapture``; a ``ContactSolver`` colours there.
 
     Examples:

@@ -1,4 +1,4 @@
-"""Narrowphase: contact points of pairs of anybody's shapes."""
+"""Narrowphase: contact points of pairs of shapes, as a stage."""
 
 from __future__ import annotations
 
@@ -39,35 +39,36 @@ FOUND = ("key", "body_a", "body_b", "normal", "arm_a", "arm_b", "gap", "friction
 
 
 class Narrowphase(InPlace):
-    """Contact points of pairs of shapes: discs, capsules, polygons with or without rounding, segments of chains.
+    """Computes contacts of pairs of shapes: discs, capsules, polygons with or without rounding, segments of chains.
 
         narrowphase = dc.Narrowphase(model, position, angle, broadphase)
         narrowphase()
         gaps = narrowphase.numpy("gap")  # or narrowphase.gap, .normal, .point ..., .count for kernels
 
-    Each world has room of its own: its contacts lie from ``contact_start[w]`` on, ``count[w]`` of them, in the order of
-    the pairs, which is that of the keys where pairs are sorted. A contact has the conventions of ``model.fields``: the
+    Each world has its own range of the arrays: its ``count[w]`` contacts begin at ``contact_start[w]``, in the order
+    of the pairs, which is that of the keys if pairs are sorted. Contacts have the conventions of ``model.fields``: the
     normal points from body A, static or of the lower index, to body B; the gap is negative where surfaces overlap.
 
-    Discs meet discs and hulls in closed form, hulls meet hulls by separating axes and clipping
-    (``_warp/collide/manifold.py``, as in Box2D v3): up to two points a pair.
+    Contacts of discs with discs and hulls are computed in closed form, those of hulls with hulls by separating axes
+    and clipping (``_warp/collide/manifold.py``, as in Box2D v3): up to two points a pair.
 
-    A call within ``wp.ScopedCapture`` becomes part of the graph, which cannot grow: after a replay ``check`` tells
-    whether all contacts had room. A world that ran out of it has no contacts. Several Python threads may call one
-    narrowphase; they take turns.
+    A call within ``wp.ScopedCapture`` becomes part of the graph. Arrays cannot grow in a replay: ``check`` afterwards
+    raises if some contacts did not fit; such a world has no contacts. Several Python threads may call one
+    narrowphase; the calls run one after the other.
 
     Attributes:
-        count: contacts of each world, (W,) int32.
-        contact_start: where the room of each world begins, (W + 1,) int32.
-        key: shape A, shape B (numbered in their world) and feature, (room,) int64: a contact that lasts keeps its key.
-        body_a, body_b: bodies, (room,) int32.
-        normal: unit vectors from A to B, (room,) vectors.
-        point: midway between the surfaces, (room,) vectors [m].
-        arm_a, arm_b: from the bodies' centres of mass to the point, (room,) vectors [m].
-        gap: distance of the surfaces, (room,) [m].
-        friction, restitution: of the pair, (room,) [1].
+        count: number of contacts of each world, (W,) int32.
+        contact_start: first element of each world's range, (W + 1,) int32.
+        key: shape A, shape B (numbered in their world) and feature, (capacity,) int64; a contact keeps its key from
+            call to call.
+        body_a, body_b: bodies, (capacity,) int32.
+        normal: unit vectors from A to B, (capacity,) vectors.
+        point: midpoints between the surfaces, (capacity,) vectors [m].
+        arm_a, arm_b: vectors from the bodies' centres of mass to the point, (capacity,) vectors [m].
+        gap: distances of the surfaces, (capacity,) [m].
+        friction, restitution: coefficients of the pair, (capacity,) [1].
         flags: ``Flag`` bits of each world in the last call, (W,) int32: CONTACT_OVERFLOW, or INVALID.
-        layout_version: changes whenever arrays are allocated anew.
+        layout_version: number that changes whenever arrays are reallocated.
     """
 
     def __init__(
@@ -84,25 +85,25 @@ class Narrowphase(InPlace):
         threads: int = 1,
         backend: str | None = None,
     ) -> None:
-        """Check and allocate everything. All arrays are kept, and read at each call.
+        """Check the arguments and allocate all memory. All arrays are kept, and read at each call.
 
         Args:
             shapes: a model of ``ModelBuilder.finalize``; or arrays by name (see ``collide.shapes.Shapes``). Their
-                kinds, and whether all are discs about the centre of their body, are looked at here alone.
+                types, and whether all are centred discs, are read only here.
             position: centres of mass of the bodies, (bodies, 2), contiguous on the CPU, of the shapes' dtype [m].
-            angle: of the bodies, (bodies,) [rad].
-            pairs: a ``Broadphase`` of these shapes' boxes; or pairs of shapes, (room, 2) int32, those of each world
-                from ``pair_start`` on; a pair counts whatever its order.
+            angle: orientations of the bodies, (bodies,) [rad].
+            pairs: a ``Broadphase`` of these shapes' boxes; or pairs of shapes in any order, (capacity, 2) int32, those
+                of each world from ``pair_start`` on.
             pair_start: first row of each world and the number of rows, (W + 1,); None for one world.
-            pair_count: rows of each world that are pairs, (W,) int32; None: all.
-            reach: contacts are made of gaps up to this [m]; it must cover what two shapes approach by in a step.
-            max_contacts: contacts of each world that there is room for, a number or one for each, (W,): more are an
-                error; None: room grows.
-            threads: threads that the worlds are shared among; the contacts do not depend on it.
+            pair_count: number of pairs of each world, (W,) int32; None: all rows.
+            reach: largest gap of a contact [m]; it must be at least the approach of two shapes in a step.
+            max_contacts: capacity for contacts of each world, a number or (W,), beyond which an error is raised; None:
+                the capacity grows.
+            threads: number of threads that share the worlds; the contacts do not depend on it.
             backend: "warp", "taichi", or "numpy" for the oracle; None: that of the model.
 
         Raises:
-            ValueError, TypeError: naming the argument, the index and the limit.
+            ValueError, TypeError: an argument is invalid; the error names argument, index and limit.
         """
         self.shapes = Shapes(shapes, backend)
         self.backend, self.dtype = self.shapes.backend, self.shapes.dtype
@@ -126,7 +127,7 @@ class Narrowphase(InPlace):
         self._bind()
 
     def _take(self, pairs: Any, pair_start: Any, pair_count: Any) -> None:
-        """Check pairs, of a broadphase or in rows."""
+        """Check the pairs, of a broadphase or in rows."""
         worlds, count = self.shapes.worlds, len(self.shapes.arrays["shape_type"])
         self._broadphase = pairs if isinstance(pairs, Broadphase) else None
         if self._broadphase is not None:
@@ -199,21 +200,21 @@ class Narrowphase(InPlace):
 
     @property
     def lengths(self) -> Mapping[str, int]:
-        """How many it works on, by noun."""
+        """Return the numbers of its elements, by noun."""
         return {"shape": len(self.shapes.arrays["shape_type"]), "world": self.shapes.worlds}
 
     @property
     def layout_version(self) -> int:
-        """A number that changes whenever arrays are allocated anew."""
+        """Number that changes whenever arrays are reallocated."""
         return self._found.contacts.version
 
     def __call__(self) -> Any:
-        """Make the contacts of the pairs as they are now; returns ``count``.
+        """Compute the contacts of the present pairs and return ``count``.
 
         Raises:
-            OverflowError: naming the world, for more contacts than ``max_contacts``.
-            ValueError: naming argument and index, for a body that is not finite, or a pair that is not of two shapes of
-                a world.
+            OverflowError: a world, which the error names, has more contacts than ``max_contacts``.
+            ValueError: a body is not finite, or a pair is not of two shapes of a world; the error names argument and
+                index.
         """
         if self._broadphase is not None and self._broadphase.layout_version != self._version:
             with self._lock:
@@ -234,20 +235,20 @@ class Narrowphase(InPlace):
         return self.count
 
     def check(self, room: bool = True) -> None:
-        """Raise for what went wrong in the last call or replay, which a graph cannot tell itself.
+        """Raise an error for a failure in the last call or replay, as a replay itself cannot raise.
 
         Args:
-            room: whether contacts without room are an error.
+            room: whether to raise an error for contacts that did not fit.
 
         Raises:
             OverflowError, ValueError: see ``__call__``.
-            RuntimeError: for a replay of a graph that was recorded before ``layout_version`` changed.
+            RuntimeError: the replayed graph was recorded before ``layout_version`` changed.
         """
         self._recordings.check(self.layout_version)
         self._explain(room)
 
     def _rebind(self) -> None:
-        """Bind to other arrays than before; graphs that were recorded go on with those."""
+        """Bind to new arrays; graphs recorded before keep using the old ones."""
         self._flags = self._recordings.renew(self._flags, self._shards)
         self._state = self.shapes.state(self.position, self.angle, flags=self._flags)
         self.flags = self._state.flags

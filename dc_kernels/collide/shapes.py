@@ -1,4 +1,4 @@
-"""Shapes as the stages take them, of a model or in arrays of anybody, and their boxes."""
+"""Shapes for the stages, from a model or from given arrays, and their bounding boxes."""
 
 from __future__ import annotations
 
@@ -32,27 +32,27 @@ COUNTS = {ShapeType.DISC: (1, 1), ShapeType.POLYGON: (2, MAX_VERTICES), ShapeTyp
 
 
 class Shapes:
-    """The arrays of shapes by the names of ``model.fields.MODEL``, checked; those given are read where they lie.
+    """The arrays of shapes by the names of ``model.fields.MODEL``, checked; given arrays are used in place.
 
     Attributes:
-        arrays: by name, numpy.
+        arrays: numpy arrays by name.
         dtype: float32 or float64.
-        worlds, bodies: how many there are.
-        backend: of the stage: that asked for, or that of the model.
+        worlds, bodies: numbers of worlds and bodies.
+        backend: backend of the stage, by default that of the model.
     """
 
     def __init__(self, shapes: Any, backend: str | None) -> None:
-        """Check.
+        """Check the shapes.
 
         Args:
             shapes: a model of ``ModelBuilder.finalize``, on the CPU; or arrays by name: shape_type, shape_radius,
-                vertex_start and vertices, and of the other fields those that are not to be derived from these: each
-                shape a body of its own, all dynamic, all in one world, no friction, no restitution.
-            backend: None: that of the model, or "warp".
+                vertex_start and vertices, and optionally other fields. By default each shape is its own dynamic body,
+                all are in one world, without friction and restitution.
+            backend: name of a backend; None: that of the model, or "warp".
 
         Raises:
-            ValueError: naming the array, the index and the limit.
-            TypeError: for another type.
+            ValueError: an array is invalid; the error names array, index and limit.
+            TypeError: ``shapes`` has another type.
         """
         if isinstance(shapes, Model):
             if shapes.device != "cpu":
@@ -71,14 +71,14 @@ class Shapes:
         self.bodies = len(self.arrays["body_type"])
 
     def group(self) -> Any:
-        """The arrays as kernels take them."""
+        """Return the arrays as a kernel argument."""
         return whole_group("model", self.dtype, MODEL, self.arrays, self.backend)
 
     def state(self, position: Any, angle: Any, **arrays: np.ndarray) -> Any:
-        """Positions (bodies, 2) [m] and angles (bodies,) [rad] of the bodies, and other arrays, as kernels take them.
+        """Return positions (bodies, 2) [m], angles (bodies,) [rad] and other arrays as a kernel argument.
 
         Raises:
-            ValueError: naming the array, and the index of what is not finite.
+            ValueError: a value is not finite; the error names array and index.
         """
         position = check_array("position", position, (self.bodies, 2), self.dtype)
         angle = check_array("angle", angle, (self.bodies,), self.dtype)
@@ -91,7 +91,7 @@ class Shapes:
 
 
 class ShapeBoxes(InPlace):
-    """The boxes of shapes that move, for a broadphase: ``dc.Broadphase(boxes.lower, boxes.upper)``.
+    """Computes bounding boxes of moving shapes for a broadphase: ``dc.Broadphase(boxes.lower, boxes.upper)``.
 
     Attributes:
         lower, upper: corners, (n,) vectors of the dtype of the shapes [m].
@@ -107,18 +107,18 @@ class ShapeBoxes(InPlace):
         threads: int = 1,
         backend: str | None = None,
     ) -> None:
-        """Check and allocate everything.
+        """Check the arguments and allocate all memory.
 
         Args:
             shapes: a model, or arrays by name (see ``Shapes``).
             position: centres of mass of the bodies, (bodies, 2); kept, and read at each call [m].
-            angle: of the bodies, (bodies,), as position [rad].
-            margin: by which the boxes are larger on each side, >= 0 [m].
-            threads: that the worlds are shared among.
+            angle: orientations of the bodies, (bodies,); kept, and read at each call [rad].
+            margin: enlargement of the boxes on each side, >= 0 [m].
+            threads: number of threads that share the worlds.
             backend: "warp", "taichi", or "numpy" for the oracle; None: that of the model.
 
         Raises:
-            ValueError, TypeError: naming the argument, the index and the limit.
+            ValueError, TypeError: an argument is invalid; the error names argument, index and limit.
         """
         self.shapes = Shapes(shapes, backend)
         self.backend, self.dtype = backend, dtype = self.shapes.backend, self.shapes.dtype
@@ -144,16 +144,16 @@ class ShapeBoxes(InPlace):
 
     @property
     def lengths(self) -> Mapping[str, int]:
-        """How many it works on, by noun."""
+        """Return the numbers of its elements, by noun."""
         return {"shape": len(self.shapes.arrays["shape_type"]), "world": self.shapes.worlds}
 
     def __call__(self) -> None:
-        """Make the boxes of the shapes where their bodies are now; one that is not finite is the broadphase's error."""
+        """Compute the boxes for the present positions and angles; the broadphase reports boxes that are not finite."""
         run_shards(self._shards, self.threads)
 
 
 def whole_group(name: str, dtype: np.dtype, table: Mapping[str, Any], values: Mapping[str, Any], backend: str) -> Any:
-    """A group as kernels take it, with arrays of nothing for the fields that no value is given for."""
+    """Return a group as a kernel argument, with empty arrays for the fields without a value."""
     empty = {}
     for key, field in table.items():
         scalar, inner = numpy_spec(field, dtype)
@@ -163,7 +163,7 @@ def whole_group(name: str, dtype: np.dtype, table: Mapping[str, Any], values: Ma
 
 
 def _checked(given: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """All arrays of MODEL that the stages read, from those given."""
+    """Return all arrays of MODEL that the stages read, from the given ones."""
     for name in given:
         if name not in MODEL:
             raise ValueError(f"shapes has {name!r}, which is no field of a model (model.fields.MODEL)")

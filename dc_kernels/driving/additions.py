@@ -1,4 +1,4 @@
-"""What is to be added to the worlds of a simulation: built as a scene is, about the bodies that are there."""
+"""Additions to the worlds of a simulation, built like a scene."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ WORLDS = ("gravity", "origin", "length_scale", "cell_size")
 
 
 class Added(NamedTuple):
-    """Ids of what was added, by the indices that the calls of ``Additions`` gave."""
+    """Ids of what was added, by the indices that the methods of ``Additions`` returned."""
 
     bodies: np.ndarray
-    """(n,) int64; bodies that were there before have the ids that they had."""
+    """Ids of bodies, (n,) int64; existing bodies keep theirs."""
     shapes: np.ndarray
-    """(m,) int64."""
+    """Ids of shapes, (m,) int64."""
     joints: np.ndarray
-    """(k,) int64."""
+    """Ids of joints, (k,) int64."""
     new_bodies: np.ndarray
-    """(n - existing,) int64; ``bodies`` without those that were there before: what ``remove`` takes away again."""
+    """Ids of the added bodies alone, (n - existing,) int64: give these to ``remove`` to undo the addition."""
 
 
 class Fragment(NamedTuple):
@@ -58,19 +58,19 @@ class Fragment(NamedTuple):
 
 
 class Additions(ModelBuilder):
-    """Collects bodies, shapes and joints that a simulation is to have from its next step on.
+    """Collects bodies, shapes and joints to be added to a simulation.
 
-    All calls of a builder are there, and what they return numbers the additions alone. They go to the world that
-    ``to_world`` named last. ``existing`` makes a body of the simulation one of the additions, so that it may be given
-    shapes and be joined to others; it keeps its mass, its inertia and its centre of mass.
+    It has all methods of a builder; the indices that they return count the additions alone. They are added to the world
+    last given to ``to_world``. ``existing`` includes a body of the simulation, so that it may get
+    shapes and be joined to others; it keeps its mass, inertia and centre of mass.
     """
 
     def __init__(self, sim: Simulation, world: int | None = None) -> None:
-        """Begin without any.
+        """Start empty.
 
         Args:
-            sim: that they are for.
-            world: where they go; None: to the only one, or to where ``to_world`` says.
+            sim: the simulation to add to.
+            world: index of the world to add to; None: the only one, or that of ``to_world``.
         """
         super().__init__()
         self.sim = sim
@@ -81,7 +81,7 @@ class Additions(ModelBuilder):
             self.to_world(0 if world is None else world)
 
     def add_world(self, *args: Any, **settings: Any) -> int:
-        """Refuse: a simulation keeps its worlds.
+        """Raise an error: no world can be added to a simulation.
 
         Raises:
             TypeError: always.
@@ -89,10 +89,10 @@ class Additions(ModelBuilder):
         raise TypeError("a simulation keeps the worlds that it was built with; to_world(index) names one of them")
 
     def to_world(self, world: int) -> None:
-        """Let what follows go to a world of the simulation.
+        """Select the world of the simulation to which the following calls add.
 
         Raises:
-            TypeError, ValueError: for what is no index of a world.
+            TypeError, ValueError: ``world`` is not the index of a world.
         """
         model = self.sim.model
         index = whole("world", world)
@@ -106,13 +106,13 @@ class Additions(ModelBuilder):
         self._indices = {}
 
     def existing(self, body: int) -> int:
-        """The index, among the additions, of a body that is there already.
+        """Include an existing body, and return its index among the additions.
 
         Args:
-            body: its id; of the world that additions go to.
+            body: id of a body of the selected world.
 
         Raises:
-            TypeError, ValueError: for what is no id of a body of that world.
+            TypeError, ValueError: it is not the id of a body of that world.
         """
         sim, where = self.sim, f"existing body {shown(body)}"
         self._need_world(where)
@@ -141,10 +141,10 @@ class Additions(ModelBuilder):
             raise ValueError(f"{where} has no world: call to_world first, or sim.additions(world)")
 
     def collect(self) -> Fragment:
-        """All additions as arrays.
+        """Return all additions as arrays.
 
         Raises:
-            ValueError: see ``ModelBuilder.finalize``; no world was named.
+            ValueError: see ``ModelBuilder.finalize``; or no world was selected.
         """
         self._need_world("what is added")
         exact, real = self._fields(), self.sim.dtype
@@ -167,7 +167,7 @@ class Additions(ModelBuilder):
         return bool(not np.isfinite(other).all() or ((other == 0) & (one != 0)).any() or inverses > INVERSE.high)
 
     def finalize(self, *args: Any, **settings: Any) -> tuple[Model, State, Joints]:
-        """Refuse: additions are no scene.
+        """Raise an error: additions are not a scene.
 
         Raises:
             TypeError: always.

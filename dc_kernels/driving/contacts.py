@@ -1,4 +1,4 @@
-"""What contacts do, for programs that drive a simulation: forces [N], and pairs that begin and cease to touch.
+"""Forces of contacts and joints [N], and pairs that begin and cease to touch, for programs that drive a simulation.
 
 A simulation here is anything with the attributes of ``dc_kernels.Simulation`` that are used; no loop runs over worlds.
 """
@@ -18,7 +18,7 @@ PARTS = ("model", "state", "contacts", "joints", "motion", "phase")
 
 
 class NetForces(NamedTuple):
-    """What the contacts of each body do to it together."""
+    """The total force and torque of the contacts on each body."""
 
     force: np.ndarray
     """(bodies, 2) [N]."""
@@ -27,17 +27,17 @@ class NetForces(NamedTuple):
 
 
 def contact_forces(sim: Any) -> np.ndarray:
-    """The force of each contact on its body B, in the world's axes; A feels the opposite one.
+    """Return the force of each contact on its body B, in the world's axes; body A feels the opposite force.
 
     Args:
         sim: the simulation, between steps or after ``solve``: impulses are those of the last step, or of that solve.
 
     Returns:
-        (n, 2) float64 [N], a row for each of the slots that ``contact_slots(sim.contacts)`` gives; zero in worlds that
+        (n, 2) float64 [N], one row for each slot of ``contact_slots(sim.contacts)``; zero in worlds that
         have stopped.
 
     Raises:
-        ValueError: after ``collide``: impulses are what the solve starts from.
+        ValueError: it is called after ``collide``, when impulses are the start of the solve.
 
     Examples:
         >>> import dc_kernels as dc
@@ -63,7 +63,7 @@ def contact_forces(sim: Any) -> np.ndarray:
 
 
 def net_contact_forces(sim: Any) -> NetForces:
-    """Force and torque of all contacts of each body.
+    """Return the total force and torque of the contacts on each body.
 
     Args:
         sim: the simulation, see ``contact_forces``.
@@ -85,7 +85,7 @@ def net_contact_forces(sim: Any) -> NetForces:
 
 
 class JointReactions(NamedTuple):
-    """What joints do to their bodies B; bodies A feel the opposite force."""
+    """Forces and torques of joints on their bodies B; bodies A feel the opposite force."""
 
     force: np.ndarray
     """(joints, 2) [N], in the world's axes."""
@@ -94,9 +94,9 @@ class JointReactions(NamedTuple):
 
 
 def joint_forces(sim: Any) -> np.ndarray:
-    """The force of each row of the joints, (joint rows,) [N]: of a rod along its line, positive where it pushes apart.
+    """Return the force of each row of the joints, (joint rows,) [N]; a rod's force is positive if it pushes apart.
 
-    Rows of angles count in arms of the world's ``length_scale``; ``joint_reactions`` gives forces and torques.
+    Forces of rows of angles act at an arm of the world's ``length_scale``; ``joint_reactions`` has forces and torques.
 
     Args:
         sim: the simulation, see ``contact_forces``.
@@ -111,7 +111,7 @@ def joint_forces(sim: Any) -> np.ndarray:
 
 
 def joint_reactions(sim: Any) -> JointReactions:
-    """Force and torque of each joint on its body B in the last step.
+    """Return force and torque of each joint on its body B in the last step.
 
     Args:
         sim: the simulation, see ``contact_forces``.
@@ -152,39 +152,40 @@ class Touches(NamedTuple):
     """Pairs of shapes, sorted by them; all arrays have the length n."""
 
     shape_a: np.ndarray
-    """The shape of the lower index, over all worlds."""
+    """The shape of the lower index, numbered over all worlds."""
     shape_b: np.ndarray
-    """The other one."""
+    """The other shape."""
     body_a: np.ndarray
-    """The body of the former."""
+    """The body of shape A."""
     body_b: np.ndarray
-    """The body of the latter."""
+    """The body of shape B."""
     impulse: np.ndarray
     """Normal impulse of the step, of all contacts of the pair together [N s]."""
 
 
 class ContactEvents:
-    """Pairs of shapes that have begun or ceased to touch between two looks at a simulation.
+    """Finds the pairs of shapes that have begun or ceased to touch since the last update.
 
         events = dc.ContactEvents(sim)
         sim.step(0.01)
         events.update()
         events.begun.body_a, events.begun.impulse  # how hard they met
 
-    A pair begins to touch when one of its contacts presses or overlaps, and ceases to when it has no contact any more:
-    what lies still does not flicker. A look after each step misses nothing; what comes and goes between two looks is
-    not seen. Shapes are told by their ids: of what was removed nothing ends, and what takes its slot begins. A world
-    that is reset ceases and begins anew; pairs of one that has stopped stay.
+    A pair begins to touch when one of its contacts has an impulse or overlaps, and ceases when it has no contact any
+    more, so bodies at rest do not flicker. With an update after each step no pair is missed; a pair that begins and
+    ceases between two updates is. Shapes are identified by their ids: a removed shape has no ended pairs, and a new
+    shape in its slot begins pairs. In a world that is reset all pairs end and begin again; pairs of a stopped world
+    remain.
 
     Attributes:
-        sim: whose contacts are looked at.
-        begun: pairs that touch since the last look, with the impulse of the last step.
-        ended: pairs that touched at the last look and do no more, with the impulse that they had then.
-        touching: all that touch.
+        sim: the simulation.
+        begun: pairs that have begun to touch since the last update, with the impulse of the last step.
+        ended: pairs that touched at the last update and no longer do, with the impulse that they had then.
+        touching: all pairs that touch.
     """
 
     def __init__(self, sim: Any) -> None:
-        """Begin with what touches now, without events."""
+        """Start with the pairs that touch now, without events."""
         check_simulation("sim", sim, PARTS)
         self.sim = sim
         nothing = np.zeros(0, np.int64)
@@ -196,10 +197,10 @@ class ContactEvents:
         self.begun = self._touches(nothing, np.zeros(0))
 
     def update(self) -> None:
-        """Look at the contacts of the last step.
+        """Compare the contacts of the last step with those of the last update.
 
         Raises:
-            ValueError: in the middle of a step.
+            ValueError: it is called between the phases of a step.
         """
         sim = self.sim
         if sim.phase != "advance":

@@ -56,7 +56,7 @@ def _instead(name: str) -> str:
 
 
 class Driven(Populated):
-    """The part of a simulation that is copied, saved, and brought into another state."""
+    """The methods of a simulation that copy, save, reset and change it."""
 
     model: Model
     joints: Joints
@@ -66,7 +66,7 @@ class Driven(Populated):
     _reset: Reset | None
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Set ``config``, or what is no part of a simulation; no step goes by other parts than it was made with.
+        """Set ``config``, or an attribute of your own; the parts of a simulation cannot be replaced.
 
         Raises:
             AttributeError: for such a part, or for a field of model, joints or state, saying how it is changed.
@@ -81,12 +81,12 @@ class Driven(Populated):
         return self._shards.peak
 
     def clone(self) -> Self:
-        """A simulation of its own memory that goes on with the bits of this one, even from within a step.
+        """Return a copy with its own memory that continues with the same bits, even from within a step.
 
         ``copy.copy``, ``copy.deepcopy`` and ``pickle`` do so too.
 
         Raises:
-            RuntimeError: within ``wp.ScopedCapture``.
+            RuntimeError: it is called within ``wp.ScopedCapture``.
         """
         refuse_recording("a copy of a simulation", "it is made at once")
         with self.calls:
@@ -109,23 +109,23 @@ class Driven(Populated):
         self._bind_all()
 
     def reset(self, worlds: Any = None, state: State | Mapping[str, Any] | None = None) -> None:
-        """Bring worlds back to the state that they were built in, as if no step had been taken, or to a given one.
+        """Reset worlds to the state that they were built in, as if no step had been made, or to a given state.
 
-        They have no contacts and no impulses then, and no flags; what was written to the model, to its joints and to
-        the settings stays. Their next step has the bits of the first one of a new simulation. Other worlds keep their
-        bits. An episode of reinforcement learning ends so: ``sim.reset(done)``.
+        Reset worlds have no contacts, impulses or flags; changes of the model, its joints and the settings remain.
+        Their next step has the bits of the first step of a new simulation. Other worlds keep their bits. Use it at the
+        end of an episode of reinforcement learning: ``sim.reset(done)``.
 
         Args:
             worlds: a mask, (W,) bool, or indices, (k,); None: all.
-            state: what they are to begin with where that is not as built: values by name of a field of
-                ``model.fields.STATE`` (but ``flags``) for these worlds in this order, (bodies of all, ...), or
-                (k, n, ...) where each has n bodies; or a ``State`` whose rows of these worlds are taken, such as a
-                copy of an earlier ``sim.state``.
+            state: initial values that differ from the built state: values by name of a field of
+                ``model.fields.STATE`` (except ``flags``) for these worlds in this order, (bodies of all, ...), or
+                (k, n, ...) if each has n bodies; or a ``State`` from which the rows of these worlds are copied, such
+                as a copy of an earlier ``sim.state``.
 
         Raises:
-            TypeError, ValueError: naming argument, field, index and limit; for some of the worlds in the middle of a
-                step. Nothing has changed then.
-            RuntimeError: within ``wp.ScopedCapture``.
+            TypeError, ValueError: an argument is invalid (the error names argument, field, index and limit), or only
+                some worlds are reset between the phases of a step. Nothing has changed then.
+            RuntimeError: it is called within ``wp.ScopedCapture``.
 
         Examples:
             >>> import dc_kernels as dc
@@ -163,24 +163,25 @@ class Driven(Populated):
     def change_model(self, **values: Any) -> None:
         """Change fields of the model or of its joints; they act from the next step on.
 
-        What belongs together is given together, and checked before anything is written: an error leaves all as it was.
-        Contacts keep their impulses, and worlds of which no field changes keep their bits. All simulations that share
-        the model or the joints go by it. A step costs no more for it.
+        Give fields that depend on each other in one call; all are checked before anything is written, so an error
+        changes nothing. Contacts keep their impulses, and worlds in which no field changes keep their bits. The change
+        applies to all simulations that share the model or the joints. Steps do not become slower.
 
-        What follows from the given fields need not be given: inverses of masses and inertias (or these of the
-        inverses), zero for those of bodies that are no longer dynamic; centres, extents and normals of shapes with
-        other ``vertices`` or radii. Centres of mass stay where they are. A body that becomes dynamic needs a mass and
-        an inertia; one that becomes static comes to rest. ``joint_impulse`` is what the next step starts from.
+        Dependent fields are computed: inverse masses and inertias (or masses from the
+        inverses), which become zero for bodies that are no longer dynamic; centres, extents and normals of shapes with
+        other ``vertices`` or radii. Centres of mass do not change. A body that becomes dynamic needs a mass and
+        an inertia; one that becomes static stops. ``joint_impulse`` is the start of the next step.
 
         Args:
             **values: by name of a field (``Model.changeable``, ``Joints.changeable``), an array of its shape, or one
-                number for all. Without any, whatever was written to the memory of the fields, through ``dc.to_numpy``
-                or a tensor, is checked and taken up.
+                number for all. Without values, changes written to the memory of the fields, through ``dc.to_numpy``
+                or a tensor, are checked and applied.
 
         Raises:
-            UnknownName: a ``ValueError`` and ``KeyError``, for a field that lays out memory, or follows from others.
-            TypeError, ValueError: naming field, index and limit; in the middle of a step.
-            RuntimeError: within ``wp.ScopedCapture``.
+            UnknownName: (a ``ValueError`` and ``KeyError``) the field determines the layout of memory, or is derived.
+            TypeError, ValueError: a value is invalid (the error names field, index and limit), or the call is between
+                the phases of a step.
+            RuntimeError: it is called within ``wp.ScopedCapture``.
 
         Examples:
             >>> import dc_kernels as dc
@@ -196,23 +197,24 @@ class Driven(Populated):
         changes.change(self, values)  # type: ignore[arg-type]
 
     def change_contacts(self, **values: Any) -> None:
-        """Change contacts between ``collide`` and ``solve``, or in a start: their rows are made anew.
+        """Change contacts between ``collide`` and ``solve``, or in a start; their rows are rebuilt.
 
-        A contact that is switched off does not act in this step, and is among ``contacts`` again when it has ended,
-        with the colour -1 and no impulse. The next ``collide`` makes all of them as their shapes say.
+        A disabled contact does not act in this step, and is in ``contacts`` again at its end,
+        with the colour -1 and no impulse. The next ``collide`` makes all contacts from their shapes again.
 
         Args:
-            **values: by name, of all contacts in the order of ``dc.contact_slots``, (n,), or one number for all:
-                ``enabled``, False switches off, with ``SolverConfig.contact_switches``; ``friction``; ``restitution``;
-                ``surface_speed`` [m/s], of the surfaces of both shapes along the tangent (n_y, -n_x), positive where
-                friction drives B that way, in a scene with surfaces that move, with ``contact_switches`` too.
-                Without any, what was written to the memory of ``switches.enabled``, ``contacts.friction``,
-                ``contacts.restitution`` or ``rows.surface_speed``, at these slots, is checked and taken up.
+            **values: by name, values of all contacts in the order of ``dc.contact_slots``, (n,), or one for all:
+                ``enabled`` (with ``SolverConfig.contact_switches``); ``friction``; ``restitution``;
+                ``surface_speed`` [m/s] of both surfaces along the tangent (n_y, -n_x), positive if
+                friction drives B that way (in a scene with moving surfaces, and with ``contact_switches``).
+                Without values, changes written to the memory of ``switches.enabled``, ``contacts.friction``,
+                ``contacts.restitution`` or ``rows.surface_speed``, at these slots, are checked and applied.
 
         Raises:
-            UnknownName: a ``ValueError`` and ``KeyError``, for another name.
-            TypeError, ValueError: naming field, index and limit; out of turn.
-            RuntimeError: within ``wp.ScopedCapture``.
+            UnknownName: (a ``ValueError`` and ``KeyError``) the name is unknown.
+            TypeError, ValueError: a value is invalid (the error names field, index and limit), or the call is out of
+                turn.
+            RuntimeError: it is called within ``wp.ScopedCapture``.
 
         Examples:
             >>> import dc_kernels as dc
@@ -232,33 +234,34 @@ class Driven(Populated):
 
     @property
     def ranges(self) -> list[tuple[int, int]]:
-        """First world and number of worlds of each shard."""
+        """The first world and the number of worlds of each shard."""
         return self._shards.ranges
 
     @property
     def asleep(self) -> np.ndarray:
-        """Bodies that sleep, bool (bodies,); none where the settings let none sleep (``SolverConfig.sleep``)."""
+        """Mask of the sleeping bodies, bool (bodies,); all False without ``SolverConfig.sleep``."""
         return asleep(self.model, self.sleepers)
 
     def sleep(self, bodies: Any = None) -> None:
-        """Let bodies sleep from now on, with velocities of zero, until something disturbs them.
+        """Put bodies to sleep, with velocity zero, until something disturbs them.
 
-        A body that touches one which is awake wakes in the next step, so let whole piles sleep. Scenes may begin so.
+        A body that touches an awake one wakes in the next step, so put whole piles to sleep. It may be called before
+        the first step.
 
         Args:
             bodies: a mask, (bodies,) bool, or indices, (k,); None: all. Only dynamic bodies sleep.
 
         Raises:
-            TypeError, ValueError: naming the index and the limit; where the settings let none sleep; in the middle of a
-                step.
-            RuntimeError: within ``wp.ScopedCapture``.
+            TypeError, ValueError: an index is invalid (the error names it and the limit), the settings do not allow
+                sleep, or the call is between the phases of a step.
+            RuntimeError: it is called within ``wp.ScopedCapture``.
         """
         self._let(bodies, Rest.FALLING)
 
     def wake(self, bodies: Any = None) -> None:
-        """Wake bodies in the next step, with all that sleeps and touches them; they rest anew before they sleep again.
+        """Wake bodies in the next step, with all sleeping bodies that touch them, directly or through others.
 
-        What is written to the state, the model, its joints or its gravity wakes by itself whom it concerns.
+        Writing to the state, the model, its joints or its gravity wakes the affected bodies by itself.
 
         Args:
             bodies: a mask, (bodies,) bool, or indices, (k,); None: all.
@@ -269,13 +272,13 @@ class Driven(Populated):
         self._let(bodies, Rest.ROUSED)
 
     def restore_sleepers(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Let bodies sleep as in an earlier run (see ``Storage.restore_sleepers``)."""
+        """Restore the sleeping bodies of an earlier run (see ``Storage.restore_sleepers``)."""
         with self.calls, uninterrupted():
             if self.storage.restore_sleepers(arrays, self._flags, self._config):
                 self._bind_all()
 
     def restore_lists(self, group: str, arrays: Mapping[str, np.ndarray]) -> None:
-        """Let what touches or overlaps be as in an earlier run (see ``Storage.restore_lists``)."""
+        """Restore the lists of touching and overlapping pairs of an earlier run (see ``Storage.restore_lists``)."""
         with self.calls, uninterrupted():
             if self.storage.restore_lists(group, arrays, self._flags, self._config):
                 self._bind_all()
@@ -295,11 +298,11 @@ class Driven(Populated):
                         self.bind("lay_down", *shard)()
 
     def save(self, path: str | os.PathLike[str] | BinaryIO) -> None:
-        """Write a snapshot to continue from, bit for bit, to a path or a binary file (see ``snapshot.save``)."""
+        """Write a snapshot from which a run continues bit for bit to a path or a binary file (``snapshot.save``)."""
         with self.calls:
             snapshot.save(self, path)  # type: ignore[arg-type]
 
     @classmethod
     def load(cls, path: str | os.PathLike[str] | BinaryIO, **options: Any) -> Self:
-        """A simulation from a snapshot; options as for the constructor (see ``snapshot.load``)."""
+        """Return a simulation from a snapshot; options as for the constructor (see ``snapshot.load``)."""
         return snapshot.load(cls, path, **options)  # type: ignore[type-var]

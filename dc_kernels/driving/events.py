@@ -1,4 +1,4 @@
-"""What begins, ends and hits in a step, of contacts and of sensors, as lists of pairs over all worlds."""
+"""Contact events and sensor events of a step, as lists of pairs over all worlds."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ PARTS = ("model", "contacts", "pairs", "overlaps", "touches", "config")
 
 
 def contact_events(sim: Any, which: Literal["all", "begun", "ended", "hit"] = "all") -> PairList:
-    """Pairs of shapes whose contacts touch, or what the last step has changed of that.
+    """Return the pairs of shapes that touch, or that began or ended to touch or hit each other in the last step.
 
     Args:
-        sim: the simulation, whose ``SolverConfig.contact_events`` is on.
-        which: "all" that touch; those that have "begun" or "ended" to in the last step; those that "hit" each other,
-            faster than ``SolverConfig.hit_speed``.
+        sim: the simulation, with ``SolverConfig.contact_events``.
+        which: "all" pairs that touch; those that have "begun" or "ended" to touch in the last step; those that "hit"
+            each other, faster than ``SolverConfig.hit_speed``.
 
     Returns:
-        Pairs, sorted by world, shape A and shape B. More of each stands in the arrays of ``sim.touches``, at ``slot``:
-        ``impulse``, ``speed`` and ``blow`` of all, ``hit_speed``, ``hit_point``, ``hit_normal`` of those that hit.
+        Pairs, sorted by world, shape A and shape B. The arrays of ``sim.touches`` have more data of each, at ``slot``:
+        ``impulse``, ``speed`` and ``blow`` of all, ``hit_speed``, ``hit_point``, ``hit_normal`` of hits.
 
     Raises:
-        ValueError: for another list, or settings without contact events.
+        ValueError: the list is unknown, or the settings have no contact events.
 
     Examples:
         >>> import dc_kernels as dc
@@ -50,18 +50,18 @@ def contact_events(sim: Any, which: Literal["all", "begun", "ended", "hit"] = "a
 
 
 def sensor_events(sim: Any, which: Literal["all", "begun", "ended"] = "all") -> PairList:
-    """Pairs of a sensor and a shape that overlaps it, or what the last step has changed of that.
+    """Return the pairs of a sensor and an overlapping shape, or those that began or ended to overlap in the last step.
 
     Args:
         sim: the simulation.
-        which: "all" that overlapped or touched where the last step began; those that have "begun" or "ended" to.
+        which: "all" that overlapped or touched at the beginning of the last step; those that have "begun" or "ended".
 
     Returns:
-        Pairs, sorted by world; ``shape_a`` is the sensor, of two sensors the one of the static body or the lower index.
+        Pairs, sorted by world; ``shape_a`` is the sensor, of two sensors that of the static body or of the lower index.
         Their slots are those of the arrays of ``sim.overlaps``.
 
     Raises:
-        ValueError: for another list.
+        ValueError: the list is unknown.
 
     Examples:
         >>> import dc_kernels as dc

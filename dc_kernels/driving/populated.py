@@ -1,4 +1,4 @@
-"""The calls by which bodies, shapes and joints come and go between steps."""
+"""Methods of a simulation that add and remove bodies, shapes and joints between steps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PAIRS, CONTACTS = 4.0, 2.5  # reserved at first for each shape and each body
 
 
 class Populated(Phases):
-    """The part of a simulation whose bodies, shapes and joints come and go (``driving/population.py``)."""
+    """The methods of a simulation that add and remove bodies, shapes and joints (``driving/population.py``)."""
 
     model: Model
     joints: Joints
@@ -52,31 +52,31 @@ class Populated(Phases):
         """Collect bodies, shapes and joints for ``add``.
 
         Args:
-            world: where they go; None: to the only one, or to where ``Additions.to_world`` says.
+            world: index of the world to add to; None: the only one, or that of ``Additions.to_world``.
 
         Raises:
-            TypeError, ValueError: for what is no index of a world.
+            TypeError, ValueError: ``world`` is not the index of a world.
         """
         return Additions(self, world)  # type: ignore[arg-type]
 
     def add(self, additions: Additions) -> Added:
-        """Add bodies, shapes and joints; they take part from the next step on.
+        """Add bodies, shapes and joints, which take part from the next step on.
 
-        Each takes the first empty slot of its world. Where there are not enough, the worlds are given more: arrays are
-        then allocated anew, views taken before show what was, and ``layout_version`` changes, as it does with joints.
-        What is there keeps its contacts, their impulses, and its ids. The length scale of a world stays.
+        Each takes the first empty slot of its world. If there are not enough, the worlds get more: arrays are
+        reallocated, earlier views keep the old values, and ``layout_version`` changes, as for joints.
+        Existing bodies keep their contacts, impulses and ids. The length scale of a world does not change.
 
         Args:
-            additions: from ``additions``; may be added once more.
+            additions: the result of ``additions``; it may be added more than once.
 
         Returns:
-            The ids of all, by the indices that the calls of ``additions`` gave.
+            The ids of everything added, by the indices that the methods of ``additions`` returned.
 
         Raises:
-            TypeError, ValueError: naming body, shape or joint and limit; in the middle of a step; where another
-                simulation shares the model or the joints. Nothing has changed then.
-            OverflowError: for more than there are slots where ``on_overflow`` is "raise".
-            RuntimeError: within ``wp.ScopedCapture``.
+            TypeError, ValueError: an addition is invalid (the error names body, shape or joint and limit); the call is
+                between the phases of a step; another simulation shares the model or the joints. Nothing has changed.
+            OverflowError: there are not enough slots and ``on_overflow`` is "raise".
+            RuntimeError: it is called within ``wp.ScopedCapture``.
 
         Examples:
             >>> import dc_kernels as dc
@@ -96,9 +96,9 @@ class Populated(Phases):
             return population.add(self, additions)  # type: ignore[arg-type]
 
     def remove(self, *, bodies: Any = (), shapes: Any = (), joints: Any = ()) -> None:
-        """Remove bodies with their shapes and joints, shapes, and joints; what lay on them wakes.
+        """Remove bodies with their shapes and joints, shapes, and joints; bodies that touched them wake.
 
-        Masses and centres of mass of bodies that lose shapes stay as they are. Slots become free for what comes.
+        Bodies that lose shapes keep their masses and centres of mass. The slots become empty.
 
         Args:
             bodies: ids, (n,), or one.
@@ -106,22 +106,23 @@ class Populated(Phases):
             joints: ids, (k,), or one.
 
         Raises:
-            TypeError, ValueError, RuntimeError: see ``add``; for an id of what has been removed, or has never been.
+            TypeError, ValueError, RuntimeError: see ``add``; or an id was removed before, or never existed.
         """
         with self._populating("remove"):
             population.remove(self, bodies, shapes, joints)  # type: ignore[arg-type]
 
     def reserve(self, *, bodies: int = 0, shapes: int = 0, vertices: int = 0) -> None:
-        """Let each world have so many empty slots at least, so that ``add`` need not allocate arrays anew.
+        """Reserve empty slots in each world, so that ``add`` need not reallocate arrays.
 
         Args:
-            bodies: slots of bodies.
-            shapes: slots of shapes.
-            vertices: of these shapes together, 1 of a disc, 2 of a capsule, 4 of a segment; fewer: one each.
+            bodies: smallest number of empty slots of bodies.
+            shapes: smallest number of empty slots of shapes.
+            vertices: number of vertices of these shapes together: 1 for a disc, 2 for a capsule, 4 for a segment; at
+                least one each.
 
         Raises:
             TypeError, ValueError, RuntimeError: see ``add``.
-            MemoryError: for more than fits into the free memory.
+            MemoryError: the slots do not fit into the free memory.
         """
         counts = [
             check_whole(name, value) for name, value in (("bodies", bodies), ("shapes", shapes), ("vertices", vertices))
@@ -130,18 +131,18 @@ class Populated(Phases):
             population.reserve(self, *counts)  # type: ignore[arg-type]
 
     def index(self, *, bodies: Any = None, shapes: Any = None, joints: Any = None) -> np.ndarray:
-        """Where bodies, shapes or joints lie in the arrays now, (n,) int64, by their ids.
+        """Return the present indices in the arrays of bodies, shapes or joints, (n,) int64, by their ids.
 
-        Those that a simulation was built with have the indices that the builder gave them as ids. A body or shape
-        keeps its index until arrays are allocated anew (``layout_version``); in the first world it always does.
+        Those that a simulation was built with have the builder's indices as ids. A body or shape
+        keeps its index until arrays are reallocated (``layout_version``), and in the first world always.
 
         Args:
-            bodies: ids, (n,), or one; or instead
-            shapes: of shapes; or
-            joints: of joints.
+            bodies: ids of bodies, (n,), or one; give exactly one of the three arguments.
+            shapes: ids of shapes.
+            joints: ids of joints.
 
         Raises:
-            TypeError, ValueError: for an id of what has been removed, or has never been; for more than one of these.
+            TypeError, ValueError: an id was removed, or never existed; or more than one argument is given.
         """
         given = {kind: ids for kind, ids in zip(KINDS, (bodies, shapes, joints)) if ids is not None}
         if len(given) != 1:
@@ -151,7 +152,7 @@ class Populated(Phases):
 
     @property
     def ids(self) -> Ids:
-        """Ids of what is in the slots of bodies and shapes, -1 or less where nothing is, and of joints."""
+        """Ids by slot of bodies and shapes, negative in empty slots, and ids of joints."""
         if self.given_ids is None:
             self.given_ids = Ids.built(self.model)
         return self.given_ids

@@ -1,17 +1,17 @@
-"""What touches and what overlaps, as lists of pairs of shapes, and what each step has changed of them.
+"""Touching and overlapping pairs of shapes, as lists, and their changes in each step.
 
 **Sensors** (``sensor=True`` of a shape) carry no impulse: ``sense_overlaps`` takes their pairs out of the candidates
 before the narrowphase sees any, and lists those whose shapes overlap or touch where the step begins, by the exact
-distance of two rounded polygons. What they cost is a look at each candidate pair, in scenes that have some.
+distance of two rounded polygons. They cost one test of each candidate pair, in scenes that have sensors.
 
 **Contact events** (``SolverConfig.contact_events``): at the end of a step ``note_touches`` merges the contacts, which
-are sorted by key, with the pairs that touched before. A pair begins to touch when one of its contacts presses or
-overlaps, and ceases to when it has no contact any more, so that what lies still does not flicker. One that approached
-faster than ``SolverConfig.hit_speed``, by its velocities before the step, and presses, has hit, unless it did in the
-step before: a gap that closes within a step lets an impact take two.
+are sorted by key, with the pairs that touched before. A pair begins to touch when one of its contacts has an impulse or
+overlaps, and ceases when it has no contact any more, so that bodies at rest do not flicker. A pair hits if it
+approached faster than ``SolverConfig.hit_speed``, by its velocities before the step, and has an impulse, unless it hit
+in the previous step: an impact whose gap closes within a step takes two.
 
-Both are sorted by (A, B), so a merge of two lists finds what has begun and ended. Lists are of the last step, or of all
-its whole substeps together; of a world that has stopped, or sleeps, nothing begins or ends.
+Both are sorted by (A, B), so a merge of two lists finds the pairs that have begun and ended. Lists are of the last
+step, or of all its whole substeps together; in a world that has stopped, or sleeps, no pair begins or ends.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ class PairList(NamedTuple):
     """Pairs of shapes, packed world after world; all arrays have the length n."""
 
     shape_a: np.ndarray
-    """Of a contact the shape of the static body, or of the lower index, over all worlds; of an overlap the sensor."""
+    """Shape of the static body, or of the lower index, numbered over all worlds; of an overlap the sensor."""
     shape_b: np.ndarray
-    """The other one."""
+    """The other shape."""
     world: np.ndarray
     """The world of both."""
     slot: np.ndarray
-    """Where the pair stands in the arrays of the list."""
+    """Index of the pair in the arrays of the list."""
 
 
 class PairLists(ArrayGroup):

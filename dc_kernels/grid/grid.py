@@ -39,7 +39,7 @@ class Grid(Settings):
 
     @classmethod
     def from_box(cls, lower: Any, upper: Any, spacing: float) -> Grid:
-        """The grid from corner to corner, both ends included; the upper one is moved out to a whole number of cells.
+        """Return the grid between two corners, both included; the upper one is moved out to a whole number of cells.
 
         Args:
             lower: low corner (x, y) [m].
@@ -94,17 +94,17 @@ that the nearest node's weight is not lost in round-off."""
 
 @dataclass(frozen=True, kw_only=True)
 class GridChoice:
-    """A grid and a support radius for the points of a scene, and what they achieve (see ``choose_grid``)."""
+    """A grid and a support radius for the points of a scene, with their properties (see ``choose_grid``)."""
 
     grid: Grid
     h: float
     """Support radius [m]."""
     closest: float
-    """Least distance of two points of the same world [m]; inf where no world has two."""
+    """Smallest distance of two points of the same world [m]; inf if no world has two."""
     shared: np.ndarray
-    """Points of each world that share their cell with another one, (W,), counted on the grid."""
+    """Number of points of each world that share their cell with another one, (W,), counted on the grid."""
     exact: bool
-    """Whether each point reaches a node and no two supports overlap: then reverse SPH gives back what was splatted."""
+    """Whether each point reaches a node and no two supports overlap: then reverse SPH returns the splatted values."""
 
     def __str__(self) -> str:
         grid, worlds = self.grid, int((self.shared > 0).sum())
@@ -127,30 +127,30 @@ def choose_grid(
     max_nodes: int = 65_536,
     max_spacing: float | None = None,
 ) -> GridChoice:
-    """Spacing and support radius for a scene, fine enough that no two points share a cell (Wu 2018, section 3.2.3).
+    """Choose spacing and support radius such that no two points share a cell (Wu 2018, section 3.2.3).
 
     A node's cell is the square of side ``spacing`` around it. It cannot hold two points farther apart than its
-    diagonal, spacing sqrt(2). A stronger condition is wanted: spacing / sqrt(2) < h <= d / 2, where d is the least
+    diagonal, spacing sqrt(2). A stronger condition is imposed: spacing / sqrt(2) < h <= d / 2, where d is the smallest
     distance of two points of a world. By the left inequality each point has a node inside its support, as the nearest
-    one is at most spacing / sqrt(2) away; by the right one no node lies in the supports of two. A node then holds the
-    share of one point only, and reverse SPH, which gives a node's content back in proportion to the weights, returns to
-    each point what it gave: the round trip is exact to round-off. No cell is shared then, as spacing < d / sqrt(2).
+    one is at most spacing / sqrt(2) away; by the right one no node lies in the supports of two points. A node then has
+    the value of one point only, and reverse SPH, which divides a node's value in proportion to the weights, returns
+    to each point its value: the round trip is exact to round-off. No cell is shared then, as spacing < d / sqrt(2).
 
     The choice is the coarsest grid of that kind: h = d / 2 and spacing = 0.9 sqrt(2) h, 0.636 d. Contacts of
     equal discs of radius r that do not overlap are at least r apart (the theses': h = 0.25 m, spacing 0.32 m).
-    Where this needs more than ``max_nodes``, or two points coincide, the grid is the finest that the limit allows and h
-    the least with which each point reaches a node; ``shared`` then counts, on that grid, the points that share a cell.
+    If this needs more than ``max_nodes``, or two points coincide, the grid is the finest within the limit and h
+    the smallest with which each point reaches a node; ``shared`` then counts the points that share a cell of that grid.
 
     Args:
         points: (n, 2) [m], contact points of all worlds, one world after the other.
         lower: low corner (x, y) of the region that the grid covers [m].
         upper: high corner (x, y) [m].
         start: (W + 1) offsets of the worlds in ``points``; None: one world.
-        max_nodes: most nodes of the grid, at least 4 [1].
-        max_spacing: largest spacing [m], also where no world has two points; None: the shorter side of the region.
+        max_nodes: largest number of nodes of the grid, at least 4 [1].
+        max_spacing: largest spacing [m], used if no world has two points; None: the shorter side of the region.
 
     Raises:
-        ValueError: for points that are not finite, offsets out of order, a region without area, a limit out of range.
+        ValueError: points are not finite, offsets out of order, the region has no area, or a limit is out of range.
     """
     points, start = _worlds_of(points, start)
     sides = _sides(lower, upper)
@@ -169,7 +169,7 @@ def choose_grid(
 
 
 def shared_cells(points: Any, grid: Grid, start: Any = None) -> np.ndarray:
-    """Points of each world that share a cell of the grid with another one, (W,).
+    """Return the number of points of each world that share a cell of the grid with another one, (W,).
 
     A node's cell is the square of side ``spacing`` around it; a point outside the grid counts for its nearest node.
 

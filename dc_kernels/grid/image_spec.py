@@ -1,4 +1,4 @@
-"""What the images of a scene show and how: one object for simulation, data sets, training and files of networks."""
+"""Description of the images of a scene, shared by simulation, data sets, training and files of networks."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ class ImageSpec(Settings):
     """Grid, channels and stencil of the images that show bodies and contacts.
 
     Raises:
-        ValueError: for an unknown or repeated channel, or a setting out of range.
+        ValueError: a channel is unknown or repeated, or a setting is out of range.
     """
 
     grid: Grid
-    """Where the nodes lie, relative to each world's origin."""
+    """Grid of the nodes, relative to each world's origin."""
     _: KW_ONLY
     body_channels: tuple[str, ...] = ("mass", "velocity_x", "velocity_y", "omega")
-    """Keys of ``channels.BODY_CHANNELS``; may be empty."""
+    """Channels of bodies, keys of ``channels.BODY_CHANNELS``; may be empty."""
     contact_channels: tuple[str, ...] = ("normal_x", "normal_y")
-    """Keys of ``channels.CONTACT_CHANNELS``; may be empty."""
+    """Channels of contacts, keys of ``channels.CONTACT_CHANNELS``; may be empty."""
     stencil: Stencil = field(default_factory=Stencil)
-    """How bodies and contacts reach the nodes; not normalized by "shepard"."""
+    """Weights of the nodes for bodies and contacts; not normalized by "shepard"."""
     bins: Count = 1
-    """Parts of the half circle of normal directions (n and -n are one) that contacts are kept apart in; bin b is
-    centred on the angle b pi / bins [1]."""
+    """Number of bins by which contacts are separated, over the half circle of normal directions (n and -n share a bin);
+    bin b is centred on the angle b pi / bins [1]."""
     walls: NotNegative | None = 100.0
-    """Mass of the nodes that static shapes cover (``area.wall_nodes``), on top of what bodies add there [kg]; None, or
-    no channel "mass": none."""
+    """Mass that is added to the nodes covered by static shapes (``area.wall_nodes``) [kg]; None, or no channel "mass":
+    none."""
     area: bool = False
     """Whether bodies are splatted over their area, in cells of a spacing (``area.area_points``)."""
 

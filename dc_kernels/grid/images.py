@@ -1,4 +1,4 @@
-"""The images of a simulation's bodies and contacts that a network reads, and its answer brought back to the contacts.
+"""Images of a simulation's bodies and contacts for networks, and the gather of a network's output at the contacts.
 
 images = dc.Images(sim, dc.ImageSpec(dc.Grid.thesis()))
 images.splat()                            # 4 channels of bodies, 2 of contacts
@@ -38,32 +38,32 @@ GATHERS = 64  # kinds of gathers whose launches are kept
 class Images(NotCopied):
     """Persistent images of all worlds, filled from the simulation's present state and contacts.
 
-    First come the bodies' channels, then the contacts', of each bin of normal directions in turn. A body is splatted at
-    its centre of mass or over its area, a contact at position[body_a] + arm_a: between ``collide`` and ``advance`` that
-    is its place, afterwards that of the step before carried along by body A. Velocities are those of ``state``, without
-    what the step in flight applies. A flagged world has neither bodies nor contacts. Static bodies appear as walls
-    only, as they stand when the images are made, kinematic ones not at all.
+    The channels of the bodies come first, then those of the contacts, for each bin of normal directions. A body is
+    splatted at its centre of mass or over its area, a contact at position[body_a] + arm_a: between ``collide`` and
+    ``advance`` that is its point, afterwards the point of the previous step, moved with body A. Velocities are those
+    of ``state``, without the changes of an unfinished step. A flagged world shows neither bodies nor contacts. Static
+    bodies appear only as walls, at their positions when the images are made; kinematic bodies do not appear.
 
-    Worlds are shared by threads; the bits do not depend on their number. On the CPU only. Every call is one of the
-    simulation: while another thread is in one of those, it raises RuntimeError.
+    Threads share the worlds; the bits do not depend on their number. Images work on the CPU only. Every call counts as
+    a call of the simulation: it raises RuntimeError during a call of another thread.
 
     Attributes:
         spec: grid, channels and stencil.
-        channels: names in the order of the image; "normal_x/3" is that of bin 3 where there are several.
+        channels: names in the order of the image; "normal_x/3" is the channel of bin 3 of several.
         image: (W, channels, rows, columns), of the simulation's dtype and backend; its memory never moves.
-        missed_bodies, missed_contacts: points of each world that reached no node in the last splat, (W,).
+        missed_bodies, missed_contacts: number of points of each world that reached no node in the last splat, (W,).
     """
 
     def __init__(self, sim: Simulation, spec: ImageSpec, *, threads: int | None = None) -> None:
         """Allocate the image and find the walls.
 
         Args:
-            sim: whose state and contacts are shown.
+            sim: the simulation whose state and contacts are shown.
             spec: grid, channels and stencil.
-            threads: None: as many as the simulation has.
+            threads: number of threads; None: that of the simulation.
 
         Raises:
-            ValueError: for a setting out of range, or a simulation on a GPU.
+            ValueError: a setting is out of range, or the simulation is on a GPU.
         """
         check_simulation("sim", sim)
         if sim.device != "cpu":
@@ -96,14 +96,14 @@ class Images(NotCopied):
     # ------------------------------------------------------------------ the image
 
     def numpy(self) -> np.ndarray:
-        """The image as numpy, the same memory."""
+        """Return the image as a numpy array of the same memory."""
         return self._image
 
     def tensor(self) -> Any:
-        """The image as a torch tensor, the same memory.
+        """Return the image as a torch tensor of the same memory.
 
         Raises:
-            ImportError: naming the extra, without torch.
+            ImportError: torch is not installed; the error names the extra.
         """
         return to_torch(self._image)
 
@@ -115,9 +115,9 @@ class Images(NotCopied):
         return self.image
 
     def impulse_image(self) -> Any:
-        """The present impulses as an image (W, 2 bins, rows, columns), what a network learns; always the same memory.
+        """Return the present impulses as an image (W, 2 bins, rows, columns), the target of networks, in fixed memory.
 
-        Its channels are the normal and tangential impulse [N s] of each bin in turn, as ``start_from`` reads them.
+        Its channels are the normal and tangential impulse [N s] of each bin, as ``start_from`` reads them.
         """
         with self.sim.calls:
             self._keep_bound()
@@ -140,23 +140,24 @@ class Images(NotCopied):
         stencil: Stencil | None = None,
         reverse: bool = False,
     ) -> Any:
-        """An image at the present contacts, or at the bodies' centres of mass.
+        """Return the values of an image at the present contacts, or at the bodies' centres of mass.
 
         Args:
             image: (W, C bins, rows, columns), or (W, C, rows, columns) at bodies, which have no bins; for any C, of the
-                simulation's dtype, contiguous, on the CPU: a torch tensor, numpy array or ``wp.array``, read where it
-                lies. Values that are not finite are passed on.
-            at: "contacts", or "bodies", static and kinematic ones too.
+                simulation's dtype, contiguous, on the CPU: a torch tensor, numpy array or ``wp.array``, read in
+                place. Values that are not finite are passed on.
+            at: "contacts", or "bodies" (also static and kinematic ones).
             stencil: weights of the nodes; None: bilinear, or those of the splat with ``reverse``.
-            reverse: share what a node holds among the points that reach it (reverse SPH, see ``transfer.gather``).
+            reverse: whether to divide the value of a node among the points that reach it (reverse SPH, see
+                ``transfer.gather``).
 
         Returns:
-            (slots, C), a row for each slot of ``sim.contacts``: those of world w begin at contact_start[w], and
-            contact_count[w] of them are in use; or (bodies, C). The same memory each time, until the simulation's
-            room grows.
+            (slots, C), one row for each slot of ``sim.contacts``: those of world w begin at contact_start[w], and
+            contact_count[w] of them are in use; or (bodies, C). The memory is reused until the simulation's
+            arrays grow.
 
         Raises:
-            ValueError: for an image of another type, dtype, shape, layout or device, or a stencil that no gather has.
+            ValueError: the image has another type, dtype, shape, layout or device, or a gather cannot use the stencil.
         """
         check_choice("at", at, ("contacts", "bodies"))
         return self._gather(image, at, None, stencil, reverse)
@@ -170,14 +171,14 @@ class Images(NotCopied):
         self._gather(image, "contacts", len(IMPULSES), stencil, reverse)
 
     def starter(self, predict: Callable[[Images], Any], **options: Any) -> Start:
-        """A start strategy for ``sim.step(dt, start=...)``: splat, predict, start from the answer.
+        """Return a start for ``sim.step(dt, start=...)``: splat, predict, start from the predicted impulses.
 
         Args:
-            predict: called with these images after the splat; returns an image of impulses for ``start_from``.
+            predict: function of these images, called after the splat; returns an image of impulses for ``start_from``.
             **options: stencil and reverse of ``start_from``.
 
         Raises:
-            TypeError: for what cannot be called, or another option.
+            TypeError: ``predict`` cannot be called, or an option is unknown.
         """
         check_callable("predict", predict)
         if unknown := set(options) - {"stencil", "reverse"}:

@@ -1,4 +1,4 @@
-"""Splat and gather of anybody's points: values at points to images on a grid, and back (the weights: ``stencil``)."""
+"""Splat and gather: values at points to images on a grid, and back (``stencil`` describes the weights)."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from dc_kernels.runtime.threads import slices_of
 
 
 class Transfer:
-    """Splats and gathers on one grid with one stencil: what all calls share, checked once.
+    """Splats and gathers on one grid with one stencil, whose settings are checked once.
 
-    ``splat`` and ``gather`` take points and values with each call. ``at`` binds points: what is bound then costs
-    microseconds a call.
+    ``splat`` and ``gather`` take points and values with each call. ``at`` binds points: a bound splat or gather then
+    takes microseconds.
     """
 
     def __init__(
@@ -48,14 +48,14 @@ class Transfer:
         """Check the settings.
 
         Args:
-            grid: where the nodes lie, relative to each world's origin.
+            grid: grid of the nodes, relative to each world's origin.
             stencil: weights of the nodes.
-            bins: parts of an image that points are kept apart in, such as directions of contact normals.
-            threads: worlds, or tiles of a large image, are shared by so many; the bits do not depend on it.
-            backend: "warp", "taichi", or "numpy": the oracle.
+            bins: number of bins that separate points, such as directions of contact normals.
+            threads: number of threads that share worlds, or tiles of a large image; the bits do not depend on it.
+            backend: "warp", "taichi", or "numpy", the oracle.
 
         Raises:
-            ValueError: naming the setting, when it is out of range.
+            ValueError: a setting, which the error names, is out of range.
         """
         self.grid, self.stencil = check_place(grid, stencil)
         stencil.support(grid.spacing)
@@ -111,9 +111,9 @@ class Transfer:
 
 
 class PointTransfer:
-    """Points on a grid, checked once: splats and gathers of them are bound to arrays.
+    """Points on a grid, checked once, whose splats and gathers are bound to arrays.
 
-    The points may move between calls and values change in place; what was checked is then no longer looked at, and a
+    The points may move between calls, and values may change in place; they are not checked again, and a
     point that is not finite contributes nothing.
     """
 
@@ -235,26 +235,26 @@ def splat(
     backend: str = "warp",
     out: Any = None,
 ) -> np.ndarray:
-    """Return values at points as an image.
+    """Splat values at points, and return the image.
 
     Args:
-        points: places relative to the worlds' origins, (n, 2), or (n, 3), whose z is passed over, float32 or float64
-            [m]; like all arrays numpy, ``wp.array`` or a torch tensor on the CPU, contiguous, read where it lies.
+        points: positions relative to the worlds' origins, (n, 2), or (n, 3) with z ignored, float32 or float64
+            [m]; like all arrays numpy, ``wp.array`` or a torch tensor on the CPU, contiguous, read in place.
         values: (n, C), of the same dtype.
-        grid: where the nodes lie.
+        grid: grid of the nodes.
         stencil: weights of the nodes: kernel, support radius, normalization.
         start: offsets of the worlds' points, (W + 1,); None: one world.
-        bins: parts of the image that points are kept apart in, such as directions of contact normals.
+        bins: number of bins that separate points, such as directions of contact normals.
         point_bin: bin of each point, (n,); needed for bins > 1.
-        threads: worlds, or tiles of a large image, are shared by so many threads; the bits do not depend on it.
-        backend: "warp", "taichi", or "numpy": the oracle.
+        threads: number of threads that share worlds, or tiles of a large image; the bits do not depend on it.
+        backend: "warp", "taichi", or "numpy", the oracle.
         out: image to write instead of a new one; all of it is overwritten.
 
     Returns:
         (W, bins C, rows, columns); value c of a point of bin b is in channel b C + c.
 
     Raises:
-        ValueError: naming field, index and limit, for input that is not as described.
+        ValueError: an input is not as described; the error names field, index and limit.
     """
     transfer = Transfer(grid, stencil, bins=bins, threads=threads, backend=backend)
     return transfer.splat(points, values, start=start, point_bin=point_bin, out=out)
@@ -274,16 +274,16 @@ def gather(
     backend: str = "warp",
     out: Any = None,
 ) -> np.ndarray:
-    """Return an image at points: the transpose of ``splat`` with the same stencil.
+    """Gather the values of an image at points: the transpose of ``splat`` with the same stencil.
 
     Args:
         image: (W, bins C, rows, columns), of the points' dtype.
-        points: see ``splat``, as are the arguments that are not listed here.
-        grid: where the nodes lie.
+        points: see ``splat``.
+        grid: grid of the nodes.
         stencil: weights of the nodes; not normalized by "shepard".
-        reverse: share what a node holds among the points that reach it, in proportion to their weights (reverse SPH,
-            Engedal 2018): the sum over the image's touched nodes comes back, and points whose supports do not
-            overlap get back exactly what they gave. Needs normalize "particle".
+        reverse: whether to divide the value of a node among the points that reach it, in proportion to their weights
+            (reverse SPH, Engedal 2018): this preserves the sum over the touched nodes, and points whose supports do
+            not overlap get back exactly their splatted values. It needs normalize "particle".
         start: see ``splat``.
         bins: see ``splat``.
         point_bin: see ``splat``.
@@ -295,7 +295,7 @@ def gather(
         (n, C).
 
     Raises:
-        ValueError: naming field, index and limit, for input that is not as described.
+        ValueError: an input is not as described; the error names field, index and limit.
     """
     transfer = Transfer(grid, stencil, bins=bins, threads=threads, backend=backend)
     return transfer.gather(image, points, reverse=reverse, start=start, point_bin=point_bin, out=out)

@@ -1,7 +1,7 @@
-"""Which points lie within a radius of each other: four methods, the same pairs.
+"""Search for the points within a radius of each other, by four methods that find equal pairs.
 
 A pair is found when dx dx + dy dy (+ dz dz) <= r r in the arithmetic of the points' dtype. Every method searches a
-little farther where it must and then decides by this expression, so all return the same set, also for points whose
+little farther if needed and then tests this expression, so all return equal sets, also for points whose
 distance is the radius.
 """
 
@@ -58,18 +58,18 @@ def neighbor_pairs(
     Args:
         points: (n, 2) or (n, 3), float32 or float64, C-contiguous [m].
         radius: largest distance, > 0 [m].
-        method: "hash" (cells sorted by place), "kdtree" (SciPy's), "tree" (boxes in a hierarchy) or "all" (every
-            pair tested).
+        method: "hash" (cells sorted by position), "kdtree" (SciPy's), "tree" (bounding volume hierarchy) or "all"
+            (every pair is tested).
         start: first point of each world and the number of points, (W + 1,); None for one world.
-        threads: Python threads that the worlds are shared among; the result does not depend on it.
-        backend: "warp", or for the method "hash" also "taichi", on one thread, and "numpy", the oracle.
+        threads: number of Python threads that share the worlds; the result does not depend on it.
+        backend: "warp", or for the method "hash" also "taichi" (on one thread) and "numpy", the oracle.
 
     Returns:
-        (m, 2) int32, i < j in each row. The rows' order differs between methods; each gives the same every time.
+        (m, 2) int32, i < j in each row. The order of the rows differs between methods, but is reproducible for each.
 
     Raises:
-        ValueError: naming the argument, the index and the limit.
-        ImportError: for "kdtree" without SciPy.
+        ValueError: an argument is invalid; the error names argument, index and limit.
+        ImportError: "kdtree" is used without SciPy.
     """
     radius, search, threads = _number("radius", radius), _search(method, backend), check_count("threads", threads)
     refuse_recording("neighbor_pairs", "the host sizes what it finds")
@@ -120,8 +120,8 @@ def neighbor_lists(
         backend: as for ``neighbor_pairs``.
 
     Raises:
-        ValueError: naming the argument, the index and the limit.
-        ImportError: for "kdtree" without SciPy.
+        ValueError: an argument is invalid; the error names argument, index and limit.
+        ImportError: "kdtree" is used without SciPy.
     """
     radius, search, threads = _number("radius", radius), _search(method, backend), check_count("threads", threads)
     refuse_recording("neighbor_lists", "the host sizes what it finds")

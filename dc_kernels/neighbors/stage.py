@@ -1,4 +1,4 @@
-"""A search for pairs as a stage: bound once to the points of its owner, then called as they move."""
+"""Neighbour search as a stage: bound once to an array of points, then called when they have moved."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ from dc_kernels.runtime.threads import run_shards
 
 
 class NeighborSearch(InPlace):
-    """Pairs of points within a radius, found anew at each call in memory that is allocated once.
+    """Finds pairs of points within a radius at each call, in memory that is allocated once.
 
-        search = dc.NeighborSearch(points, radius=0.1)   # numpy, torch, wp.array: read where they lie
-        search()                                         # again and again, as the points move
+        search = dc.NeighborSearch(points, radius=0.1)   # numpy, torch or wp.array, read in place
+        search()                                         # call it again when the points have moved
         first, second = search.numpy().T                 # or search.pairs, search.count for kernels
 
-    Each world has room of its own: its pairs are ``pairs[pair_start[w] : pair_start[w] + count[w]]``, in an order that
-    depends on the points alone. A call within ``wp.ScopedCapture`` becomes part of the graph, which cannot grow: after
-    a replay ``check`` tells whether all pairs had room. Several Python threads may call one search; they take turns.
+    The pairs of world w are ``pairs[pair_start[w] : pair_start[w] + count[w]]``, in an order that
+    depends only on the points. A call within ``wp.ScopedCapture`` becomes part of the graph. Arrays cannot grow in a
+    replay: ``check`` afterwards raises if some pairs did not fit. Several Python threads may call one search; the
+    calls run one after the other.
 
     Attributes:
-        pairs: (room, 2) int32, the lower index first; numbered over all worlds.
-        count: pairs of each world, (W,) int64; more than its room where that was too small.
-        pair_start: where the room of each world begins, (W + 1,) int64.
-        layout_version: changes whenever ``pairs`` and ``pair_start`` are allocated anew.
+        pairs: (capacity, 2) int32, the lower index first; numbered over all worlds.
+        count: number of pairs of each world, (W,) int64; it exceeds the world's capacity if that was too small.
+        pair_start: first element of each world's range, (W + 1,) int64.
+        layout_version: number that changes whenever ``pairs`` and ``pair_start`` are reallocated.
     """
 
     def __init__(
@@ -47,19 +48,19 @@ class NeighborSearch(InPlace):
         threads: int = 1,
         backend: str = "warp",
     ) -> None:
-        """Check and allocate everything.
+        """Check the arguments and allocate all memory.
 
         Args:
             points: (n, 2) or (n, 3), float32 or float64, contiguous on the CPU; kept, and read at each call [m].
             radius: largest distance, > 0 [m].
             start: first point of each world and the number of points, (W + 1,); None for one world.
-            max_pairs: pairs of each world that there is room for, a number or one for each, (W,): more are an error;
-                None: room grows.
-            threads: Python threads that the worlds are shared among; the result does not depend on it.
-            backend: "warp", "taichi", on one thread, or "numpy" for the oracle.
+            max_pairs: capacity for pairs of each world, a number or (W,), beyond which an error is raised; None: the
+                capacity grows.
+            threads: number of Python threads that share the worlds; the result does not depend on it.
+            backend: "warp", "taichi" (on one thread), or "numpy" for the oracle.
 
         Raises:
-            ValueError: naming the argument, the index and the limit.
+            ValueError: an argument is invalid; the error names argument, index and limit.
         """
         self.backend = check_backend(backend)
         self.points = check_points("points", points, (2, 3))
@@ -79,7 +80,7 @@ class NeighborSearch(InPlace):
         self._bind()
 
     def _bind(self) -> None:
-        """Allocate the room for pairs, and bind the launches of each shard of worlds."""
+        """Allocate the arrays of pairs, and bind the launches of each shard of worlds."""
         hashed, starts, backend = self._cells, self._starts, self.backend
         self.count = kernel_array(self._found, backend)
         firsts = np.concatenate([[0], np.cumsum(self._room + PADDING)])  # lanes write behind the last pair too
@@ -113,15 +114,15 @@ class NeighborSearch(InPlace):
 
     @property
     def lengths(self) -> Mapping[str, int]:
-        """How many it works on, by noun."""
+        """Return the numbers of its elements, by noun."""
         return {"point": len(self.points), "world": len(self._starts) - 1}
 
     def __call__(self) -> Any:
-        """Find the pairs of the points as they are now; returns ``count``.
+        """Find the pairs of the present points and return ``count``.
 
         Raises:
-            OverflowError: naming the world, for more pairs than ``max_pairs``.
-            ValueError: naming the point, for one that is not finite, or points too far apart for float64.
+            OverflowError: a world, which the error names, has more pairs than ``max_pairs``.
+            ValueError: a point, which the error names, is not finite, or points are too far apart for float64.
         """
         if recording():
             self._recordings.note()
@@ -135,13 +136,13 @@ class NeighborSearch(InPlace):
         return self.count
 
     def _whole(self) -> bool:
-        """Whether all points were finite and all pairs had room."""
+        """Return whether all points were finite and all pairs fit."""
         with np.errstate(over="ignore", invalid="ignore"):  # a box of nothing spans from inf to -inf
             bounded = (self._box["upper"] - self._box["lower"] < np.inf).all()
         return bool(bounded and (self._found <= self._room).all())
 
     def _grow(self) -> None:
-        """More room for the worlds without; raises for what no room mends."""
+        """Enlarge the worlds whose pairs did not fit; raise an error for other failures."""
         self._explain(self.fixed)
         full = self._found > self._room
         self._room[full] = self._found[full] + self._found[full] // 8
@@ -152,20 +153,20 @@ class NeighborSearch(InPlace):
         left.fill(STALE)
 
     def check(self, room: bool = True) -> None:
-        """Raise for what went wrong in the last call or replay, which a graph cannot tell itself.
+        """Raise an error for a failure in the last call or replay, as a replay itself cannot raise.
 
         Args:
-            room: whether pairs without room are an error.
+            room: whether to raise an error for pairs that did not fit.
 
         Raises:
             OverflowError, ValueError: see ``__call__``.
-            RuntimeError: for a replay of a graph that was recorded before ``layout_version`` changed.
+            RuntimeError: the replayed graph was recorded before ``layout_version`` changed.
         """
         self._recordings.check(self.layout_version)
         self._explain(room)
 
     def _explain(self, room: bool) -> None:
-        """Raise for what the last call met."""
+        """Raise an error for the failures of the last call."""
         check_points("points", self.points, (2, 3))
         lower, upper = self._box["lower"], self._box["upper"]
         with np.errstate(over="ignore", invalid="ignore"):
@@ -179,6 +180,6 @@ class NeighborSearch(InPlace):
             raise OverflowError(f"world {w} has {int(self._found[w])} pairs; max_pairs is {int(self._room[w])}")
 
     def numpy(self) -> np.ndarray:
-        """The pairs of all worlds, one world after the other, (m, 2) int32: a copy."""
+        """Return a copy of the pairs of all worlds, one world after the other, (m, 2) int32."""
         parts = [self._array[a : a + n] for a, n in zip(self._first, np.minimum(self._found, self._room))]
         return np.concatenate(parts) if parts else np.empty((0, 2), np.int32)

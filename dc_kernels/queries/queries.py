@@ -1,4 +1,4 @@
-"""Rays and shapes cast, overlaps, and closest points: of all worlds at once."""
+"""Ray casts, shape casts, overlaps and closest points, in all worlds at once."""
 
 from __future__ import annotations
 
@@ -32,44 +32,43 @@ SHORT = 1e-5  # of its size: a side as short as float32 tells
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays or shapes met first, an element for each."""
+    """The first hits of rays or moving shapes, one element for each."""
 
     shape: np.ndarray
-    """Shapes, numbered over all worlds, (n,) int32; -1 where nothing was met."""
+    """Shapes, numbered over all worlds, (n,) int32; -1 without a hit."""
     fraction: np.ndarray
-    """Part of the translation up to the hit, (n,) [1]: 0 for an overlap from the start, 1 where nothing was met."""
+    """Fraction of the translation up to the hit, (n,) [1]: 0 for an overlap from the start, 1 without a hit."""
     point: np.ndarray
-    """Points of the hits, (n, 2) [m]; where nothing was met, or from the start, the position of ray or shape there."""
+    """Points of the hits, (n, 2) [m]; for an overlap from the start the origin, without a hit the end of the path."""
     normal: np.ndarray
-    """Unit normals out of what was met, (n, 2); zero where nothing was met, or from the start."""
+    """Outward unit normals of the hit shapes, (n, 2); zero without a hit, or for an overlap from the start."""
 
 
 @dataclass(frozen=True)
 class Closest:
-    """The closest shapes, an element for each point."""
+    """The closest shapes, one element for each point."""
 
     shape: np.ndarray
-    """Shapes, numbered over all worlds, (n,) int32; -1 where none is near enough."""
+    """Shapes, numbered over all worlds, (n,) int32; -1 if none is near enough."""
     distance: np.ndarray
-    """Distance of the surface, negative for a point within, (n,) [m]; the largest one allowed where there is none."""
+    """Signed distances of the surfaces, negative for a point inside, (n,) [m]; ``max_distance`` if there is none."""
     point: np.ndarray
-    """Points of the surfaces, (n, 2) [m]; the point itself where there is none."""
+    """Closest points of the surfaces, (n, 2) [m]; the point itself if there is none."""
     normal: np.ndarray
-    """Unit normals of the surfaces there, (n, 2); zero where there is none."""
+    """Unit normals of the surfaces there, (n, 2); zero if there is none."""
 
 
 class Queries(InPlace):
-    """Asks where the shapes of all worlds are: rays, moving shapes, points and boxes, closest points.
+    """Casts rays and moving shapes, and finds overlaps and closest points, among the shapes of all worlds.
 
         queries = dc.Queries(sim)
         hits = queries.cast_rays([(0.0, 5.0), (1.0, 5.0)], (0.0, -10.0))
         sim.run(10, 0.01)
-        queries.update()  # asks about the bodies as they are now
+        queries.update()  # reads the present positions of the bodies
 
-    Answers are those of all shapes tested one by one, found by a tree of boxes of each world (see
-    ``_warp/queries/queries.py``): up to rounding, and of several that are equally near the shape of the least index.
-    A chain's segments are met from both sides. Queries take turns with steps of the simulation only as far as its
-    owner sees to it.
+    Each world has a tree of boxes (see ``_warp/queries/queries.py``); the results are those of testing all shapes, up
+    to rounding, and among equally near shapes the one with the lowest index.
+    Segments of chains are hit from both sides. Do not call it while another thread steps the simulation.
     """
 
     def __init__(
@@ -87,12 +86,12 @@ class Queries(InPlace):
             shapes: a ``Simulation`` on the CPU; or a model, or arrays by name (see ``collide.shapes.Shapes``).
             position: centres of mass of the bodies, (bodies, 2), kept and read by ``update`` [m]; None: those of
                 the simulation.
-            angle: of the bodies, (bodies,), as position [rad].
-            threads: threads that worlds and queries are shared among; the answers do not depend on it.
+            angle: orientations of the bodies, (bodies,), kept and read by ``update`` [rad]; None: as ``position``.
+            threads: number of threads that share worlds and queries; the results do not depend on it.
             backend: "warp", or "numpy" for the oracle, which tests each shape; None: that of the model.
 
         Raises:
-            ValueError, TypeError: naming the argument, the index and the limit.
+            ValueError, TypeError: an argument is invalid; the error names argument, index and limit.
         """
         self._sim = shapes if hasattr(shapes, "state") else None
         self.shapes = Shapes(getattr(shapes, "model", shapes), backend)
@@ -110,7 +109,7 @@ class Queries(InPlace):
         self.update()
 
     def _allocate(self) -> None:
-        """Make the tree for as many shapes as there are now."""
+        """Allocate the tree for the present number of shapes."""
         model = self._given
         if self._sim is not None:
             model, state = self._sim.model, self._sim.state
@@ -134,11 +133,11 @@ class Queries(InPlace):
 
     @property
     def lengths(self) -> Mapping[str, int]:
-        """How many it works on, by noun."""
+        """Return the numbers of its elements, by noun."""
         return {"shape": len(self._model["shape_type"]), "world": self.shapes.worlds}
 
     def update(self) -> None:
-        """Take the bodies as they are now; queries ask about them until the next update."""
+        """Read the present positions of the bodies, which queries use until the next update."""
         refuse_recording("Queries.update", "it works on the host, too")
         if self._sim is not None and self._sim.model.version != self._version:
             self._allocate()
@@ -155,17 +154,17 @@ class Queries(InPlace):
     def cast_rays(
         self, origin: Any, translation: Any, *, world: Any = None, mask: Any = None, skip_body: Any = None
     ) -> Hits:
-        """What rays from an origin along a translation meet first.
+        """Return the first hits of rays from an origin along a translation.
 
         Args:
-            origin: where each begins, (n, 2) [m].
-            translation: to where each ends, (n, 2), or one for all, (2,) [m].
-            world: of each, (n,), or one for all; None where there is one world.
-            mask: a shape counts if its category and this have a bit in common, (n,), or one for all; None: each counts.
-            skip_body: body, numbered over all worlds, whose shapes do not count, (n,), or one for all; -1: none.
+            origin: origin of each ray, (n, 2) [m].
+            translation: vector from the origin to the end of each ray, (n, 2), or one for all, (2,) [m].
+            world: world of each ray, (n,), or one for all; None: the only world.
+            mask: a shape is hit only if its category has a bit in common with this, (n,), or one for all; None: all.
+            skip_body: body, numbered over all worlds, whose shapes are ignored, (n,), or one for all; -1: none.
 
         Raises:
-            ValueError, TypeError: naming the argument, the index and the limit.
+            ValueError, TypeError: an argument is invalid; the error names argument, index and limit.
         """
         return self._cast(POINT, 0.0, translation, self._asked("origin", origin, world, mask, skip_body))
 
@@ -181,49 +180,49 @@ class Queries(InPlace):
         mask: Any = None,
         skip_body: Any = None,
     ) -> Hits:
-        """What a convex shape that moves along a translation, without turning, meets first.
+        """Return the first hits of a convex shape that moves along a translation without rotating.
 
         Args:
-            position: where it begins, (n, 2) [m].
-            translation: to where it moves, (n, 2), or one for all, (2,) [m].
-            angle: that it is turned by, (n,), or one for all; None: 0 [rad].
-            vertices: of the shape, relative to its position, (1 to 8, 2): a convex polygon, or the two ends of a
-                capsule; None: the centre of a disc [m].
-            radius: by which the shape is rounded, that of a disc [m].
+            position: start positions, (n, 2) [m].
+            translation: displacements, (n, 2), or one for all, (2,) [m].
+            angle: orientation of the shape, (n,), or one for all; None: 0 [rad].
+            vertices: vertices of the shape, relative to its position, (1 to 8, 2): a convex polygon, or the two ends
+                of a capsule; None: the centre of a disc [m].
+            radius: radius of the rounding, or of the disc [m].
             world, mask, skip_body: as for ``cast_rays``.
 
         Raises:
-            ValueError, TypeError: naming the argument, the index and the limit.
+            ValueError, TypeError: an argument is invalid; the error names argument, index and limit.
         """
         corners, radius = _probe(vertices, radius)
         query = self._asked("position", position, world, mask, skip_body, angle)
         return self._cast(corners, radius, translation, query)
 
     def overlap_points(self, points: Any, *, world: Any = None, mask: Any = None, skip_body: Any = None) -> Neighbors:
-        """The shapes that points lie in, or on: ``index[start[i]:start[i + 1]]`` those of point i, ascending.
+        """Return the shapes that contain points: ``index[start[i]:start[i + 1]]`` for point i, ascending.
 
         Args:
             points: (n, 2) [m].
             world, mask, skip_body: as for ``cast_rays``.
 
         Raises:
-            ValueError, TypeError: naming the argument, the index and the limit.
-            OverflowError: for more than 2^31 - 1 of them in all.
+            ValueError, TypeError: an argument is invalid; the error names argument, index and limit.
+            OverflowError: there are more than 2^31 - 1 results.
         """
         return self._overlaps(POINT, 0.0, self._asked("points", points, world, mask, skip_body))
 
     def overlap_boxes(
         self, lower: Any, upper: Any, *, world: Any = None, mask: Any = None, skip_body: Any = None
     ) -> Neighbors:
-        """The shapes that overlap or touch boxes along the axes, as ``overlap_points`` gives them.
+        """Return the shapes that overlap or touch axis-aligned boxes, as ``overlap_points`` does.
 
         Args:
             lower, upper: corners, (n, 2) [m].
             world, mask, skip_body: as for ``cast_rays``.
 
         Raises:
-            ValueError, TypeError: naming the argument, the index and the limit.
-            OverflowError: for more than 2^31 - 1 of them in all.
+            ValueError, TypeError: an argument is invalid; the error names argument, index and limit.
+            OverflowError: there are more than 2^31 - 1 results.
         """
         query = self._asked("lower", lower, world, mask, skip_body)
         low = query["place"]
@@ -246,14 +245,14 @@ class Queries(InPlace):
         mask: Any = None,
         skip_body: Any = None,
     ) -> Neighbors:
-        """The shapes that a convex shape overlaps or touches at each position, as ``overlap_points`` gives them.
+        """Return the shapes that a convex shape overlaps or touches at each position, as ``overlap_points`` does.
 
         Args:
             position, angle, vertices, radius, world, mask, skip_body: as for ``cast_shape``.
 
         Raises:
-            ValueError, TypeError: naming the argument, the index and the limit.
-            OverflowError: for more than 2^31 - 1 of them in all.
+            ValueError, TypeError: an argument is invalid; the error names argument, index and limit.
+            OverflowError: there are more than 2^31 - 1 results.
         """
         corners, radius = _probe(vertices, radius)
         query = self._asked("position", position, world, mask, skip_body, angle)
@@ -268,15 +267,15 @@ class Queries(InPlace):
         mask: Any = None,
         skip_body: Any = None,
     ) -> Closest:
-        """The closest shape of each point, by the signed distance of its surface.
+        """Return the closest shape of each point, by the signed distance of its surface.
 
         Args:
             points: (n, 2) [m].
-            max_distance: beyond which no shape counts, (n,), or one for all; None: none is too far [m].
+            max_distance: largest distance of a result, (n,), or one for all; None: unlimited [m].
             world, mask, skip_body: as for ``cast_rays``.
 
         Raises:
-            ValueError, TypeError: naming the argument, the index and the limit.
+            ValueError, TypeError: an argument is invalid; the error names argument, index and limit.
         """
         query = self._asked("points", points, world, mask, skip_body)
         largest = float(np.sqrt(np.finfo(self.dtype).max)) / 4

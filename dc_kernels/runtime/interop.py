@@ -36,7 +36,7 @@ class InPlace(NotCopied):
 
     @property
     def lengths(self) -> Mapping[str, int]:
-        """How many it works on, by noun."""
+        """Return the numbers of its elements, by noun."""
         raise NotImplementedError
 
     def __repr__(self) -> str:

@@ -67,7 +67,7 @@ def sph_sum(
         (nq, C) [u] for "value", (nq, C, dim) [u/m] for "gradient", (nq, C) [u/m^2] for "laplacian".
 
     Raises:
-        ValueError: naming the argument, the index and the limit.
+        ValueError: an argument is invalid; the error names argument, index and limit.
     """
     queries, points, values, mass, density = check_particles(queries, points, values, mass, density)
     code, threads = check_options(quantity, threads, backend)
@@ -104,7 +104,7 @@ def sph_density(
         backend: as for ``sph_sum``.
 
     Raises:
-        ValueError: naming the argument, the index and the limit.
+        ValueError: an argument is invalid; the error names argument, index and limit.
     """
     points = check_points("points", points, (2, 3))
     mass = check_array("mass", mass, (len(points),), points.dtype, low=0.0)
