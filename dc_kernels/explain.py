@@ -1,4 +1,4 @@
-"""What runs for a scene, what is skipped, and why."""
+"""Description of what runs for a scene, what is skipped, and why."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SHOWN = 8  # frozen worlds that one line names
 
 
 def explain(sim: Simulation) -> str:
-    """Lines of "stage: what runs or is skipped (why)" for a simulation as it stands."""
+    """Return lines of "stage: what runs or is skipped (why)" for the present simulation."""
     model, config = sim.model, sim.config
     body_type = model.numpy("body_type")
     shape_type = model.numpy("shape_type")
@@ -43,37 +43,41 @@ def explain(sim: Simulation) -> str:
         f"(rebuilt {int(sim.pairs.numpy('rebuilds').sum())} times so far)",
     ]
     if sim.only_discs and sim.specialize:
-        lines.append("narrowphase: discs only; hulls, clipping and rotations skipped (all that moves is centred discs)")
+        lines.append(
+            "narrowphase: discs only; hulls, clipping and rotations skipped (all moving shapes are centred discs)"
+        )
     else:
         lines.append("narrowphase: all shapes")
     if sim.variant == "discs":
         lines.append("rows: discs; the normal arm is skipped (it is zero)")
     elif sim.variant == "general":
-        why = "asked for by specialize=False" if sim.only_discs else "not all that moves is centred discs"
+        why = "requested by specialize=False" if sim.only_discs else "not all moving shapes are centred discs"
         lines.append(f"rows: general ({why}); joint rows skipped (no joints)")
     elif sim.variant == "surfaces":
-        lines.append("rows: contacts, joints and rolling resistance together (surfaces that move, or resist rolling)")
+        lines.append("rows: contacts, joints and rolling resistance together (moving surfaces or rolling resistance)")
     else:
         kinds = "rods" if sim.variant == "joints" else "joints of several kinds, as general rows"
         lines.append(f"rows: contacts and joints together ({kinds})")
     if has_traits(model):
-        lines.append("bodies: with damping, or gravities of their own")
+        lines.append("bodies: some have damping or a gravity scale")
     if sensors := int((roles_of(model) == ShapeRole.SENSOR).sum()):
         now = counted(int(sim.overlaps.numpy("count").sum()), "overlap")
-        lines.append(f"sensors: {counted(sensors, 'shape')}, taken out of the candidate pairs; {now} at the last step")
+        lines.append(f"sensors: {counted(sensors, 'shape')}, removed from the candidate pairs; {now} at the last step")
     if ways := int(np.isin(roles_of(model), (ShapeRole.ONE_WAY, ShapeRole.ONE_SIDED)).sum()):
         slots, _ = contact_slots(sim.contacts)
         off = counted(int(are_off(sim.contacts, slots).sum()), "contact")
-        lines.append(f"one-way: {counted(ways, 'shape')} that hold from one side; {off} off at the last step")
+        lines.append(f"one-way: {counted(ways, 'one-sided shape')}; {off} inactive in the last step")
     if config.contact_events:
         now = counted(int(sim.touches.numpy("count").sum()), "pair")
-        lines.append(f"contact events: {now} of shapes touch; those faster than {config.hit_speed:g} m/s hit")
+        lines.append(
+            f"contact events: {now} of shapes touch; a hit is an approach faster than {config.hit_speed:g} m/s"
+        )
     if not friction:
-        lines.append("friction: no shape has any; tangential impulses stay zero")
+        lines.append("friction: all coefficients are 0; tangential impulses stay zero")
     if not bounce:
-        lines.append("restitution: no shape has any; impact biases are skipped")
+        lines.append("restitution: all coefficients are 0; impact biases are skipped")
     if config.soft:
-        lines.append(f"solver: {config.substeps} substeps with soft contacts, each with a sweep that relaxes them")
+        lines.append(f"solver: {config.substeps} substeps with soft contacts, each with a relaxing sweep")
     elif config.method == "jacobi":
         lines.append("solver: Jacobi with mass splitting, scalar rows")
     elif sim.schedule == "world" and sim.device == "cpu":
@@ -96,7 +100,7 @@ def explain(sim: Simulation) -> str:
     if config.position_correction == "ngs":
         deep = sim.rows.numpy("deepest") < -config.slop * model.numpy("length_scale")
         run = "always, for the joints" if model.joint_count else f"in {int(deep.sum())} worlds at the last step"
-        lines.append(f"position correction: a phase of its own where an overlap exceeds the slop ({run})")
+        lines.append(f"position correction: a separate phase where an overlap exceeds the slop ({run})")
     else:
         lines.append(f"position correction: {config.position_correction}; the position phase is skipped")
     serial = int((sim.contacts.numpy("color") == SERIAL_COLOR).sum())
@@ -106,7 +110,7 @@ def explain(sim: Simulation) -> str:
         sleeping, dormant = sim.sleepers.numpy("sleeping"), sim.sleepers.numpy("dormant")
         lines.append(
             f"sleep: {int(sleeping.sum())} of {counted(int((body_type == BodyType.DYNAMIC).sum()), 'dynamic body')} "
-            f"asleep, in {counted(int((sleeping > 0).sum()), 'world')}, of which {int(dormant.sum())} pass over a step"
+            f"asleep, in {counted(int((sleeping > 0).sum()), 'world')}, of which {int(dormant.sum())} skipped whole"
         )
     else:
         lines.append("sleep: no body falls asleep (SolverConfig.sleep is off)")
@@ -117,7 +121,7 @@ def explain(sim: Simulation) -> str:
 
 
 def describe(sim: Simulation) -> str:
-    """One line: what a simulation is of, and which worlds do not advance."""
+    """Return one line with the size of a simulation and the worlds that do not advance."""
     model, frozen = sim.model, _frozen(sim)
     there, slots = model.body_count, ""
     if sim.given_ids is not None:
@@ -132,6 +136,6 @@ def describe(sim: Simulation) -> str:
 
 
 def _frozen(sim: Simulation) -> list[tuple[int, str]]:
-    """Worlds that do not advance, and the names of their flags."""
+    """Return the worlds that do not advance, and the names of their flags."""
     flags = sim.state.numpy("flags")
     return [(int(w), flag_names(flags[w])) for w in np.flatnonzero(flags)]

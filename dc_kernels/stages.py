@@ -16,78 +16,78 @@ from dc_kernels.solve.rows import COLUMNS
 
 Phase = Literal["advance", "collide", "solve"]
 PHASES: tuple[Phase, ...] = ("collide", "solve", "advance")
-"""Parts of a step in order."""
+"""Phases of a step in order."""
 
 
 class Stage(NamedTuple):
     """One stage of a step: a kernel over the worlds."""
 
     phase: Phase
-    """Part of a step that it belongs to: ``Simulation`` has a method of that name."""
+    """Phase of a step to which it belongs: ``Simulation`` has a method of that name."""
     kernel: str
     """Name of its kernel in every backend."""
     file: str
-    """Where its kernels stand below a backend's root."""
+    """Module of its kernels below a backend's root."""
     options: tuple[str, ...]
-    """What its kernels are made for beside the scalar: "only_discs", "rolls", "traits", "variant"."""
+    """Options of its kernels other than the scalar type: "only_discs", "rolls", "traits", "variant"."""
     reads: tuple[str, ...]
     """Groups of arrays that it reads."""
     writes: tuple[str, ...]
     """Groups that it writes."""
     does: str
-    """What it does, for people."""
+    """Description of what it does."""
     skipped: str = ""
-    """When it does nothing, or is not run at all."""
+    """Condition under which it does nothing, or is not run."""
 
 
 STEP = (
     Stage(
         "collide", "predict", "solve.integrate", ("traits",), ("model", "state", "motion"), ("motion", "state"),
-        "velocities with forces and gravity applied; how far contacts look ahead", "a world whose flags are set",
+        "applies forces and gravity to velocities; sets the reach of contacts", "a world whose flags are set",
     ),
     Stage(
         "collide", "update_pairs", "collide.broadphase", (), ("model", "state", "motion", "pairs"), ("pairs", "state"),
-        "candidate pairs of shapes", "kept while no shape leaves its box",
+        "finds candidate pairs of shapes", "kept while no shape leaves its box",
     ),
     Stage(
         "collide", "narrowphase", "collide.narrowphase", ("only_discs",), ("model", "state", "motion", "pairs"),
-        ("contacts", "rows", "state", "pairs"), "contact points, normals, gaps",
-        "hulls, where all that moves is centred discs",
+        ("contacts", "rows", "state", "pairs"), "computes contact points, normals, gaps",
+        "hulls, if all moving shapes are centred discs",
     ),
     Stage(
         "collide", "match_contacts", "collide.match", (), ("model", "state", "motion", "cache"),
-        ("contacts", "joints", "state"), "start impulses, colours and ages of contacts known from the step before",
+        ("contacts", "joints", "state"), "takes impulses, colours and ages of contacts from the previous step",
     ),
     Stage(
         "collide", "color_constraints", "collide.color", (), ("model", "state"), ("contacts", "joints", "rows"),
-        "colours: no two constraints of one share a dynamic body", "a world without new contacts or joints",
+        "colours constraints so that no two of a colour share a dynamic body", "a world without new contacts or joints",
     ),
     Stage(
         "collide", "pack_rows", "solve.pack", ("variant",), ("model", "state", "joints", "motion", "contacts"),
-        ("rows", "stats", "state"), "rows of the solver in blocks, colour by colour",
+        ("rows", "stats", "state"), "packs the solver's rows in blocks, colour by colour",
     ),
     Stage(
         "solve", "solve_world", "solve.schedules", ("variant",),
         ("model", "state", "joints", "contacts"), ("motion", "rows", "stats"),
-        "sweeps from the start impulses to the tolerance", "a world without rows",
+        "sweeps from the start impulses until the solve ends", "a world without rows",
     ),
     Stage(
         "solve", "unpack_impulses", "solve.pack", ("variant",), ("model", "state"), ("contacts", "joints", "rows"),
-        "solved impulses back to contacts and joints",
+        "copies solved impulses to contacts and joints",
     ),
     Stage(
         "advance", "displace", "solve.integrate", ("traits",), ("model", "state"), ("motion",),
-        "what the solved velocities move the bodies by",
+        "computes displacements from the solved velocities",
     ),
     Stage(
         "advance", "correct_positions", "solve.schedules", ("variant",), ("model", "state", "rows"), ("motion",),
-        "displacements that undo overlap",
+        "corrects displacements to remove overlap",
         "another position correction than ngs; a world without overlap beyond the slop and without joints",
     ),
     Stage(
         "advance", "commit", "solve.integrate", ("traits",), ("model", "joints", "motion"),
         ("state", "contacts", "cache"),
-        "positions, velocities, time, and the contacts that the next step starts from",
+        "writes positions, velocities, time, and the contacts from which the next step starts",
     ),
 )  # fmt: skip
 """The stages of a step in order. With schedule "color", ``solve_world`` is cut at the colours (``solve.schedules``)."""
@@ -95,41 +95,44 @@ STEP = (
 SLEEP = (
     Stage(
         "collide", "notice_writes", "sleep.wake", ("rolls",), ("model", "state", "joints", "contacts", "sleepers"),
-        ("sleepers",), "what a user wrote to sleepers, or to what they touch, rouses them", "but once in a call",
+        ("sleepers",), "rouses sleepers where a program wrote to them or to bodies that they touch",
+        "except once in a call",
     ),
     Stage(
         "collide", "enter_worlds", "sleep.wake", ("rolls",), ("state", "sleepers"), ("state", "stats"),
-        "the stages of a phase pass over worlds in which nothing is awake",
+        "lets the stages of a phase skip worlds in which nothing is awake",
     ),
     Stage(
         "collide", "mark_sleepers", "sleep.wake", ("rolls",),
         ("model", "state", "joints", "motion", "pairs", "contacts", "sleepers"), ("motion", "sleepers"),
-        "what is roused wakes; the narrowphase passes over pairs of sleepers",
+        "wakes roused bodies; lets the narrowphase skip pairs of sleepers",
         "a world without sleepers",
     ),
     Stage(
         "collide", "wake_touched", "sleep.wake", ("rolls",),
         ("model", "state", "joints", "motion", "pairs", "contacts", "sleepers"), ("state", "motion", "sleepers"),
-        "what something touches that moves wakes", "a world without sleepers",
+        "wakes sleepers that a moving body touches", "a world without sleepers",
     ),
     Stage(
         "collide", "admit_worlds", "sleep.wake", ("rolls",), ("state", "contacts", "rows", "sleepers"),
-        ("state", "contacts", "rows", "sleepers"), "room for the contacts of sleepers", "a world without sleepers",
+        ("state", "contacts", "rows", "sleepers"), "reserves slots for the contacts of sleepers",
+        "a world without sleepers",
     ),
     Stage(
-        "collide", "leave_worlds", "sleep.wake", ("rolls",), ("state",), ("state",), "the end of a phase",
+        "collide", "leave_worlds", "sleep.wake", ("rolls",), ("state",), ("state",), "ends a phase",
     ),
     Stage(
         "advance", "show_sleepers", "sleep.fall", ("rolls",), ("state", "motion", "contacts", "sleepers"),
-        ("contacts", "sleepers"), "contacts of sleepers among those of the step", "a world without sleepers",
+        ("contacts", "sleepers"), "inserts the contacts of sleepers among those of the step",
+        "a world without sleepers",
     ),
     Stage(
         "advance", "rest", "sleep.fall", ("rolls",), ("model", "state", "motion", "sleepers"), ("state", "sleepers"),
-        "for how long bodies have rested; time of worlds that are passed over",
+        "counts how long bodies have rested; advances the time of skipped worlds",
     ),
     Stage(
         "advance", "fall_asleep", "sleep.fall", ("rolls",), ("model", "state", "joints", "contacts", "sleepers"),
-        ("state", "sleepers"), "islands that have come to rest fall asleep", "where none may have",
+        ("state", "sleepers"), "puts islands that have come to rest to sleep", "where no island can have",
     ),
 )  # fmt: skip
 """What ``SolverConfig.sleep`` adds to the stages, by the phase in which each is first (see ``of_phase``)."""
@@ -147,7 +150,7 @@ NEEDS = {
     "note_overlaps": Activity(0),
     "note_touches": Activity(0),
 }
-"""Without what the kernels of ``SLEEP`` do nothing, so that they need not be launched; all others need AWAKE."""
+"""Activity without which a kernel of ``SLEEP`` does nothing and is not launched; all others need AWAKE."""
 
 ORDER: dict[str, tuple[tuple[Phase, ...], str]] = {
     "solve": (
@@ -157,7 +160,7 @@ ORDER: dict[str, tuple[tuple[Phase, ...], str]] = {
     "resume": (("solve",), "resume() needs solve(pause=...) first: no solve is in flight"),
     "advance": (("solve",), "advance() needs solve() first: there are no solved velocities"),
 }
-"""The phases that a call may follow, and what is wrong after another one."""
+"""The phases that a call may follow, and the error after another phase."""
 
 
 class Turn:
@@ -183,30 +186,30 @@ class Turn:
 LINKED = (
     Stage(
         "collide", "separate_joined", "collide.joined", (), ("model", "state", "joints", "rows", "pairs"), ("pairs",),
-        "pairs without those of bodies that a joint keeps from colliding", "a scene whose joints let all collide",
+        "removes pairs of bodies that a joint keeps from colliding", "a scene whose joints let all bodies collide",
     ),
     Stage(
         "collide", "make_joint_rows", "solve.joints", (), ("model", "state", "joints"), ("motion", "rows", "state"),
-        "rows of the joints, by their kinds", "a scene whose joints are all rods",
+        "makes the rows of the joints", "a scene whose joints are all rods",
     ),
     Stage(
         "advance", "break_joints", "solve.joints", (), ("model", "state", "motion", "rows"), ("joints",),
-        "joints under more than their break force break", "a scene whose joints never break",
+        "breaks joints whose force exceeds their break force", "a scene whose joints never break",
     ),
 )  # fmt: skip
 """What joints that are not all rods add to the stages (see ``of_phase``)."""
 EVENTS = (
     Stage(
         "collide", "sense_overlaps", "events.overlaps", (), ("model", "state", "pairs"), ("overlaps", "pairs"),
-        "pairs of sensors out of the candidates; those of them that overlap", "a scene without sensors",
+        "removes pairs of sensors from the candidates; lists those that overlap", "a scene without sensors",
     ),
     Stage(
         "advance", "note_overlaps", "events.overlaps", (), ("state", "pairs"), ("overlaps",),
-        "overlaps of sensors that have begun and ended", "a scene without sensors",
+        "lists overlaps of sensors that have begun and ended", "a scene without sensors",
     ),
     Stage(
         "advance", "note_touches", "events.touches", (), ("model", "state", "contacts"), ("touches",),
-        "pairs that touch, that have begun and ceased to, that hit each other", "without `contact_events`",
+        "lists pairs that touch, have begun or ceased to touch, or hit each other", "without `contact_events`",
     ),
 )  # fmt: skip
 """What sensors and contact events add to the stages (see ``of_phase``)."""
@@ -214,42 +217,42 @@ SWITCHED = (
     Stage(
         "collide", "screen_contacts", "collide.switches", ("rolls",),
         ("model", "state", "motion", "rows", "contacts", "switches"), ("contacts", "rows", "switches"),
-        "contacts that one-way shapes let through, out of those of the step",
+        "removes the contacts that one-way shapes let through",
         "without one-way shapes and `contact_switches`",
     ),
     Stage(
         "advance", "show_switched", "collide.switches", ("rolls",), ("state", "contacts", "switches"),
-        ("contacts", "switches"), "contacts that are off among those of the step", "as `screen_contacts`",
+        ("contacts", "switches"), "inserts the inactive contacts among those of the step", "as `screen_contacts`",
     ),
 )  # fmt: skip
 """What contacts that may be off add to the stages (see ``of_phase``)."""
 FOLLOWED = (
     Stage(
         "collide", "drop_missed", "collide.continuous", (), ("model", "state", "motion", "contacts"), ("contacts",),
-        "contacts without those of pairs that the motion of the step takes past each other", "without `continuous`",
+        "removes contacts of pairs that pass each other in the step", "without `continuous`",
     ),
     Stage(
         "advance", "stop_short", "collide.continuous", (),
         ("model", "state", "joints", "motion", "contacts", "pairs", "rows"), ("motion",),
-        "what would get deep into another goes up to there", "as `drop_missed`",
+        "stops bodies that would penetrate others deeply", "as `drop_missed`",
     ),
 )  # fmt: skip
 """What continuous detection adds to the stages (see ``of_phase``)."""
 ROLLED = (
     Stage(
         "collide", "match_rolling", "collide.rolling", (), ("state", "motion", "cache"), ("contacts",),
-        "start impulses of rolling resistance", "a scene in which nothing resists rolling",
+        "takes start impulses of rolling resistance", "a scene without rolling resistance",
     ),
     Stage(
         "advance", "keep_rolling", "collide.rolling", (), ("state", "contacts"), ("cache",),
-        "impulses of rolling resistance, for the next step", "as `match_rolling`",
+        "keeps impulses of rolling resistance for the next step", "as `match_rolling`",
     ),
 )  # fmt: skip
 """What rolling resistance adds to the stages (see ``of_phase``)."""
 SOFT = (
     Stage(
         "solve", "solve_soft", "solve.soft", ("variant",), ("model", "state", "joints", "contacts"),
-        ("motion", "rows", "stats"), "all substeps with soft contacts and joints, and what they move the bodies by",
+        ("motion", "rows", "stats"), "makes all substeps with soft contacts and joints, and their displacements",
     ),
 )  # fmt: skip
 """What stands in the place of ``solve_world``, ``displace`` and ``correct_positions`` with method "tgs_soft"."""
@@ -343,8 +346,8 @@ def variants_of(backend: str) -> Sequence[str]:
 
 
 def markdown(stages: Sequence[Stage] = STEP) -> str:
-    """Stages as a table for people."""
-    rows = ["| phase | kernel | file | reads | writes | what it does | left out |", "| --- " * 7 + "|"]
+    """Return stages as a Markdown table."""
+    rows = ["| phase | kernel | file | reads | writes | what it does | skipped |", "| --- " * 7 + "|"]
     for stage in stages:
         groups = [", ".join(f"`{name}`" for name in names) for names in (stage.reads, stage.writes)]
         place = f"`{stage.file.replace('.', '/')}.py`"

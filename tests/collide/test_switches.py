@@ -103,7 +103,7 @@ def test_what_turns_back_within_a_platform_falls_out_of_it():
     (place, _), touched = steps(sim, 45), dc.contact_events(sim)
     assert abs(place[:, disc, 1].max() + 0.1) < 0.05 and touched.shape_b.tolist() == [3]
     (place, _) = steps(sim, 250)
-    assert "one-way: 1 shape that hold from one side; 2 contacts off at the last step" in sim.explain()
+    assert "one-way: 1 one-sided shape; 2 contacts inactive in the last step" in sim.explain()
     assert place[-1, disc, 1] == pytest.approx(-1.7, abs=2e-3)
     assert place[-1, mast] == pytest.approx([2.0, 0.0], abs=2e-3)
     assert dc.overlap(sim).max < 1e-3  # what passes through a platform overlaps nothing that holds it

@@ -85,7 +85,7 @@ def test_what_rests_falls_asleep_and_keeps_every_bit(at_rest):
     assert not sim.state.numpy("flags").any() and not sim.running.any()
     weight = 9.81 * sim.model.numpy("mass")
     np.testing.assert_allclose(dc.net_contact_forces(sim).force[list(ALL), 1], weight[list(ALL)], rtol=2e-3)
-    assert "sleep: 9 of 9 dynamic bodies asleep, in 1 world, of which 1 pass over a step" in sim.explain()
+    assert "sleep: 9 of 9 dynamic bodies asleep, in 1 world, of which 1 skipped whole" in sim.explain()
 
 
 def test_phases_of_a_dormant_world_do_nothing(at_rest):
