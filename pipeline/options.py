@@ -16,27 +16,29 @@ class SolverOptions(Settings):
     """Options of the contact solver."""
 
     preset: Literal["default", "strict", "accurate", "fast", "thesis"] = "default"
-    """Settings by name, which the options below change: default ends where bodies hardly move on, strict where each of
-    them hardly does amid collisions too, accurate at an impulse change of 1e-4 N s, fast after 10 sweeps, thesis is the
-    theses' protocol."""
+    """Named settings, which the options below change: default ends a solve when the bodies' motion hardly changes,
+    strict also requires this of each contact in collisions, accurate ends at an impulse change of 1e-4 N s, fast
+    after 10 sweeps; thesis is the theses' protocol."""
     method: Literal["pgs", "jacobi"] | None = None
-    """Gauss-Seidel in colour order, or Jacobi with mass splitting; None: the preset's, here and below."""
+    """Gauss-Seidel in colour order, or Jacobi with mass splitting; None, here and below: as in the preset."""
     acceleration: Literal["none", "sor", "aitken", "nncg", "adaptive"] | None = None
-    """How the method is accelerated."""
+    """Acceleration of the sweeps."""
     tolerance: Tolerance | None = None
-    """Impulse change of a sweep, or residual, at which a solve ends, and not before [N s or 1]."""
+    """Impulse change of a sweep, or residual, at which a solve ends [N s or 1]."""
     relative_tolerance: Tolerance | None = None
-    """Impulse change at which a solve ends, in units of what a typical weight gives in a step, where smaller [1]."""
+    """Impulse change at which a solve ends, relative to the impulse of a typical weight in a step, if that is
+    smaller [1]."""
     stop: Literal["change", "residual", "motion"] | None = None
-    """What ends a solve: the tolerance of the impulse change, or of the residual, or bodies that hardly move on."""
+    """Criterion that ends a solve: the tolerance of the impulse change or of the residual, or the change of the
+    bodies' motion."""
     max_sweeps: Whole | None = None
-    """Sweeps after which a solve ends unconverged [1]."""
+    """Largest number of sweeps of a solve [1]."""
     min_sweeps: Whole | None = None
-    """Least number of sweeps of a solve [1]."""
+    """Smallest number of sweeps of a solve [1]."""
     position_correction: Literal["ngs", "baumgarte", "none"] | None = None
-    """How overlaps are mended: in a phase of its own after the velocities, by a velocity bias, or not at all."""
+    """How overlaps are corrected: in a separate phase after the velocities, by a velocity bias, or not at all."""
     sleep: bool = False
-    """Let bodies fall asleep that have come to rest with all that they touch."""
+    """Let bodies fall asleep when they and all bodies that they touch have come to rest."""
 
     def named(self) -> dict[str, Any]:
         """The options by name, with what the preset stands for."""
@@ -53,20 +55,20 @@ class SolverOptions(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(Settings):
-    """Options of a run: its worlds, its time step, and what it computes on."""
+    """Options of a run: its worlds, its time step, threads, backend and device."""
 
     worlds: Count = 1
-    """Worlds, of the seeds seed, seed + 1, ... [1]."""
+    """Number of worlds, with the seeds seed, seed + 1, ... [1]."""
     seed: Seed = 0
     """Seed of the first world [1]."""
     dt: Positive = 0.01
     """Time step [s]."""
     threads: Count = 1
-    """Threads that share the worlds [1]."""
+    """Number of threads that share the worlds [1]."""
     dtype: Literal["float32", "float64"] = "float32"
     """Scalar type of all arrays."""
     backend: Literal["warp", "numpy", "taichi"] = "warp"
-    """Whose kernels are run: Warp's, Taichi's, or those of the slow NumPy oracle."""
+    """Backend of the kernels: Warp, Taichi, or the slow NumPy oracle."""
     device: str = "cpu"
     """Device of the Warp kernels: cpu, or cuda:0, ..."""
 

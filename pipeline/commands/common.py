@@ -36,6 +36,6 @@ class Common(Settings):
     """Options of every command."""
 
     json: bool = False
-    """Print one line of JSON last, and no progress bar."""
+    """Print one line of JSON at the end, and no progress bar."""
     plugin: Several[tuple[Path, ...]] = ()
     """Python file that is run first and registers scenes, starts or networks."""

@@ -27,7 +27,7 @@ from pipeline.scenes import Thesis
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(Common):
-    """Run the thesis protocol, plain and accelerated, and one of its worlds; print the table, draw it all."""
+    """Run the thesis protocol, plain and accelerated, and one of its worlds; print the table and draw the plots."""
 
     out: Path = Path("out/demo")
     """Folder of demo.png, protocol.png, protocol.json, grids.png and, in world/, the files of the world shown."""
@@ -38,7 +38,7 @@ class Demo(Common):
     steps: Count = 250
     """Steps of each world [1]."""
     threads: Count = 1
-    """Threads that share the worlds [1]."""
+    """Number of threads that share the worlds [1]."""
 
     def __call__(self) -> dict[str, Any]:
         began = time.perf_counter()
@@ -61,8 +61,8 @@ class Demo(Common):
         save_figure(grids_figure(sim, grid), self.out / "grids.png")
         result.update(world=summary, complete=summary["complete"], wall_s=time.perf_counter() - began)
         if not self.json:
-            print(f"{self.out / 'grids.png'}: what a network reads of that world's end, and what it is to answer")
-            print(f"{self.out / 'demo.png'}: the picture of it all; {result['wall_s']:.0f} s")
+            print(f"{self.out / 'grids.png'}: input and target of a network at the end of that world")
+            print(f"{self.out / 'demo.png'}: all results in one picture; {result['wall_s']:.0f} s")
         return result
 
 
@@ -80,7 +80,7 @@ class Protocol(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(Common):
-    """Compare starts and trained networks on held-out worlds: tables, all plots of the theses."""
+    """Compare starts and trained networks on held-out worlds; write tables and all plots of the theses."""
 
     evaluation: EvaluationOptions = field(default_factory=EvaluationOptions)
     out: Path = Path("out/evaluate")

@@ -41,7 +41,7 @@ class Solve:
 
 @dataclass(frozen=True, kw_only=True)
 class Fclib(Common):
-    """Export contact problems of a scene in FCLIB's HDF5 layout, or solve those of others."""
+    """Export contact problems of a scene in FCLIB's HDF5 layout, or solve those of given files."""
 
     action: Export | Solve
     """What to do."""

@@ -12,7 +12,7 @@ from pipeline.plots.kernels import draw
 
 @dataclass(frozen=True, kw_only=True)
 class Figures(Common):
-    """Draw a figure of Wu (2018) again: "kernels" compares the smoothing kernels (figures 3.3 and 3.4)."""
+    """Reproduce a figure of Wu (2018): "kernels" compares the smoothing kernels (figures 3.3 and 3.4)."""
 
     figure: Positional[Literal["kernels"]]
     """Which figure."""

@@ -17,20 +17,21 @@ from pipeline.scenes import Thesis
 
 @dataclass(frozen=True, kw_only=True)
 class Generate(Common):
-    """Make a data set: worlds on all cores, each state with its label; or go on with one that was cut short."""
+    """Make a data set of worlds on all cores, each state with its label, or continue one that was interrupted."""
 
     scene: SceneOption = field(default_factory=Thesis)
     """What stands in the worlds; each scene has options of its own."""
     options: GenerateOptions = field(default_factory=GenerateOptions)
     solver: SolverConfig = field(default_factory=lambda: SolverConfig.preset("accurate"))
     config: Path | None = None
-    """TOML file of options, with tables scene, ranges and solver: its values take the place of the defaults here."""
+    """TOML file of options, with tables scene, ranges and solver: its values replace the defaults."""
     out: Path = Path("out/data")
     """Folder of the shards and of index.h5."""
     compression: Compression = "zstd"
-    """Of the shards: zstd, which HDF5 reads with the package hdf5plugin, or gzip, slower and a little larger."""
+    """Compression of the shards: zstd, which HDF5 reads with the package hdf5plugin, or gzip, slower and a little
+    larger."""
     threads: Whole = 0
-    """Shards made at once; 0: one for each core [1]."""
+    """Number of shards made at once; 0: one for each core [1]."""
     scheduler: str | None = None
     """Address of a Dask scheduler, tcp://..., whose workers make the shards instead."""
 

@@ -24,7 +24,7 @@ PICTURE = "scenes.png"
 
 @dataclass(frozen=True, kw_only=True)
 class Scenes(Common):
-    """List the scenes, those of plugins among them, with their parameters; on request draw each as it is by default."""
+    """List the scenes, including those of plugins, with their parameters; optionally draw each by its defaults."""
 
     out: Path | None = None
     """Folder of scenes.png, made if missing; without it nothing is run and drawn."""

@@ -31,7 +31,7 @@ class Train(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class TrainContactnet(Common):
-    """Train ContactNet, which corrects solves in flight, on the calls that it makes itself; no data set is needed."""
+    """Train ContactNet, which corrects impulses during a solve, on its own calls; no data set is needed."""
 
     training: ContactTrainOptions = field(default_factory=ContactTrainOptions)
 
@@ -46,11 +46,11 @@ class TrainContactnet(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class TrainStepper(Common):
-    """Train a network that takes the place of the contact solver, on recorded motions; without --data it makes some."""
+    """Train a network that replaces the contact solver, on recorded motions; without --data it records some."""
 
     network: Positional[str] = "stepnet"
-    """Which network: stepnet; or convfc, pressure, peak, unet, one of a plugin or of an installed package, which map an
-    image of the state to one of the change of its velocities."""
+    """Network: stepnet; or convfc, pressure, peak, unet, or one of a plugin or an installed package, which map an
+    image of the state to an image of the velocity change."""
     training: StepperTrainOptions = field(default_factory=StepperTrainOptions)
 
     def __call__(self) -> dict[str, Any]:

@@ -13,7 +13,7 @@ class ContactTrainOptions(Settings):
     """Options of a training of ContactNet; the defaults are those of the weights in the package."""
 
     out: Path = Path("out/contactnet")
-    """Folder of the files, made if missing; files of an earlier training are replaced."""
+    """Output folder, made if missing; files of an earlier training are replaced."""
     resume: bool = False
     """Continue the training in that folder."""
     rounds: Count = 14
@@ -21,15 +21,15 @@ class ContactTrainOptions(Settings):
     steps: Count = 500
     """Steps of a round [1]."""
     contacts: Count = 5000
-    """Number of contacts of a step's batch, about [1]."""
+    """Approximate number of contacts in a step's batch [1]."""
     rate: Positive = 1e-3
     """Highest learning rate, of AdamW in one cycle."""
     weight_decay: NotNegative = 1e-4
     """Weight decay of the optimiser [1]."""
     clip: Positive = 1.0
-    """Longest gradient, to which longer ones are cut [1]."""
+    """Gradient norm to which larger gradients are clipped [1]."""
     seed: Seed = 0
-    """Seed of the weights, of what is recorded, and of the first world [1]."""
+    """Seed of the weights, of the recorded states, and of the first world [1]."""
     spacing: Positive = 2.0
     """Distance of the grid's nodes [typical diameters]."""
     channels: tuple[Count, ...] = (8, 16, 16)

@@ -43,7 +43,7 @@ class Setting:
     steps: int = 250
     """Steps of each world [1]."""
     max_sweeps: int = 1000
-    """Sweeps after which a solve ends unconverged [1]."""
+    """Largest number of sweeps of a solve [1]."""
 
 
 SETTINGS = (

@@ -38,7 +38,7 @@ class Crowd(Settings):
     steps: tuple[int, ...]
     """Steps at which a solve is repeated with each gain [1]."""
     max_sweeps: Count = 1000
-    """Sweeps after which a solve ends unconverged [1]."""
+    """Largest number of sweeps of a solve [1]."""
 
 
 CROWDS = (

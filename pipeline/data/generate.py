@@ -263,7 +263,7 @@ def describe(summary: dict[str, Any]) -> str:
     lines = [
         f"{summary['scene']}: {summary['worlds_made']} of {summary['worlds']} worlds made in "
         f"{summary['seconds']:.1f} s, {summary['worlds_per_s']:.1f} a second; "
-        f"{summary['shards_kept']} of {summary['shards']} shards were there"
+        f"{summary['shards_kept']} of {summary['shards']} shards existed before"
     ]
     if not summary["complete"]:
         return "\n".join([*lines, f"{summary['out']}: interrupted; the same command goes on"])

@@ -29,10 +29,10 @@ DRAW_STREAM = 2
 
 @dataclass(frozen=True, kw_only=True)
 class GenerateOptions(Settings):
-    """Options of a data set beside its scene and solver."""
+    """Options of a data set other than its scene and solver."""
 
     worlds: Count = 1000
-    """Worlds, of the seeds seed, seed + 1, ... [1]."""
+    """Number of worlds, with the seeds seed, seed + 1, ... [1]."""
     seed: Seed = 0
     """Seed of the first world; those from 100000 on are for tests only [1]."""
     steps: Count = 250
@@ -42,17 +42,18 @@ class GenerateOptions(Settings):
     ranges: tuple[tuple[str, float, float], ...] = ()
     """Parameters of the scene, or dt, drawn uniformly for each world from its own seed: name, low, high."""
     label_tolerance: Positive = 1e-5
-    """Tolerance of the label, which is solved on from the solution; its kind is that of the solver's [N s or 1]."""
+    """Tolerance of the label, a further solve from the run's solution; of the same kind as the solver's tolerance [N
+    s or 1]."""
     label_sweeps: Count = 1000
-    """Further sweeps after which a label is kept as it is, and marked [1]."""
+    """Largest number of further sweeps, after which a label is stored and marked [1]."""
     shard_worlds: Count = 25
     """Worlds of a shard [1]."""
     grids: bool = False
-    """Store images of the bodies and contacts, and of the label, too; else they are made when they are read."""
+    """Also store images of the bodies and contacts, and of the label; otherwise they are made when they are read."""
     grid_size: tuple[float, float] = (15.0, 15.0)
     """Width and height of the region that stored images show, from (0, 0) [m]."""
     grid_spacing: Positive = 0.25
-    """Distance of the nodes of stored images, of which the kernel reaches two [m]."""
+    """Distance of the nodes of stored images; the support of the kernel is twice that [m]."""
 
     def check(self) -> None:
         """Raise a ``ValueError`` for seeds beyond those that files hold."""

@@ -34,7 +34,7 @@ class ProtocolOptions(Settings):
     method: Literal["pgs", "jacobi"] = "pgs"
     """Gauss-Seidel in colour order, or Jacobi with mass splitting."""
     worlds: Count = 10
-    """Worlds, of the seeds seed, seed + 1, ... [1]."""
+    """Number of worlds, with the seeds seed, seed + 1, ... [1]."""
     seed: Seed = HELD_OUT_SEED
     """Seed of the first world [1]."""
     bodies: Count = THESIS_BODIES
@@ -46,17 +46,17 @@ class ProtocolOptions(Settings):
     tolerance: Tolerance = 1e-4
     """Impulse change of a sweep at which a solve ends [N s]."""
     max_sweeps: Count = 1000
-    """Sweeps after which a solve ends unconverged [1]."""
+    """Largest number of sweeps of a solve [1]."""
     slop: NotNegative = 5e-3
-    """Overlap that is left alone [diameters]."""
+    """Overlap that is not corrected [diameters]."""
     speculative: NotNegative = 0.0
-    """Gap below which there is a contact though it does not close within the step [diameters]."""
+    """Gap below which a contact is made even if it does not close within the step [diameters]."""
     threads: Count = 1
-    """Threads that share the worlds [1]."""
+    """Number of threads that share the worlds [1]."""
     dtype: Literal["float32", "float64"] = "float32"
     """Scalar type of all arrays."""
     history: bool = True
-    """Also record the impulse change of every sweep, for its plot."""
+    """Record the impulse change of every sweep, for its plot."""
 
     def check(self) -> None:
         """Raise a ``ValueError`` where nothing is to be run."""
@@ -93,7 +93,7 @@ class EvaluationOptions(ProtocolOptions):
     through splat and gather); cnn, cnn-start (the pretrained network, in mid-solve too or at the start only), or a
     trained network: PATH.safetensors or LABEL=PATH.safetensors."""
     loops: tuple[Loop, ...] = ("closed", "open")
-    """Whose trajectory the states are of: each start's own (closed), or that of Builtin (open)."""
+    """Trajectory of the states: each start's own (closed), or that of Builtin (open)."""
 
     def check(self) -> None:
         """Raise a ``ValueError`` where nothing is to be run."""

@@ -30,7 +30,7 @@ class Run:
     solver: str
     """Name of the solver."""
     max_sweeps: int
-    """Sweeps after which a solve ends unconverged [1]."""
+    """Largest number of sweeps of a solve [1]."""
     tolerance: float
     """Impulse change of a sweep at which a solve ends [N s]."""
     sweeps: np.ndarray

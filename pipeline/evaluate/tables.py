@@ -90,5 +90,5 @@ def table(runs: Sequence[Run], columns: Sequence[Column] = PROTOCOL_COLUMNS) -> 
     if columns is EVALUATION_COLUMNS:
         lines.append("worlds: least and largest mean of a world; /builtin: mean over that of Builtin, same solver;")
         lines.append("MSE: start against solution [N^2 s^2]; calls: of the network for a state.")
-    lines.append("wall: all steps, networks included; a start that is no method (Copy: a solve in advance) left out")
+    lines.append("wall: time of all steps, networks included, without starts that need the solution (Copy)")
     return "\n".join(lines)

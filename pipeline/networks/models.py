@@ -108,7 +108,7 @@ class GridConfig(Settings):
     width: Width = 1.0
     """Factor on the number of filters and hidden units [1]."""
     dropout: Share = 0.4
-    """Share of values that ConvFC and Peak drop in training [1]."""
+    """Dropout rate of ConvFC and Peak [1]."""
 
     def filters(self, count: int) -> int:
         """Scale a number of filters or units by the width."""

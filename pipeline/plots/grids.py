@@ -1,4 +1,4 @@
-"""A picture of what a network reads and is to answer: grids of bodies, contacts, impulses (Engedal, figures 8, 9)."""
+"""A picture of the input and the target of a network: grids of bodies, contacts, impulses (Engedal, figures 8, 9)."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def grids_figure(sim: Any, grid: Grid, world: int = 0) -> Any:
     low, top = grid.origin[1] - grid.spacing, _top(images, grid) + 2.0 * grid.spacing
     shape = min(max((top - low) / (right - left), 0.25), 1.0)
     title = (
-        "What a network reads of bodies (outlines) and contacts (dots), and what it is to answer\n"
+        "Input of a network from bodies (outlines) and contacts (dots), and its target\n"
         f"{grid.columns} x {grid.rows} nodes, {grid.spacing:g} m apart; poly6, h = {2.0 * grid.spacing:g} m"
     )
     with figure(2.0 * PANEL, 4.0 * (0.84 * PANEL * shape + 0.45), title) as fig:

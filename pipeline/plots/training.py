@@ -30,7 +30,7 @@ MARKED: dict[str, Any] = {"marker": "o", "markersize": 3.5}
 REFERENCES: dict[str, dict[str, Any]] = {
     "zero": {"color": MUTED, "linestyle": "-", "linewidth": 1.0, "label": "zero impulses"},
     "cache": {"color": MUTED, "linestyle": "--", "linewidth": 1.2, "label": "cached impulses"},
-    "grid": {"color": MUTED, "linestyle": ":", "linewidth": 1.4, "label": "the truth by the grid"},
+    "grid": {"color": MUTED, "linestyle": ":", "linewidth": 1.4, "label": "solution through the grid"},
 }
 DENSITY_MAP = "viridis"
 
@@ -153,7 +153,7 @@ def draw_density(axes: Any, shown: Prediction, i: int) -> None:
     left, least = (float(np.square(x - true).sum()) / square for x in (found, shown.floor[:, i]))
     name = NAMES[IMPULSES[i]]
     axes.set_title(
-        f"{name}, {len(true):,} contacts: squared error {left:.2g} of zero's\n(the truth by the grid {least:.1g})"
+        f"{name}, {len(true):,} contacts: squared error {left:.2g} of zero's\n(solution through the grid {least:.1g})"
     )
     bar = axes.figure.colorbar(mesh, ax=axes, pad=0.01, aspect=28)
     bar.set_label("contacts")

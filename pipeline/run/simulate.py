@@ -31,7 +31,7 @@ TRAJECTORY, SUMMARY, PICTURE = "trajectory.h5", "summary.json", "summary.png"
 
 @dataclass(frozen=True, kw_only=True)
 class Output(Settings):
-    """Options of what a run does and writes."""
+    """Options of a run and its files."""
 
     steps: Whole = 250
     """Steps of each world [1]."""
@@ -40,13 +40,13 @@ class Output(Settings):
     grid-bilinear, copy sent to a grid and back; the pretrained network: cnn, cnn-start (not in mid-solve); the file of
     a trained one, .safetensors."""
     out: Path = Path("out/simulate")
-    """Folder of the files, made if missing; files of an earlier run are replaced."""
+    """Output folder, made if missing; files of an earlier run are replaced."""
     record_every: Count = 1
     """Steps between two records of the bodies [1]."""
     history: bool = False
     """Record the impulse change of every sweep."""
     video: Literal["none", "gif", "mp4"] = "none"
-    """Also write an animation of world 0."""
+    """Also write a video of world 0."""
 
 
 def simulate(

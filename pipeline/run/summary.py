@@ -56,10 +56,11 @@ def describe(summary: dict[str, Any]) -> str:
     """Say what a run did, in a few lines."""
     lines = [
         f"{summary['scene']}: {summary['steps']} steps of {summary['worlds']} world(s), {summary['bodies']} bodies, "
-        f"{_seconds(summary['simulation_s'])} in the simulation" + ("" if summary["complete"] else "; interrupted"),
+        f"{_seconds(summary['simulation_s'])} of wall time in the simulation"
+        + ("" if summary["complete"] else "; interrupted"),
         f"sweeps: mean {summary['mean_sweeps']:.1f}, median {summary['median_sweeps']:.0f}, "
         f"unconverged {100.0 * summary['unconverged_share']:.1f} %, of the steps with contacts or joints",
-        f"contacts that press, in a world at the end: {summary['contacts_last']:.1f}; "
+        f"contacts with an impulse, per world at the end: {summary['contacts_last']:.1f}; "
         f"overlap: largest {summary['penetration_max_mm']:.3g} mm, mean at the end "
         f"{summary['penetration_last_mean_mm']:.3g} mm",
         *(f"world {world} stopped: {flag}" for world, flag in summary["flagged_worlds"].items()),

@@ -271,12 +271,12 @@ class LearnedSolve:
         share = {name: f"{100.0 * total[name] / solves:.1f} %" for name in ("empty", "early")}
         return "\n".join(
             [
-                f"network: {total['calls'] / solves:.2f} calls a solve, of {total['solves']} solves; asked in "
-                f"{total['asked'] / solves:.2f}, an even share of Aitken's step in the others",
-                f"  skipped: no contact in {share['empty']}, done in the first {self.every} sweeps or so in "
+                f"network: {total['calls'] / solves:.2f} calls a solve, of {total['solves']} solves; "
+                f"{total['asked'] / solves:.2f} asked it, the others made an even share of Aitken's step",
+                f"  solves without a call: no contacts in {share['empty']}, converged before the first call in "
                 f"{share['early']}",
-                f"  of the corrections {total['refused']} were refused, {total['failed']} failed and {total['undone']} "
-                "of these were taken back",
+                f"  of the corrections {total['refused']} were refused, {total['failed']} gained nothing, of which "
+                f"{total['undone']} were undone",
             ]
         )
 

@@ -25,16 +25,17 @@ def check_stepper(name: str, value: Any) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class StepperOptions(Settings):
-    """Options of what makes the velocities of a step."""
+    """Options of the computation of a step's velocities."""
 
     stepper: Stepper = "solver"
-    """Who makes the velocities of a step: the contact solver, or a network in its place."""
+    """What computes the velocities of a step: the contact solver, or a network."""
     weights: Path | None = None
     """File of the network of --stepper network, .safetensors, by train-stepper; None: the one in the package."""
     project: Whole | Literal["tolerance"] = 0
     """Sweeps of the solver on the network's velocities; 0: none, as in Wu's draft; tolerance: to its own [1]."""
     energy: Annotated[float, Limits(least=1.0, size=1e6)] = 1.02
-    """Kinetic energy, over that without contacts, from which on a world falls back to the solver for the step [1]."""
+    """Kinetic energy relative to that without contacts above which a world falls back to the solver for the step
+    [1]."""
 
     def __post_init__(self) -> None:
         """Check all fields; the stepper first, as its error says where a file belongs."""

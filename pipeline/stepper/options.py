@@ -15,29 +15,30 @@ class StepperTrainOptions(Settings):
     """Options of a training of a stepper; the defaults are those of the weights in the package."""
 
     data: tuple[Path, ...] = ()
-    """Data sets, of ``deep-contact generate``, that differ in worlds and seeds alone; none: thesis worlds, which are
+    """Data sets, of ``deep-contact generate``, that differ only in worlds and seeds; none: thesis worlds, which are
     made in the folder data of ``out``."""
     worlds: Count = 112
-    """Worlds of the data set that is made where none is given [1]."""
+    """Worlds of the data set that is made if none is given [1]."""
     out: Path = Path("out/stepper")
-    """Folder of the files, made if missing; files of an earlier training are replaced."""
+    """Output folder, made if missing; files of an earlier training are replaced."""
     resume: bool = False
-    """Continue the training in that folder, also to more steps than it was to have."""
+    """Continue the training in that folder, also to more steps than first planned."""
     steps: Count = 6000
     """Steps of the training [1]."""
     batch_size: Count = 16
     """Worlds of a step [1]."""
     every: tuple[Count, ...] = (1, 1, 1, 2, 5, 10)
-    """Recorded steps from t to t + dt, of which one is drawn for each step: 1 2 5 10 are dt 0.01 to 0.1 s [1]."""
+    """Numbers of recorded steps from t to t + dt, of which one is drawn for each training step: 1 2 5 10 are dt 0.01
+    to 0.1 s [1]."""
     rollout: tuple[Count, ...] = (1, 1, 1, 3)
-    """Steps of time that the network makes one after the other, in turn over the steps of the training; gradients go
-    back through all of them [1]."""
+    """Numbers of time steps that the network rolls out, used in turn by the training steps; gradients pass through
+    all of them [1]."""
     loss: Literal["bodies", "grid"] = "bodies"
-    """What is minimized: the error at the bodies, through the gather, or that at the nodes, as the draft has it."""
+    """Loss: the error at the bodies, through the gather, or at the nodes, as in the draft."""
     width: Width = 1.0
     """Factor on the filters and hidden units of a network of the theses [1]."""
     dropout: Share = 0.4
-    """Share of values that ConvFC and Peak drop in training [1]."""
+    """Dropout rate of ConvFC and Peak [1]."""
     sizes: tuple[tuple[str, str], ...] = ()
     """Fields of the network's own configuration: name and value, as in --sizes rounds 6 hidden 8."""
     nodes: Annotated[int, Limits(least=8, below=2**16)] = 61
@@ -45,7 +46,7 @@ class StepperTrainOptions(Settings):
     optimizer: OptimizerName = "adamw"
     """SGD with Nesterov momentum 0.9, as in the draft, or AdamW."""
     schedule: ScheduleName = "onecycle"
-    """The rate over the steps: constant, / (1 + decay steps), or one cycle."""
+    """Learning rate over the steps: constant, divided by (1 + decay steps), or one cycle."""
     rate: Positive = 2e-3
     """Learning rate, of "onecycle" the highest."""
     decay: NotNegative = 1e-6
@@ -53,13 +54,13 @@ class StepperTrainOptions(Settings):
     weight_decay: NotNegative = 1e-4
     """Weight decay of the optimiser [1]."""
     clip: Positive = 1.0
-    """Longest gradient, to which longer ones are cut [1]."""
+    """Gradient norm to which larger gradients are clipped [1]."""
     validation: Annotated[float, Limits(above=0.0, below=1.0)] = 0.1
-    """Share of the worlds that is kept for validation [1]."""
+    """Share of the worlds used for validation [1]."""
     seed: Seed = 0
     """Seed of the weights, of the worlds and times of each step, and of the data set that is made [1]."""
     threads: Count = 1
-    """Threads of torch; bits are the same from run to run on one [1]."""
+    """Number of threads of torch; only one gives equal bits from run to run [1]."""
     log_every: Count = 50
     """Steps between two lines of the log [1]."""
     save_every: Count = 500

@@ -36,7 +36,7 @@ class Decoder:
     reverse: bool = True
     """Reverse SPH (Engedal): what a node holds is shared among the contacts that reach it; False: bilinear (Wu)."""
     threads: int = 1
-    """Threads that share the worlds [1]."""
+    """Number of threads that share the worlds [1]."""
 
     def __call__(self, image: Any, batch: Any) -> Any:
         """Read the impulse of each contact, (M, 2) [N s], from an image (B, 2 bins, rows, columns)."""

@@ -16,10 +16,10 @@ def describe(summary: dict[str, Any]) -> str:
     ]
     if metrics:
         loss, best, zero = metrics["loss"], summary["best_loss"], metrics["loss_zero"]
-        lines.append(f"validation loss: last {loss:.4g}, best {best:.4g}, that of zero impulses {zero:.4g}")
+        lines.append(f"validation loss: last {loss:.4g}, best {best:.4g}, of zero impulses {zero:.4g}")
         lines += [
-            f"squared error of {name} impulses, over that of zero: {metrics[name]:.3g}; cached impulses "
-            f"{metrics[f'{name}_cache']:.3g}; the truth by the grid {metrics[f'{name}_grid']:.2g}"
+            f"squared error of {name} impulses, relative to zero impulses: {metrics[name]:.3g}; cached impulses "
+            f"{metrics[f'{name}_cache']:.3g}; solution through the grid {metrics[f'{name}_grid']:.2g}"
             for name in ("normal", "tangential")
         ]
     lines.append(f"{summary['out']}: {', '.join(summary['files'])}")

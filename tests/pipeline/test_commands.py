@@ -265,13 +265,13 @@ def test_an_unknown_start_is_told_all_there_are(start, tmp_path):
         registry.maker(start)
 
 
-@pytest.mark.parametrize(("seconds", "shown"), [(0.00123456, "0.00123 s in"), (12.3456, "12.35 s in")])
+@pytest.mark.parametrize(("seconds", "shown"), [(0.00123456, "0.00123 s of"), (12.3456, "12.35 s of")])
 def test_a_short_run_tells_its_time_with_digits(seconds, shown):
     counts = ["steps", "worlds", "bodies", "mean_sweeps", "median_sweeps", "unconverged_share", "contacts_last"]
     summary = dict.fromkeys([*counts, "penetration_max_mm", "penetration_last_mean_mm"], 1)
     more = {"simulation_s": seconds, "complete": True, "scene": "stack", "flagged_worlds": {}, "out": "o", "files": []}
     text = describe({**summary, **more})
-    assert shown in text and "contacts that press, in a world at the end: 1.0" in text
+    assert shown in text and "contacts with an impulse, per world at the end: 1.0" in text
 
 
 def refused(capsys, *arguments: object) -> str:

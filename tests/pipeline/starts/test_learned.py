@@ -357,7 +357,7 @@ def test_totals_and_explain_add_up():
     text = solve.report().text
     assert f"{totals['calls'] / totals['solves']:.2f} calls a solve, of {totals['solves']} solves" in text
     assert f"{100.0 * totals['early'] / totals['solves']:.1f} %" in text
-    assert f"{totals['failed']} failed and {totals['undone']} of these were taken back" in text
+    assert f"{totals['failed']} gained nothing, of which {totals['undone']} were undone" in text
 
 
 def test_nothing_done_is_explained_too():
