@@ -1,4 +1,4 @@
-"""Colours of a contact graph of any engine: contacts of one colour share no body that moves."""
+"""Colouring of a contact graph: contacts of one colour share no movable body."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ def color(
     contact_start: Any = None,
     backend: str = "warp",
 ) -> np.ndarray:
-    """Colour contacts so that no two of a colour share a body that moves: they may then be solved at once.
+    """Colour contacts so that no two of a colour share a movable body, and can be solved in parallel.
 
-    Colours are greedy: each contact in turn takes the lowest that is free at both of its bodies, so that a graph of
-    degree d takes at most 2 d - 1, and the same contacts in the same order always get the same ones. Those kept from an
-    earlier call come first. What finds none of the first 63 free gets the last one, 63, whose contacts may share bodies
-    and are to be solved one after the other.
+    The colouring is greedy: each contact in turn takes the lowest colour that is free at both of its bodies, so that a
+    graph of degree d takes at most 2 d - 1 colours, and equal contacts in equal order get equal colours. Colours kept
+    from an earlier call come first. A contact for which none of the first 63 is free gets the last one, 63, whose
+    contacts may share bodies and must be solved one after the other.
 
     Args:
         body_a: body A of each contact, (C,) int32.
         body_b: body B, (C,) int32.
-        movable: which bodies contacts move, (N,) bool, or any numbers, such as inverse masses, of which 0 says no.
-        color: colours of an earlier call, to be kept, (C,) int32; -1 for a contact that is new. It is written to. One
-            that another contact of a body has too is chosen anew. None: all contacts are new.
+        movable: whether contacts move each body, (N,) bool, or any numbers, such as inverse masses (0: False).
+        color: colours to keep from an earlier call, (C,) int32; -1 for a new contact. It is written to, and a colour
+            that two contacts of a body share is replaced. None: all contacts are new.
         body_start: first body of each world and N, (W + 1,); None: one world.
         contact_start: first contact of each world and C, (W + 1,); None: one world.
         backend: "warp", "taichi", or "numpy": the oracle.
@@ -50,7 +50,7 @@ def color(
 
     Raises:
         ValueError: an argument is invalid; the error names argument, index and limit.
-        RuntimeError: within ``wp.ScopedCapture``; a ``ContactSolver`` colours there.
+        RuntimeError: it is called within ``wp.ScopedCapture``, where a ``ContactSolver`` can colour instead.
 
     Examples:
         >>> import numpy as np

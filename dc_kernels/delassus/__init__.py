@@ -1,8 +1,9 @@
 """Contact problems in Delassus form, u = W r + q, and their solvers.
 
-A problem comes from arrays (``DelassusProblem``), from contacts of any engine (``from_contacts``; ``from_solver`` of a
-``ContactSolver`` that is there), or from a simulation between ``collide`` and ``advance`` (``from_world``). ``solve``
-solves it; ``refine`` takes the solve of a simulation further. A name is imported from its module when it is first used.
+A problem comes from arrays (``DelassusProblem``), from contacts of any engine (``from_contacts``, or ``from_solver`` of
+an existing ``ContactSolver``), or from a simulation between ``collide`` and ``advance`` (``from_world``). ``solve``
+solves it; ``refine`` continues the solve of a simulation to a smaller tolerance. A name is imported from its module
+when it is first used.
 """
 
 from __future__ import annotations

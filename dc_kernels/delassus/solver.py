@@ -1,4 +1,4 @@
-"""Solve a Delassus problem by the method of one's choice."""
+"""Solvers of Delassus problems, by name of the method."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ def solve(
     """Solve until the relative natural maps are within the tolerance; a first-order solve is one launch.
 
     Args:
-        problem: what to solve.
+        problem: the problem.
         method: "pgs" projected Gauss-Seidel in the order of the contacts, normal before friction; "sor" over-relaxed
             Gauss-Seidel; "aitken" extrapolation with back-off; "nncg" nonlinear conjugate gradients (Silcowitz et al.
-            2010); "anderson" Anderson's acceleration with back-off; "hybrid" momentum, and Aitken where it does not
-            help; "newton" 60 sweeps, then Newton's method; "auto" sweeps, Lemke's pivots where they stall, and Newton
-            where that fails too, unless SciPy is missing.
-        tolerance: of the relative natural maps [1].
-        max_sweeps: sweeps at most, all phases together.
+            2010); "anderson" Anderson's acceleration with back-off; "hybrid" momentum, and Aitken if that does not
+            help; "newton" 60 sweeps, then Newton's method; "auto" sweeps, Lemke's pivoting if they stall, and Newton
+            if that fails too (with SciPy).
+        tolerance: tolerance of the relative natural maps [1].
+        max_sweeps: largest number of sweeps, of all phases together.
         start: impulses (n, 2) [N s]; None: zero.
         scaled: whether ``scaled_map`` must be within the tolerance too; False: ``natural_map`` alone decides.
-        every: sweeps between two looks at the natural maps, each of which costs half a sweep.
+        every: number of sweeps between two checks of the natural maps, each of which costs half a sweep.
         omega: relaxation of "sor", in (0, 2).
-        dtype: of the sweeps; Newton's method and what is reported are float64.
+        dtype: scalar type of the sweeps; Newton's method and the reported errors use float64.
         backend: "warp", or "numpy": the oracle.
 
     Raises:
@@ -74,7 +74,7 @@ def solve(
 
 
 def warmup(dtype: Dtype = "float64") -> None:
-    """Load all that a solve needs, which the first one would do otherwise (seconds, if nothing is compiled yet)."""
+    """Load everything that a solve needs, instead of in the first solve (seconds, if nothing is compiled yet)."""
     block = np.eye(2)[None]
     one = DelassusProblem(row_start=[0, 1], column=[0], block=block, q=[[-1.0, 0.5]], mu=[0.3])  # type: ignore[arg-type]
     solve(one, "aitken", dtype=dtype)

@@ -33,12 +33,12 @@ Group = TypeVar("Group", bound="ArrayGroup")
 
 
 def to_numpy(array: Any) -> np.ndarray:
-    """A numpy array: the same memory on the CPU, a copy from a GPU."""
+    """Return a numpy array: the same memory on the CPU, a copy from a GPU."""
     return array if isinstance(array, np.ndarray) else array.numpy()
 
 
 def to_torch(array: Any) -> Any:
-    """A torch tensor on the same memory (any device).
+    """Return a torch tensor on the same memory (any device).
 
     Raises:
         ImportError: naming the extra, without torch.
@@ -52,7 +52,7 @@ def to_torch(array: Any) -> Any:
 
 
 def kernel_array(array: np.ndarray, backend: str) -> Any:
-    """An array as the kernels of a backend take it, the same memory."""
+    """Return an array of the same memory as an argument of a backend's kernels."""
     if on_numpy(backend):
         return array
     import warp as wp
@@ -62,12 +62,12 @@ def kernel_array(array: np.ndarray, backend: str) -> Any:
 
 
 def kernel_arrays(arrays: Mapping[str, np.ndarray], backend: str) -> dict[str, Any]:
-    """Arrays by name as the kernels of a backend take them, the same memory."""
+    """Return arrays of the same memory, by name, as arguments of a backend's kernels."""
     return {name: kernel_array(array, backend) for name, array in arrays.items()}
 
 
 def kernel_vectors(array: np.ndarray, backend: str) -> Any:
-    """An array (n, k) as the kernels of a backend take it: vectors of k for Warp, the same memory."""
+    """Return an array (n, k) of the same memory as a kernel argument: vectors of length k for Warp."""
     if on_numpy(backend):
         return array
     import warp as wp
@@ -78,14 +78,14 @@ def kernel_vectors(array: np.ndarray, backend: str) -> Any:
 
 
 class Fielded(Protocol):
-    """What has fields as numpy arrays: a group of arrays, or what is to be written to one."""
+    """Anything with fields as numpy arrays: a group of arrays, or values for one."""
 
     def numpy(self, name: str) -> np.ndarray:
         """The array of a field."""
 
 
 class ArrayGroup:
-    """Named arrays allocated from a table of fields; an attribute for each, which is read: ``assign`` writes values."""
+    """Named arrays allocated from a table of fields; attributes read them, ``assign`` writes values."""
 
     table: Mapping[str, Field] = {}
     live: Container[str] | None = None
@@ -100,9 +100,9 @@ class ArrayGroup:
     device: str
     backend: str
     version: int
-    """Number of times that arrays were allocated anew."""
+    """Number of times that arrays were reallocated."""
     fixed: bool
-    """Whether a simulation uses the arrays: those that it has checked or derived others from are then read-only."""
+    """Whether a simulation uses the arrays: those that it has checked, or from which it derives data, are read-only."""
     whole: Block | None
     """The memory of all arrays, where they lie as they were allocated together on the CPU; else None."""
     blocks: dict[str, Block]
@@ -145,7 +145,7 @@ class ArrayGroup:
         object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
-        """The array of a field, as the backend's kernels take it, made when it is first asked for."""
+        """Return the array of a field as the backend's array type, made at its first use."""
         block = self.__dict__.get("blocks", {}).get(name)
         if block is None:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
@@ -187,7 +187,7 @@ class ArrayGroup:
         return plan_of(self.table, self.dtype, self.sizes)
 
     def copy(self) -> Self:
-        """A group of its own memory with the values of this one, which no simulation uses yet."""
+        """Return a copy with its own memory, which no simulation uses yet."""
         if self.whole is None:
             return _filled(*self._parts())
         made = type(self)(self.sizes, self.dtype, self.device, self.backend)
@@ -264,9 +264,9 @@ class ArrayGroup:
         return getattr(self, name)
 
     def numpy(self, name: str) -> np.ndarray:
-        """The array of a field as numpy (see ``to_numpy``).
+        """Return the array of a field as numpy (see ``to_numpy``).
 
-        It is read-only where its values lead kernels through memory, and where ``assign`` refuses others.
+        It is read-only if kernels use its values as memory addresses, or if ``assign`` refuses the field.
         """
         array = self.memory(name)
         if self.fixed and not self.writable(name):
@@ -277,7 +277,7 @@ class ArrayGroup:
         return array
 
     def memory(self, name: str) -> np.ndarray:
-        """The array of a field as numpy, to be written to: the memory itself on a CPU, a copy from a GPU."""
+        """Return the array of a field as writable numpy: the memory itself on a CPU, a copy from a GPU."""
         block = self.blocks.get(name) if isinstance(name, str) else None
         return to_numpy(getattr(self, self.field(name).name)) if block is None else block.array(name)
 
@@ -289,17 +289,17 @@ class ArrayGroup:
         return self.table[name]
 
     def views(self) -> dict[str, np.ndarray]:
-        """All arrays as numpy, by name."""
+        """Return all arrays as numpy, by name."""
         return {name: self.numpy(name) for name in self.table}
 
     def worlds(self, name: str) -> WorldViews:
-        """The array of a field world by world, in the same memory on the CPU, of a group that a simulation uses.
+        """Return the array of a field world by world, in the same memory on the CPU.
 
-        It is one of shape (W, n, ...) where each world has n elements; else a list of W arrays (n, ...), as with
-        contacts, of which a world has those in use.
+        It has the shape (W, n, ...) if each world has n elements; otherwise it is a list of W arrays (n, ...), as for
+        contacts, of which each world shows those in use.
 
         Raises:
-            ValueError: for an unknown field, one that is not divided among worlds, or a group of no simulation.
+            ValueError: the field is unknown or not divided among worlds, or no simulation uses the group.
         """
         field = self.field(name)
         counted = "contact_count" in self.table
@@ -325,10 +325,10 @@ class ArrayGroup:
         """Copy values into a field.
 
         Raises:
-            UnknownName: a ``ValueError`` and ``KeyError``, for an unknown field, naming those that there are.
-            ValueError: naming the field, when the shape differs, for non-finite values or a lossy integer dtype; for
-                a field that a simulation has checked, or derived others from, and goes by (``writable``); for numbers
-                out of the field's range in the others of a group that a simulation goes by.
+            UnknownName: (a ``ValueError`` and ``KeyError``) the field is unknown; the error names the existing ones.
+            ValueError: the shape differs, values are not finite, or an integer dtype would lose bits; a simulation has
+                checked the field or derived data from it (``writable``); in a group that a simulation uses, a number
+                is out of the field's range. The error names the field.
         """
         rule = self.field(name).rule
         if not self.writable(name):
@@ -385,7 +385,7 @@ def _filled(
 
 
 class Model(ArrayGroup):
-    """What does not change: bodies, shapes, worlds (``model.fields.MODEL``)."""
+    """The constant data of a scene: bodies, shapes, worlds (``model.fields.MODEL``)."""
 
     table = MODEL
     live = ("gravity", "origin")
@@ -397,7 +397,7 @@ class Model(ArrayGroup):
     )
 
     def __init__(self, sizes: Mapping[str, int], *memory: Any) -> None:
-        """Allocate (see ``ArrayGroup``); what few scenes have is empty unless ``sizes`` has its axis too."""
+        """Allocate the arrays (see ``ArrayGroup``); optional fields are empty unless ``sizes`` has their axis."""
         super().__init__({**dict.fromkeys(TRAITS, 0), **sizes}, *memory)
 
     @property
@@ -422,7 +422,7 @@ class Model(ArrayGroup):
 
 
 class State(ArrayGroup):
-    """What evolves (``model.fields.STATE``)."""
+    """The data that evolve in time: positions, velocities, time (``model.fields.STATE``)."""
 
     table = STATE
 

@@ -1,4 +1,4 @@
-"""Integers that mean something in the arrays of a simulation."""
+"""Enumerations of the integer codes in the arrays of a simulation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class BodyType(IntEnum):
 
 
 class ShapeType(IntEnum):
-    """What a shape's vertices mean; every shape is the sum of its vertices' hull and a disc of ``shape_radius``."""
+    """Type of a shape: every shape is the Minkowski sum of its vertices' hull and a disc of ``shape_radius``."""
 
     DISC = 0  # one vertex, radius > 0
     POLYGON = 1  # 2 vertices (capsule, radius > 0) or 3-8 vertices counter-clockwise, radius >= 0
@@ -23,47 +23,47 @@ class ShapeType(IntEnum):
 
 
 class ShapeRole(IntEnum):
-    """What a shape does to those that it meets."""
+    """How a shape acts on other shapes."""
 
     SOLID = 0  # its contacts carry impulses
-    SENSOR = 1  # it detects what overlaps it, and carries no impulse
-    ONE_WAY = 2  # its contacts hold what came to it from the side of its direction, and nothing else
-    ONE_SIDED = 3  # a segment of a chain whose contacts hold what is on the side of its normal
+    SENSOR = 1  # it detects overlapping shapes, and carries no impulse
+    ONE_WAY = 2  # it collides only with bodies that came from the side of its direction
+    ONE_SIDED = 3  # a segment of a chain that collides only on the side of its normal
 
 
 class JointKind(IntEnum):
-    """What a joint keeps, and what its numbers mean (docs/joints.md)."""
+    """Kind of a joint, which defines its constraint and the meaning of its numbers (docs/joints.md)."""
 
     DISTANCE = 0  # two points at a distance: a rod, a spring, a rope
-    REVOLUTE = 1  # two points together, while both bodies turn
-    PRISMATIC = 2  # body B on a line of body A, without turning against it
+    REVOLUTE = 1  # two points together, with free rotation: a hinge
+    PRISMATIC = 2  # body B on a line of body A, without relative rotation: a slider
     WELD = 3  # two points together, and the angle between the bodies
     WHEEL = 4  # a point of B on a line of A, along which a spring holds it
-    TARGET = 5  # a point of B drawn to one of A by a spring of limited force
+    TARGET = 5  # a point of B pulled to one of A by a spring of limited force
     GEAR = 6  # the angle of B at a ratio to that of A
     GENERAL = 7  # a row of the caller's own Jacobians
 
 
 class JointPart(IntFlag):
-    """What a joint has, each part with rows of its own; bits of ``Joints.joint_parts``."""
+    """Parts of a joint, each with its own rows; bits of ``Joints.joint_parts``."""
 
     NONE = 0
-    HOLD = 1  # what its kind keeps, rigid or by a spring
-    MOTOR = 2  # a speed that a limited torque or force drives at
-    LIMIT = 4  # a range of its angle, length or way
-    ACROSS = 8  # of a rod, for heavy loads: inertia that keeps it from swinging within a step
+    HOLD = 1  # the constraint of its kind, rigid or by a spring
+    MOTOR = 2  # a motor with a target speed and limited torque or force
+    LIMIT = 4  # a range of its angle, length or displacement
+    ACROSS = 8  # of a rod, for heavy loads: inertia that keeps it from oscillating within a step
 
 
 class Flag(IntFlag):
-    """Why a world does not advance; bits of ``State.flags``."""
+    """Reasons why a world does not advance; bits of ``State.flags``."""
 
     NONE = 0
     PAIR_OVERFLOW = 1  # more candidate pairs than reserved
     CONTACT_OVERFLOW = 2  # more contact points than reserved
     ROW_OVERFLOW = 4  # more blocks of solver rows than reserved
     NONFINITE = 8  # a velocity or position became NaN or inf: the world keeps its last finite state
-    INVALID = 16  # arrays from outside that a stage was given are out of range: it did nothing
-    ASLEEP = 32  # within a phase only: its stages pass over the world, as all in it sleeps
+    INVALID = 16  # arrays given to a stage are out of range: it did nothing
+    ASLEEP = 32  # within a phase only: its stages skip the world, as all its bodies sleep
 
 
 class Rest(IntEnum):
@@ -71,20 +71,20 @@ class Rest(IntEnum):
 
     AWAKE = 0
     ASLEEP = 1  # no stage moves it
-    ROUSED = 2  # wakes in the next step, with all that it touches; or it is not dynamic and was put elsewhere
-    FALLING = 3  # falls asleep: no step is begun with it
+    ROUSED = 2  # wakes in the next step, with the bodies that it touches; or it is not dynamic and was moved
+    FALLING = 3  # falls asleep at the end of the step
 
 
 class Activity(IntFlag):
-    """What is in a shard of worlds that may sleep; bits that its launches need to have anything to do."""
+    """Contents of a shard of worlds that may sleep; bits without which its launches have nothing to do."""
 
     ASLEEP = 1  # a world in which a body sleeps
     AWAKE = 2  # a world that is not dormant
-    RESTED = 4  # a world in which islands are to be looked for
+    RESTED = 4  # a world in which islands must be searched for
 
 
 class Element(IntEnum):
-    """What the elements of an array are that is held to limits."""
+    """Type of the elements of an array with limits."""
 
     NUMBERS = 0  # of the scalar type
     INTEGERS = 1  # int32

@@ -1,4 +1,4 @@
-"""The contact solver's arrays: rows of contacts and joints, what a solve looks back on, and what it reports."""
+"""The contact solver's arrays: rows of contacts and joints, history of a solve, and its statistics."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Rows(ArrayGroup):
 
 
 class SolveStats(ArrayGroup):
-    """What the last solve of each world did (``model.fields.STATS``).
+    """Statistics of the last solve of each world (``model.fields.STATS``).
 
-    ``history`` holds the largest impulse change of each sweep, (W, max_sweeps), zero beyond ``sweeps``; it is (W, 0)
+    ``history`` has the largest impulse change of each sweep, (W, max_sweeps), zero beyond ``sweeps``; it is (W, 0)
     unless the settings ask for it.
     """
 

@@ -43,24 +43,24 @@ def sph_sum(
     threads: int = 1,
     backend: str = "warp",
 ) -> np.ndarray:
-    """A field of particles, its gradient or its Laplacian, at query points.
+    """Return a field of particles, its gradient or its Laplacian, at query points.
 
     All arrays are C-contiguous and of one dtype, float32 or float64. Each sum runs over the neighbours in a fixed
     order, so its bits do not depend on ``threads`` nor on the other queries.
 
     Args:
-        queries: where to evaluate, (nq, 2) or (nq, 3) [m].
-        points: the particles, (n, 2) or (n, 3) [m].
-        values: what they carry, (n, C), in any unit [u].
+        queries: query points, (nq, 2) or (nq, 3) [m].
+        points: positions of the particles, (n, 2) or (n, 3) [m].
+        values: values of the particles, (n, C), in any unit [u].
         mass: (n,), > 0 or 0 [kg].
         density: (n,), > 0 [kg/m^2 in 2D, kg/m^3 in 3D].
         h: support radius, > 0 [m].
         kernel: a key of ``smoothing.KERNELS``.
         query_start: first query of each world and the number of queries, (W + 1,); None for one world.
-        point_start: the same of the particles.
+        point_start: first particle of each world and the number of particles.
         quantity: "value", "gradient" or "laplacian".
-        method: how neighbours are searched (``neighbors.METHODS``).
-        threads: Python threads that share the queries.
+        method: method of the neighbour search (``neighbors.METHODS``).
+        threads: number of Python threads that share the queries.
         backend: "warp", "taichi", or "numpy" for the oracle.
 
     Returns:
@@ -91,7 +91,7 @@ def sph_density(
     threads: int = 1,
     backend: str = "warp",
 ) -> np.ndarray:
-    """Density of each particle by summation, sum_p m_p W(|x - x_p|, h), itself included: (n,) [kg/m^dim].
+    """Return the density of each particle, sum_p m_p W(|x - x_p|, h), itself included: (n,) [kg/m^dim].
 
     Args:
         points: the particles, (n, 2) or (n, 3), float32 or float64, C-contiguous [m].

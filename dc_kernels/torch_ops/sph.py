@@ -71,17 +71,18 @@ def sph_sum_torch(
         h: support radius, > 0 [m].
         kernel: a key of ``smoothing.KERNELS``.
         query_start: first query of each world and the number of queries, (W + 1,) integers; None for one world.
-        point_start: the same of the particles.
+        point_start: first particle of each world and the number of particles.
         quantity: "value", "gradient" or "laplacian".
-        method: how neighbours are searched (``neighbors.METHODS``).
+        method: method of the neighbour search (``neighbors.METHODS``).
         threads: Python threads that share the queries.
-        backend: of the sums, as in ``sph``.
+        backend: backend of the sums, as in ``sph``.
 
     Returns:
         (nq, C) [u] for "value", (nq, C, dim) [u/m] for "gradient", (nq, C) [u/m^2] for "laplacian".
 
     Raises:
-        ValueError: naming the argument: another dtype, device or memory layout (nothing is copied), or out of range.
+        ValueError: an argument, which the error names, has another dtype, device or memory layout (nothing is copied),
+            or is out of range.
     """
     starts = given_tensor("query_start", query_start), given_tensor("point_start", point_start)
     check_tensors(queries=queries, points=points, values=values, mass=mass, density=density)

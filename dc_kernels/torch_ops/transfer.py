@@ -1,4 +1,4 @@
-"""Splat and gather as torch operators, differentiable by values, images and places; they need the extra ``pipeline``.
+"""Splat and gather as torch operators, differentiable by values, images, positions; they need the extra ``pipeline``.
 
 Importing this module registers ``deep_contact::splat`` and ``deep_contact::gather`` with torch, so that autograd and
 ``torch.compile`` see one opaque operator each. Both run in the kernels of ``transfer``, on the tensors' own memory.
@@ -67,23 +67,24 @@ def splat_torch(
     """``transfer.splat`` of tensors, differentiable by points and values.
 
     Args:
-        points: places relative to the worlds' origins, (n, 2), contiguous on the CPU, float32 or float64, finite; or
-            (n, 3), whose z is passed over; or as many for each world, (W, n, 2) or (W, n, 3), with no ``start`` [m].
-        values: (n, C), of the same dtype, contiguous on the CPU; NaN and inf are passed on, to nodes nearby too; or
+        points: positions relative to the worlds' origins, (n, 2), contiguous on the CPU, float32 or float64, finite; or
+            (n, 3), with z ignored; or an equal number for each world, (W, n, 2) or (W, n, 3), without ``start`` [m].
+        values: (n, C), of the same dtype, contiguous on the CPU; NaN and inf propagate to nodes nearby; or
             (W, n, C), as the points.
         grid: where the nodes lie.
         stencil: weights of the nodes.
         start: offsets of the worlds' points, (W + 1,) integers; None: one world.
-        bins: parts of the image that points are kept apart in.
+        bins: number of bins that separate points.
         point_bin: bin of each point, (n,) integers; needed for bins > 1.
-        threads: worlds, or tiles of a large image, are shared by so many threads.
-        backend: of the kernels, as in ``transfer``.
+        threads: number of threads that share worlds, or tiles of a large image.
+        backend: backend of the kernels, as in ``transfer``.
 
     Returns:
         (W, bins C, rows, columns); value c of a point of bin b is in channel b C + c.
 
     Raises:
-        ValueError: naming the argument: another dtype, device or memory layout (nothing is copied), or out of range.
+        ValueError: an argument, which the error names, has another dtype, device or memory layout (nothing is copied),
+            or is out of range.
     """
     check_tensors(points=points, values=values)
     if points.dim() == 3:
@@ -115,13 +116,13 @@ def gather_torch(
     """``transfer.gather`` of tensors, differentiable by image and points.
 
     Args:
-        image: (W, bins C, rows, columns), of the points' dtype, contiguous on the CPU; NaN and inf are passed on, to
-            points nearby too.
-        points: see ``splat_torch``, as are the arguments that are not listed here.
+        image: (W, bins C, rows, columns), of the points' dtype, contiguous on the CPU; NaN and inf propagate
+            to points nearby.
+        points: see ``splat_torch``.
         grid: where the nodes lie.
         stencil: weights of the nodes; not normalized by "shepard".
-        reverse: share what a node holds among the points that reach it (reverse SPH, Engedal 2018); needs normalize
-            "particle". The divided image takes memory of its own.
+        reverse: whether to divide the value of a node among the points that reach it (reverse SPH, Engedal 2018);
+            needs normalize "particle", and memory for the divided image.
         start: see ``splat_torch``.
         bins: see ``splat_torch``.
         point_bin: see ``splat_torch``.
@@ -129,7 +130,7 @@ def gather_torch(
         backend: see ``splat_torch``.
 
     Returns:
-        (n, C), or (W, n, C) where points are so many for each world.
+        (n, C), or (W, n, C) for points (W, n, ...).
 
     Raises:
         ValueError: as for ``splat_torch``.

@@ -95,10 +95,10 @@ class JointOptions(TypedDict, total=False):
 
 
 class Joints(ArrayGroup):
-    """Joints of all kinds (``model.fields.JOINTS``), rods where nothing else is written; docs/joints.md.
+    """Joints of all kinds (``model.fields.JOINTS``), rods unless other values are written; docs/joints.md.
 
-    What they are like may be written between steps, but for ``joint_kind`` and ``joint_parts``, from which their rows
-    follow.
+    Their properties may be written between steps, except ``joint_kind`` and ``joint_parts``, which determine their
+    rows.
     """
 
     table = JOINTS
