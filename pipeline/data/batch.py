@@ -1,4 +1,4 @@
-"""States of a data set in memory: whole worlds as they are read, and batches as networks are given them."""
+"""States of a data set in memory: whole worlds as read from files, and batches for networks."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from pipeline.data.layout import MOTION, STAGES, described
 class Batch:
     """Holds B states one after the other, N bodies and M contacts in all, as tensors in SI units.
 
-    Bodies are those before the step. ``start`` is what the solver started from, ``impulse`` its solution at the run's
-    tolerance, ``label`` the one at the label's tolerance: normal and tangential [N s].
+    Bodies are in the state before the step. ``start`` has the solver's start impulses, ``impulse`` its solution at the
+    run's tolerance, ``label`` that at the label's tolerance: normal and tangential [N s].
     """
 
     body_start: Any  # (B + 1,) int64, first body of each state

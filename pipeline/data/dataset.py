@@ -3,9 +3,9 @@
     for batch in loader("out/data", batch_size=64, split="train", shuffle=True, seed=0):
         image, label = splatter(batch)  # of ``data.splatter``
 
-A state is one world at one step. Worlds are read whole and kept while a pool of them lasts; states are shuffled within
-a pool, pools are drawn across all worlds. Nothing is open before the first state is asked for, so workers may be forked
-or spawned. Images are made by the kernels that make them in a simulation, from the same numbers.
+A state is one world at one step. Worlds are read whole and kept while their pool is in use; states are shuffled within
+a pool, pools are drawn across all worlds. Files are opened at the first access to a state, so workers may be forked
+or spawned. Images are made by the kernels of a simulation's images, from the same numbers.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ STATE_OPTIONS = ("validation", "split_seed", "stride", "min_contacts", "cache_by
 
 
 class States(Dataset):
-    """The states of a data set that a network may see.
+    """The states of a data set, as a torch dataset.
 
-    ``states[i]`` is a batch of one, ``states.batch([...])`` of several. A state counts if its world is of the split,
-    its step a multiple of ``stride``, its world not flagged, and it has at least ``min_contacts`` contacts.
+    ``states[i]`` is a batch of one, ``states.batch([...])`` of several. A state is included if its world is in the
+    split and not flagged, its step is a multiple of ``stride``, and it has at least ``min_contacts`` contacts.
     """
 
     def __init__(
@@ -56,18 +56,18 @@ class States(Dataset):
         """Read the index.
 
         Args:
-            path: folder of the data set, or its index; or several that differ in worlds, seed and shard_worlds alone.
+            path: folder of the data set, or its index; or several that differ only in worlds, seed and shard_worlds.
             split: "train" or "validation": whole worlds, drawn by ``split_seed``; None: all.
-            validation: share of the worlds that validate, at least one.
-            split_seed: of the draw.
-            stride: steps from one state to the next.
-            min_contacts: of a state.
-            cache_bytes: of the worlds that each process keeps, about; at least two are.
+            validation: share of the worlds for validation, at least one world.
+            split_seed: seed of the draw.
+            stride: number of steps from one state to the next.
+            min_contacts: smallest number of contacts of a state.
+            cache_bytes: approximate size of the worlds that each process keeps; at least two are kept.
 
         Raises:
-            ValueError: for an argument out of its range, a foreign or damaged index, a data set that is not finished or
-                lacks a shard, folders that do not belong together or share a world, or held-out seeds asked for with a
-                split: those are for tests only.
+            ValueError: an argument is out of its range, the index foreign or damaged, the data set not finished or
+                without a shard, folders do not belong together or share a world, or held-out seeds, which are
+                for tests only, are requested with a split.
         """
         if split not in (None, "train", "validation"):
             raise ValueError(f"split is {split!r}; it must be None, 'train' or 'validation'")
@@ -163,7 +163,7 @@ class States(Dataset):
         return world
 
     def batch(self, indices: Sequence[int]) -> Batch:
-        """Put states together as a batch, in the order given.
+        """Return a batch of states, in the given order.
 
         Raises:
             TypeError: for what is no index, such as 1.5 or True.
@@ -216,10 +216,10 @@ def _split(worlds: int, split: Split | None, validation: float, seed: int) -> np
 
 
 class BatchOrder(Sampler):
-    """Indices of each batch; the order depends on seed and epoch, not on workers or what was read before.
+    """Indices of each batch; the order depends only on seed and epoch.
 
-    Of several ranks each takes every ``world_size``-th batch, and all take equally many: the first batches come again
-    at the end where they do not divide.
+    Each of several ranks takes every ``world_size``-th batch, and all take equally many: the first batches are repeated
+    at the end if their number is not divisible.
     """
 
     def __init__(
@@ -274,7 +274,7 @@ class BatchOrder(Sampler):
 
 
 def collate(batch: Batch) -> Batch:
-    """Pass a batch on, as the ``collate_fn`` of a ``DataLoader`` over ``States``: it is put together already."""
+    """Return a batch unchanged, as the ``collate_fn`` of a ``DataLoader`` over ``States``."""
     return batch
 
 
@@ -305,21 +305,21 @@ def loader(
     Args:
         path: folder of the data set, or its index; or several.
         batch_size: states in a batch.
-        split: as of ``States``.
-        shuffle: across the worlds of a pool, pools across all worlds; else worlds and steps in turn.
-        seed: of the order.
-        num_workers: processes that read ahead; 0: this one reads. The batches do not depend on it.
-        pin_memory: put batches where a GPU copies them from without a stop (``batch.to("cuda", non_blocking=True)``).
-        drop_last: leave out the last batch if it is smaller, and what the ranks cannot share evenly.
-        rank: of this process among ``world_size`` that train together.
-        world_size: how many.
-        **options: validation, split_seed, stride, min_contacts, cache_bytes of ``States``; all others are torch's own,
+        split: as for ``States``.
+        shuffle: whether to shuffle across the worlds of a pool, and pools across all worlds.
+        seed: seed of the order.
+        num_workers: number of processes that read ahead; 0: this process reads. The batches do not depend on it.
+        pin_memory: whether batches are in page-locked memory, for ``batch.to("cuda", non_blocking=True)``.
+        drop_last: whether to drop the last batch if it is smaller, and batches that the ranks cannot share evenly.
+        rank: rank of this process in a joint training.
+        world_size: number of these processes.
+        **options: validation, split_seed, stride, min_contacts, cache_bytes of ``States``; all others are torch's,
             such as prefetch_factor, timeout, worker_init_fn. Workers are spawned and kept unless
             multiprocessing_context or persistent_workers say otherwise.
 
     Raises:
-        ValueError: see ``States``; where no state is left; for a sampler or collate_fn, which are the loader's own.
-        TypeError: for an option that torch does not know.
+        ValueError: see ``States``; no state is left; a sampler or collate_fn, which the loader sets, is given.
+        TypeError: an option is unknown to torch.
     """
     for name in ("sampler", "batch_sampler", "collate_fn"):
         if name in options:
@@ -335,15 +335,15 @@ def loader(
 
 
 def describe(path: Paths) -> dict[str, Any]:
-    """Describe what a data set holds, without its states.
+    """Describe a data set, without its states.
 
     Args:
         path: folder of the data set, or its index; or several.
 
     Returns:
         ``config``, of the first folder; ``seeds``, the first and one past the last; ``worlds``, ``states``; ``box``,
-        which holds all static shapes: low x, low y, high x, high y [m]; ``slop``, overlap that the solver left alone,
-        mean of the worlds [m].
+        the bounds of all static shapes: low x, low y, high x, high y [m]; ``slop``, overlap that the solver did not
+        correct, mean of the worlds [m].
 
     Raises:
         ValueError, OSError: see ``States``.

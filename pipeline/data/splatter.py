@@ -1,4 +1,4 @@
-"""Images of a data set's states, the pixels that ``dc.Images`` shows of them in a simulation."""
+"""Images of a data set's states, equal to those of ``dc.Images`` in a simulation."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ REMEMBERED = 4096  # sets of wall nodes
 
 
 class Splatter:
-    """Images of batches: the pixels that ``dc.Images`` of one specification shows of the states that a batch holds.
+    """Makes images of batches: those of ``dc.Images`` with the same specification, for the states of a batch.
 
-    The label's image is what ``Images.impulse_image`` would show of it. On the CPU.
+    The image of the label is that of ``Images.impulse_image``. It works on the CPU.
 
     Attributes:
         spec: grid, channels and stencil.
@@ -41,10 +41,10 @@ class Splatter:
 
         Args:
             spec: grid, channels and stencil.
-            threads: that states are shared by; the bits do not depend on it.
+            threads: number of threads that share the states; the bits do not depend on it.
 
         Raises:
-            ValueError: for bodies splatted over their area: a data set keeps the shapes of static bodies alone.
+            ValueError: bodies are splatted over their area: a data set has only the shapes of static bodies.
         """
         if spec.area:
             raise ValueError("spec.area is True; a data set keeps no shapes of bodies that move")
@@ -53,7 +53,7 @@ class Splatter:
         self._known: OrderedDict[bytes, tuple[np.ndarray, np.ndarray]] = OrderedDict()
 
     def __call__(self, batch: Batch) -> tuple[Any, Any]:
-        """Input (B, channels, rows, columns) and label (B, 2 bins, rows, columns) of a batch, float32."""
+        """Return input (B, channels, rows, columns) and label (B, 2 bins, rows, columns) of a batch, float32."""
         arrays = {f.name: getattr(batch, f.name).numpy() for f in fields(batch)}
         image = allocate_image(len(batch), len(self.channels), self.spec.grid)
         label = allocate_image(len(batch), self.spec.impulse_channels, self.spec.grid)

@@ -1,4 +1,4 @@
-"""Networks that answer an image of a world's bodies and contacts with an image of its impulses.
+"""Networks that map an image of a world's bodies and contacts to an image of its impulses.
 
 The four of the theses (Copenhagen, 2018) map (B, channels, rows, columns) to (B, outputs, rows, columns):
 
@@ -16,9 +16,9 @@ the same size, those of even width with one node less before than after; odd sid
 full size bilinearly, and what lies beyond the grid is cut off. ConvFC's dense layer has a ReLU and both its dropouts
 Peak's rate. Peak has one hidden dense layer of 512. UNet has three scales of 16, 32, 64 filters, two 3x3 convolutions
 each, dilations 1, 2, 4 of 128 filters below them, and no normalization: impulses have a scale that must get through.
-Inputs are divided by a scale for each channel and cut off at a bound, answers multiplied by a scale
-(``GridNetwork.set_scales``; unless set, nothing is changed): the walls' 100 kg beside a body's 0.1 kg a node drown what
-the bodies do. ``width`` multiplies the filters and hidden units of all.
+Inputs are divided by a scale for each channel and clipped at a bound, outputs multiplied by a scale
+(``GridNetwork.set_scales``; by default nothing is changed), because the walls' 100 kg a node would otherwise dominate a
+body's 0.1 kg. ``width`` multiplies the filters and hidden units of all.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Starts that write impulses and leave the solve to the solver: those of the thesis protocol that know no solution.
+"""Starts that write impulses before a solve: those of the thesis protocol that do not use the solution.
 
-Impulses outside the friction cone are meant: the solver clamps them.
+Impulses outside the friction cone are intended: the solver projects them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PARTS = ("start", "splat", "network", "gather", "solve")
 class ImpulseStart(ABC):
     """A start that writes the impulses of the present contacts, from which the simulation then solves.
 
-    It can be passed to ``sim.step(dt, start=...)``, too.
+    It can also be passed to ``sim.step(dt, start=...)``.
     """
 
     def __init__(self, sim: dc.Simulation) -> None:
@@ -41,7 +41,7 @@ class ImpulseStart(ABC):
         """Write the start impulses, for ``sim.step(dt, start=...)``.
 
         Raises:
-            ValueError: for another simulation than that which the start was made for.
+            ValueError: the start was made for another simulation.
         """
         if sim is not self.sim:
             raise ValueError("the start was made for another simulation")
@@ -51,7 +51,7 @@ class ImpulseStart(ABC):
         """Write the start impulses and solve; see ``Start.solve``.
 
         Raises:
-            ValueError: for a start impulse that is not finite.
+            ValueError: a start impulse is not finite.
         """
         with self.clock.part("start"):
             self.write()
@@ -87,13 +87,13 @@ class Zero(ImpulseStart):
 
 
 class Builtin(ImpulseStart):
-    """Starts each contact from its own impulse of the step before, a new one from zero: what collide has left there."""
+    """Starts each contact from its impulse of the previous step, a new contact from zero: the result of ``collide``."""
 
     def write(self) -> None:
         """Leave the impulses as they are.
 
         Raises:
-            ValueError: when the simulation's configuration starts from zero instead.
+            ValueError: the simulation's configuration starts from zero.
         """
         if self.sim.config.start != "cache":
             raise ValueError(f"SolverConfig.start is {self.sim.config.start!r}; the strategy builtin needs 'cache'")

@@ -1,4 +1,4 @@
-"""What every start of the contact solver is: a solve phase of its own, and a report of what it did."""
+"""The protocol of starts of the contact solver: each runs the solve phase, and reports its costs."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ Started = Callable[[], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What a start did, summed over its solves."""
+    """Statistics of a start, summed over its solves."""
 
     seconds: Mapping[str, float]
-    """Wall time by part [s]: "solve" are the sweeps, "splat", "network" and "gather" the parts of a network's answer,
-    "start" is all else that the start needs."""
+    """Wall time by part [s]: "solve" for the sweeps, "splat", "network" and "gather" for the parts of a network's call,
+    "start" for the rest of the start."""
     is_network: bool = False
-    """Whether a network answers, whose time belongs to the method; other starts are yardsticks, such as a solution."""
+    """Whether it is a network, whose time is part of the method; other starts are references, such as a solution."""
     counts: Mapping[str, int] = field(default_factory=dict)
-    """Numbers of a network, of worlds and steps: "calls", "skipped" (it was not needed) and "dropped" (its answer was
-    not finite, or did harm) at least."""
+    """Counts of a network over worlds and steps, at least "calls", "skipped" (not needed) and "dropped" (the output was
+    not finite, or did harm)."""
     text: str = ""
-    """What a network did, in words."""
+    """Description of a network's calls."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return counts, ``seconds`` and, as ``explain``, the text, for a run's summary."""
@@ -44,11 +44,11 @@ class Start(Protocol):
         """Run the solve phase of a step, between ``sim.collide(dt)`` and ``sim.advance()``.
 
         Args:
-            started: is called once ``contacts.impulse`` holds what the first sweep begins with.
+            started: function called once ``contacts.impulse`` holds the start of the first sweep.
         """
 
     def report(self) -> Report:
-        """Return what it did so far."""
+        """Return the statistics so far."""
 
 
 def step(start: Start, dt: float) -> None:
@@ -59,7 +59,7 @@ def step(start: Start, dt: float) -> None:
 
 
 class Clock:
-    """Wall time by part; what a part spends within another one counts for itself alone."""
+    """Wall time by part; the time of a nested part is not counted for the outer one."""
 
     def __init__(self, seconds: dict[str, float]) -> None:
         """Add to ``seconds``, whose keys are the parts [s]."""

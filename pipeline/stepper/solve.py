@@ -1,14 +1,14 @@
-"""A network in the place of the contact solver, with the solver behind it.
+"""A network that replaces the contact solver, followed by the solver if needed.
 
     model, manifest = load_checkpoint(WEIGHTS)
     stepper = NetworkStepper(sim, model, manifest, StepperOptions(project=3))
     sim.run(250, 0.01, stepper=stepper)  # or between sim.collide and sim.advance: stepper.solve()
 
-All worlds with contacts go through the network as one batch. Its velocities are what ``advance`` moves the bodies by.
-With ``project`` the solver sweeps over them first. Where they are those that the network's own impulses make, the
-sweeps begin with these impulses. Other networks say no impulses: the sweeps then begin with the cached ones, and the
-part of the velocities that these do not make stays in them as if a force of the step had made it. ``"tolerance"`` drops
-that part and lets the solver go on to its tolerance: the step is then the solver's, whatever the network says.
+All worlds with contacts go through the network as one batch. ``advance`` moves the bodies with its velocities.
+With ``project`` the solver first makes sweeps. If the velocities follow from the network's own impulses, the
+sweeps start from these impulses. Other networks output no impulses: the sweeps then start from the cached ones, and the
+part of the velocities that these do not explain remains, like a force in the step. ``"tolerance"`` drops
+that part and lets the solver continue to its tolerance: the step is then the solver's, whatever the network outputs.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ COUNTS = ("calls", "skipped", "not_finite", "too_fast")
 class NetworkStepper:
     """Steps a simulation by a network.
 
-    A world falls back to the solver for the step where the answer is not finite or would give its bodies more kinetic
-    energy than contacts leave: these are passive, so that it is that of the predicted velocities at most.
+    A world falls back to the solver for the step if the output is not finite or would give its bodies more kinetic
+    energy than contacts allow: these are passive, so it is at most that of the predicted velocities.
 
     Attributes:
-        counts: of worlds and steps: "calls" of the network; "skipped", without contacts; "not_finite" and "too_fast",
-            in which the world fell back to the solver.
+        counts: counts over worlds and steps: "calls" of the network; "skipped", without contacts; "not_finite" and
+            "too_fast", in which the world fell back to the solver.
     """
 
     def __init__(
@@ -57,13 +57,13 @@ class NetworkStepper:
         """Allocate what the network reads.
 
         Args:
-            sim: float32, on the CPU, without joints and sleep.
+            sim: a simulation in float32, on the CPU, without joints and sleep.
             model: a network that ``train_stepper`` has trained.
-            manifest: of its checkpoint.
-            options: sweeps afterwards, bound of the energy.
+            manifest: manifest of its checkpoint.
+            options: number of sweeps afterwards, bound of the energy.
 
         Raises:
-            ValueError: for a simulation that a network cannot step, or a network that is none of a stepper.
+            ValueError: a network cannot step the simulation, or the network is not a stepper.
         """
         self.sim, self.options = sim, options or StepperOptions()
         self.model = model.eval()
@@ -76,7 +76,7 @@ class NetworkStepper:
         self._world = self.reader.world
 
     def solve(self, started: Started | None = None) -> None:
-        """Make the part of a step between ``collide`` and ``advance``; see ``Start.solve``.
+        """Run the solve phase of a step, between ``collide`` and ``advance``; see ``Start.solve``.
 
         Raises:
             ValueError: see ``Simulation.solve``.
