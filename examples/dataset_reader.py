@@ -1,4 +1,4 @@
-"""A data set read with h5py and its plugins, a network trained on it, and the network as ``--start FILE`` of a run."""
+"""Read a data set with h5py and hdf5plugin, train a network on it, and use it as ``--start FILE`` of a run."""
 
 import json
 import tempfile
@@ -19,7 +19,7 @@ SIMULATE = "simulate thesis --bodies 10 --steps 60 --start {folder}/mine.safeten
 
 
 def train(data: Path, epochs: int) -> tuple[torch.nn.Module, dc.Grid, list[float]]:
-    """Read images of all states, and fit a small network to the impulses; its loss in each epoch."""
+    """Read images of all states, and fit a small network to the impulses; return its loss in each epoch."""
     with h5py.File(data / "index.h5") as file:
         good = (file["step/flags"][:] == 0) & (np.diff(file["step/contact_start"][:]) > 0)
         image = torch.from_numpy(file["grid/input"][:][good])  # bodies and contacts, (states, 6, rows, columns)
@@ -45,11 +45,11 @@ def train(data: Path, epochs: int) -> tuple[torch.nn.Module, dc.Grid, list[float
 
 
 def main(worlds: int = 6, epochs: int = 10) -> tuple[float, float, int]:
-    """Make a data set, train, and run the scene from what the network answers; losses, and its answers in the run."""
+    """Make a data set, train, and run the scene with the network as start; return losses and its calls in the run."""
     with tempfile.TemporaryDirectory() as folder:
         deep_contact(GENERATE.format(worlds=worlds, folder=folder).split())
         network, grid, losses = train(Path(folder) / "data", epochs)
-        # what a start has to know of the network: the images that it reads, and the way back to the contacts
+        # a start needs the specification of the input images, and how to gather at the contacts
         manifest = {"images": dc.ImageSpec(grid).to_dict(), "decode": {"reverse": True}}
         save_checkpoint(Path(folder) / "mine.safetensors", network, manifest)
         deep_contact(SIMULATE.format(folder=folder).split())

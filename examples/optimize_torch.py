@@ -1,4 +1,4 @@
-"""Particles moved by gradients through splat, a CNN and gather, until they see what hidden particles saw."""
+"""Move particles by gradients through splat, a CNN and gather, to match the output for hidden particles."""
 
 import torch
 
@@ -7,7 +7,7 @@ from dc_kernels.torch_ops.transfer import gather_torch, splat_torch
 
 
 def main(count: int = 30, steps: int = 150) -> tuple[float, float]:
-    """Move the particles by Adam; the loss before and after."""
+    """Move the particles by Adam; return the loss before and after."""
     torch.manual_seed(0)
     grid, stencil = dc.Grid.from_box((0.0, 0.0), (4.0, 4.0), 0.25), dc.Stencil(h=0.75)
     network = torch.nn.Sequential(
@@ -16,7 +16,7 @@ def main(count: int = 30, steps: int = 150) -> tuple[float, float]:
     mass = torch.full((count, 1), 1.0)
 
     def seen(points):
-        """What the network answers to the particles' image, (1, 2, rows, columns)."""
+        """Return the network's output for the particles' image, (1, 2, rows, columns)."""
         return network(splat_torch(points, mass, grid, stencil))
 
     hidden = 0.5 + 3.0 * torch.rand(count, 2)
@@ -27,7 +27,7 @@ def main(count: int = 30, steps: int = 150) -> tuple[float, float]:
     for _ in range(steps):
         optimizer.zero_grad()
         off = seen(points) - wanted
-        # at the nodes, and at the particles, by whose places gather has a derivative, too
+        # errors at the nodes, and at the particles, whose positions gather is also differentiable by
         loss = off.square().sum() + gather_torch(off, points, grid).square().sum()
         loss.backward()
         optimizer.step()
@@ -37,5 +37,5 @@ def main(count: int = 30, steps: int = 150) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
-    torch.set_num_threads(1)  # threads wait longer for each other than such small images take
+    torch.set_num_threads(1)  # for such small images threads cost more than they gain
     print("loss: {:.4g} at first, {:.4g} at the end".format(*main()))

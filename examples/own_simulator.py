@@ -1,4 +1,4 @@
-"""A simulator made of stages alone: a tower of boxes, whose state is numpy arrays of ours. No ``dc.Simulation``."""
+"""A simulator made only of stages, without ``dc.Simulation``: a tower of boxes, whose state is in our numpy arrays."""
 
 import numpy as np
 
@@ -8,20 +8,20 @@ DT, GRAVITY, FASTEST = 0.01, 9.81, 5.0  # [s], [m/s^2]; no two bodies approach e
 
 
 def main(boxes: int = 8, steps: int = 150) -> float:
-    """Let the tower stand; how far a box has moved from where it stood [m]."""
-    builder = dc.ModelBuilder()  # shapes and masses; they could be arrays of ours as well
+    """Let the tower stand; return the largest displacement of a box [m]."""
+    builder = dc.ModelBuilder()  # shapes and masses; our own arrays would do as well
     builder.add_world()
     builder.add_box(builder.add_body(type=dc.BodyType.STATIC), 5.0, 0.5)
     for _ in range(boxes):
         builder.add_box(builder.add_body(), 0.5, 0.25)
     model, *_ = builder.finalize()
     position = np.zeros((boxes + 1, 2), np.float32)
-    position[0, 1] = -0.5  # the ground, whose upper side is at 0
+    position[0, 1] = -0.5  # the ground, whose top is at 0
     position[1:, 1] = 0.25 + 0.5 * np.arange(boxes)
     angle, spin = np.zeros((2, boxes + 1), np.float32)
     velocity = np.zeros_like(position)
 
-    # each stage is made once, on these arrays, and called in each step
+    # make each stage once, on these arrays, and call it in each step
     reach = FASTEST * DT
     bounds = dc.ShapeBoxes(model, position, angle, margin=reach / 2)
     filters = {"shape_body": model.shape_body, "body_type": model.body_type}
@@ -38,7 +38,7 @@ def main(boxes: int = 8, steps: int = 150) -> float:
     for _ in range(steps):
         for stage in (bounds, pairs, contacts):
             stage()
-        # a contact starts from the impulse that it had in the step before: keys are sorted and last as long as it does
+        # start each contact from its previous impulse: keys are sorted, and a contact keeps its key
         now = contacts.numpy("key").copy()
         at = np.searchsorted(keys, now)
         known = at < len(keys)

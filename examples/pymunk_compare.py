@@ -1,4 +1,4 @@
-"""One scene here and in pymunk, with the closed form beside: a box that slides to rest, v^2 / (2 mu g)."""
+"""Compare one scene here and in pymunk with the closed form: a box that slides to rest over v^2 / (2 mu g)."""
 
 import dc_kernels as dc
 from pipeline import scenes
@@ -19,10 +19,10 @@ def scene() -> dc.ModelBuilder:
 
 
 def main(steps_per_second=(50, 100, 400)) -> dict[int, tuple[float, float]]:
-    """By steps per second: by how much the way is wrong here and in pymunk [m]."""
+    """Return the errors of the sliding distance here and in pymunk, by steps per second [m]."""
     found = {}
     for rate in steps_per_second:
-        steps = int(1.5 * rate)  # it rests after v / (mu g) = 1.02 s
+        steps = int(1.5 * rate)  # it comes to rest after v / (mu g) = 1.02 s
         sim = dc.Simulation(*scene().finalize("float64"))
         sim.run(steps, 1.0 / rate)
         space, bodies = scenes.to_pymunk(scene())
@@ -30,7 +30,7 @@ def main(steps_per_second=(50, 100, 400)) -> dict[int, tuple[float, float]]:
             space.step(1.0 / rate)
         ours, theirs = sim.state.numpy("position")[1, 0], bodies[1].position.x
         found[rate] = abs(ours - WAY), abs(theirs - WAY)
-        # semi-implicit Euler leaves the way of half a step
+        # semi-implicit Euler is off by the distance of half a step
         assert found[rate][0] < 0.6 * SPEED / rate, found
         assert found[rate][1] < 2.0 * SPEED / rate, found
         assert abs(sim.state.numpy("velocity")[1, 0]) < 1e-6, "it rests"

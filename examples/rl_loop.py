@@ -1,6 +1,6 @@
-"""64 worlds side by side as reinforcement learning sees them: actions are forces, observations views, episodes resets.
+"""A reinforcement learning loop of 64 worlds: actions are forces, observations are views, episodes end with resets.
 
-The task is to bring a disc to the middle of its floor. A linear policy takes the place of a network.
+The task is to bring a disc to the middle of its floor. A linear policy stands in for a network.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ DT, FRAMES = 0.01, 4  # an action lasts for so many steps
 
 
 def make(worlds: int, threads: int = 1) -> dc.Simulation:
-    """Worlds of one size: a floor and a disc."""
+    """Return worlds of one size, each with a floor and a disc."""
     builder = dc.ModelBuilder()
     for _ in range(worlds):
         builder.add_world()
@@ -22,15 +22,15 @@ def make(worlds: int, threads: int = 1) -> dc.Simulation:
 
 
 def main(worlds: int = 64, actions: int = 250) -> tuple[int, float]:
-    """Drive all worlds; episodes that reached the goal, and the mean of their lengths [s]."""
+    """Drive all worlds; return the number of episodes that reached the goal, and their mean length [s]."""
     rng = np.random.default_rng(0)
     sim = make(worlds)
-    # views of the state, (worlds, bodies, ...), that stay the same memory from step to step; body 1 is the disc
+    # views of the state, (worlds, bodies, ...), whose memory stays in place; body 1 is the disc
     place, velocity, force = (sim.state.worlds(name)[:, 1] for name in ("position", "velocity", "force"))
     time = sim.state.numpy("time")
 
     def begin(which: np.ndarray) -> None:
-        """Episodes of some worlds begin at random places."""
+        """Begin episodes of some worlds at random positions."""
         at = sim.built.numpy("position").reshape(worlds, 2, 2)[which]
         at[:, 1, 0] = rng.uniform(-4.0, 4.0, len(which))
         sim.reset(which, {"position": at})
@@ -44,7 +44,7 @@ def main(worlds: int = 64, actions: int = 250) -> tuple[int, float]:
         reached = (np.abs(place[:, 0]) < 0.05) & (np.abs(velocity[:, 0]) < 0.05)
         done = np.flatnonzero(reached | (time > 6.0))
         lengths += time[reached].tolist()
-        begin(done)  # the others go on
+        begin(done)  # the others continue
     assert not sim.state.numpy("flags").any()
     assert len(lengths) > worlds, "each world has come to its goal more than once, on average"
     assert place[:, 1].min() > 0.45 and place[:, 1].max() < 0.55, "all discs are on their floors"

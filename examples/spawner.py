@@ -1,6 +1,6 @@
-"""A cannon fires discs at a tower, old ones are taken away, a rope lifts what is left: a scene that changes as it runs.
+"""A scene with added and removed bodies: a cannon fires discs at a tower, old discs are removed, a rope lifts a crate.
 
-Slots are reserved once, so that no array is allocated while it runs, and what is removed makes room for what comes.
+Slots are reserved once, so that no array is allocated while it runs, and new discs reuse the slots of removed ones.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ DT, LIVES, EVERY = 0.01, 6, 10  # steps between two shots; so many shots are in 
 
 
 def make() -> tuple[dc.Simulation, np.ndarray]:
-    """A floor and a tower of crates; the ids of these."""
+    """Return a floor with a tower of crates, and the ids of the crates."""
     builder = dc.ModelBuilder()
     builder.add_world()
     floor = builder.add_body(type=dc.BodyType.STATIC)
@@ -24,7 +24,7 @@ def make() -> tuple[dc.Simulation, np.ndarray]:
 
 
 def main(shots: int = 40) -> tuple[int, float]:
-    """Fire; how many crates are left standing where they were, and how high a rope has lifted the lowest [m]."""
+    """Fire; return how many crates are still in place, and how high a rope has lifted the lowest [m]."""
     sim, crates = make()
     sim.reserve(bodies=LIVES, shapes=LIVES)
     places = sim.state.numpy("position")  # a view
@@ -38,7 +38,7 @@ def main(shots: int = 40) -> tuple[int, float]:
         shot.add_disc(ball, 0.2, density=4.0)
         flying.append(int(sim.add(shot).bodies[ball]))
         sim.run(EVERY, DT)
-    assert np.shares_memory(places, sim.state.numpy("position"))  # all had room
+    assert np.shares_memory(places, sim.state.numpy("position"))  # the slots were enough
     left = int((np.hypot(*(places[sim.index(bodies=crates)] - before).T) < 0.1).sum())
 
     sim.remove(bodies=flying)

@@ -21,7 +21,7 @@ def convolve(
     relu: int,
     out: wp.array3d(dtype=float),
 ):
-    """Channel c of the answer is the image's first channel, filtered by weight c; zeros beyond the border."""
+    """Filter the image's first channel by weight c into channel c of the result, with zeros beyond the border."""
     c, row, column = wp.tid()
     total = float(bias)
     for i in range(3):
@@ -37,7 +37,7 @@ def convolve(
 
 @wp.kernel(enable_backward=False)
 def move(place: wp.array(dtype=wp.vec2), velocity: wp.array(dtype=wp.vec2), force: wp.array(dtype=wp.vec2)):
-    """Semi-implicit Euler within walls."""
+    """Make a semi-implicit Euler step within walls."""
     i = wp.tid()
     v = 0.98 * (velocity[i] + DT * force[i])
     x = place[i] + DT * v
@@ -46,7 +46,7 @@ def move(place: wp.array(dtype=wp.vec2), velocity: wp.array(dtype=wp.vec2), forc
 
 
 def main(count: int = 400, steps: int = 200) -> tuple[float, float]:
-    """Let a dense cloud spread; the densest node before and after [kg]."""
+    """Let a dense cloud spread; return the densest node before and after [kg]."""
     wp.init()
     rng = np.random.default_rng(0)
     begin = rng.normal(0.5 * SIDE, 0.15, (count, 2)).astype(np.float32)
