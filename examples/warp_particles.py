@@ -1,8 +1,8 @@
 """Particles of plain Warp through splat, a convolution, gather and back to the particles, in one recorded graph.
 
-The particles know nothing of us: arrays and kernels of Warp. What a layer of convolution, 3 x 3 with ReLU, makes of
-their mass on a grid pushes them apart, as pressure does. On the CPU the graph holds launches alone, and no network of
-torch: the layer is a kernel, as Warp's own tiles would be.
+The particles use only arrays and kernels of Warp. The output of a convolution layer, 3 x 3 with ReLU, for their mass on
+a grid pushes them apart like a pressure. On the CPU a graph can only hold launches, and no network of
+torch: the layer is a kernel.
 """
 
 import numpy as np
