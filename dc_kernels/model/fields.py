@@ -1,12 +1,12 @@
-"""The arrays of a simulation: what each is called, what it means, its unit, shape and dtype.
+"""The arrays of a simulation: name, meaning, unit, shape and dtype of each.
 
 Every array of deep-contact has one name, used for the attribute, the kernel argument and the HDF5
 dataset alike. The tables below are the single source for allocation, validation, snapshots and the
-memory report. Worlds are an axis: bodies, shapes and joints of all worlds lie flat, one world after
+memory report. Bodies, shapes and joints of all worlds are stored one world after
 the other, and ``*_start`` arrays of length W + 1 hold the first element of each world.
 
 Conventions (tested): SI units; a contact normal points from body A to body B, where A is the static
-body or the one with the lower index; the tangent is the normal turned by -90 degrees,
+body or the one with the lower index; the tangent is the normal rotated by -90 degrees,
 ``t = (n_y, -n_x)``; impulses are in N s and act on B, the opposite ones on A.
 """
 
@@ -85,9 +85,9 @@ def field_table(*rows: tuple[Any, ...]) -> dict[str, Field]:
 
 
 TRAITS = {"body trait": "body", "shape trait": "shape"}
-"""Axes of what few scenes have, and the axes that they are as long as where a scene has it; else they are empty."""
+"""Axes of optional fields, and the axes whose length they have in a scene that uses them; otherwise they are empty."""
 ROLLING = "rolling contact"
-"""Axis of what contacts have where a shape resists rolling: as long as that of contacts there, else empty."""
+"""Axis of rolling resistance: as long as that of contacts if a shape has rolling resistance, otherwise empty."""
 PER_CONTACT = ("contact", ROLLING)
 
 # axes: world W, world+1, body, body+1 (behind the bodies: padding bodies of empty solver lanes), shape, shape+1,
@@ -97,7 +97,7 @@ MODEL = field_table(
     ("shape_start", "world+1", "int32", "1", "first shape of each world", Start("shape")),
     ("joint_start", "world+1", "int32", "1", "first joint of each world", Start("joint")),
     ("gravity", "world", "vec2", "m/s^2", "acceleration of every dynamic body"),
-    ("origin", "world", "vec2d", "m", "where the world's coordinates begin: positions are relative to it"),
+    ("origin", "world", "vec2d", "m", "origin of the world's coordinates, to which positions are relative"),
     ("length_scale", "world", "real", "m", "typical diameter of dynamic shapes; unit of margins", POSITIVE),
     ("cell_size", "world", "real", "m", "finest cell of the broadphase's cell list", POSITIVE),
     ("body_type", "body", "int32", "1", "BodyType", Code(BodyType)),
@@ -105,7 +105,7 @@ MODEL = field_table(
     ("inertia", "body", "real", "kg m^2", "moment of inertia about the centre of mass; 0 where infinite", NOT_NEGATIVE),
     ("inv_mass", "body", "real", "1/kg", "0 for static and kinematic bodies", INVERSE),
     ("inv_inertia", "body", "real", "1/(kg m^2)", "0 for static, kinematic and non-rotating bodies", INVERSE),
-    ("center_of_mass", "body", "vec2", "m", "in the frame the shapes were given in; vertices are relative to it"),
+    ("center_of_mass", "body", "vec2", "m", "in the builder's frame; vertices and joint anchors are relative to it"),
     ("shape_body", "shape", "int32", "1", "body of the shape; a builder sorts shapes by body", Index("body")),
     ("shape_type", "shape", "int32", "1", "ShapeType", Code(ShapeType)),
     ("shape_radius", "shape", "real", "m", "radius of a disc or capsule, rounding of a polygon", NOT_NEGATIVE),
@@ -113,8 +113,8 @@ MODEL = field_table(
     ("shape_extent", "shape", "real", "m", "from shape_center to the farthest point, with radius", NOT_NEGATIVE),
     ("shape_friction", "shape", "real", "1", "Coulomb coefficient; a pair has sqrt(f1 f2)", NOT_NEGATIVE),
     ("shape_restitution", "shape", "real", "1", "coefficient in [0, 1]; a pair has the larger", SHARE),
-    ("shape_category", "shape", "uint32", "1", "bits of what the shape is"),
-    ("shape_mask", "shape", "uint32", "1", "bits of what it collides with; both shapes must accept each other"),
+    ("shape_category", "shape", "uint32", "1", "category bits of the shape"),
+    ("shape_mask", "shape", "uint32", "1", "categories that it collides with; both shapes must accept each other"),
     ("vertex_start", "shape+1", "int32", "1", "first vertex of each shape", Start("vertex", spare=True)),
     ("vertices", "vertex", "vec2", "m", "in the body's frame, relative to the centre of mass"),
     ("vertex_normals", "vertex", "vec2", "1", "outward normal of the edge from this vertex to the next"),
@@ -123,28 +123,28 @@ MODEL = field_table(
         "body trait",
         "real",
         "1/s",
-        "rate at which it loses its velocity, as exp(-rate t)",
+        "decay rate of the velocity, as exp(-rate t)",
         NOT_NEGATIVE,
     ),
-    ("angular_damping", "body trait", "real", "1/s", "rate at which a body loses its spin", NOT_NEGATIVE),
-    ("gravity_scale", "body trait", "real", "1", "what the world's gravity is multiplied by for a body"),
+    ("angular_damping", "body trait", "real", "1/s", "decay rate of the spin", NOT_NEGATIVE),
+    ("gravity_scale", "body trait", "real", "1", "factor of the world's gravity for a body"),
     ("shape_surface_speed", "shape trait", "real", "m/s", "of the surface, clockwise: on top of a belt to the right"),
     (
         "shape_rolling_resistance",
         "shape trait",
         "real",
         "1",
-        "most torque over normal force and radius; a pair has the larger",
+        "largest torque over normal force and radius; a pair has the larger",
         NOT_NEGATIVE,
     ),
     ("shape_role", "shape trait", "int32", "1", "ShapeRole", Code(ShapeRole)),
-    ("shape_one_way", "shape trait", "real", "rad", "direction to the side that a ONE_WAY shape holds, of the body's"),
+    ("shape_one_way", "shape trait", "real", "rad", "direction of a ONE_WAY shape, in the body's frame"),
 )
 
 STATE = field_table(
     ("position", "body", "vec2", "m", "centre of mass, relative to the world's origin"),
     ("angle", "body", "real", "rad", "rotation, counter-clockwise"),
-    ("velocity", "body", "vec2", "m/s", "of the centre of mass"),
+    ("velocity", "body", "vec2", "m/s", "velocity of the centre of mass"),
     ("angular_velocity", "body", "real", "rad/s", "counter-clockwise"),
     ("force", "body", "vec2", "N", "applied at the centre of mass in every step until changed"),
     ("torque", "body", "real", "N m", "applied in every step until changed"),
@@ -156,7 +156,7 @@ CONTACTS = field_table(
     ("contact_start", "world+1", "int32", "1", "first reserved slot of each world", Start("contact")),
     ("contact_count", "world", "int32", "1", "contacts in slots from contact_start, sorted by key", COUNT),
     ("contact_dt", "world", "real", "s", "time step of the impulses, 0 before the first", LAST_STEP),
-    ("key", "contact", "int64", "1", "shape A, shape B, feature: the same in each step", Ascending()),
+    ("key", "contact", "int64", "1", "shape A, shape B, feature: identifies a contact from step to step", Ascending()),
     ("body_a", "contact", "int32", "1", "body A", Index("body")),
     ("body_b", "contact", "int32", "1", "body B", Index("body")),
     ("normal", "contact", "vec2", "1", "unit vector from A to B", Unit()),
@@ -168,7 +168,7 @@ CONTACTS = field_table(
     ("impulse", "contact", "vec2", "N s", "normal and tangential impulse: before the solve its start, then its result"),
     ("color", "contact", "int32", "1", "colour in the contact graph, kept while the contact lives", COLOR),
     ("age", "contact", "int32", "1", "steps since the contact began, 0 when new", AGE),
-    ("rolling_impulse", ROLLING, "real", "N s", "of its rolling resistance: the start of the solve, then its result"),
+    ("rolling_impulse", ROLLING, "real", "N s", "rolling resistance: start of the solve, then its result"),
 )
 
 JOINTS = field_table(
@@ -181,21 +181,21 @@ JOINTS = field_table(
     ("joint_parts", "joint", "int32", "1", "JointPart bits: which rows it has", Number(0, ALL_PARTS)),
     ("joint_row_start", "joint+1", "int32", "1", "first row of each joint", Start("joint row")),
     ("joint_axis", "joint", "vec2", "1", "direction of a prismatic or wheel joint, in the frame of body A", Unit()),
-    ("joint_reference", "joint", "real", "rad", "angle of B less that of A (a gear: times its ratio) that counts as 0"),
-    ("joint_ratio", "joint", "real", "1", "turns of B for each turn of A that a gear keeps"),
-    ("joint_lower", "joint", "real", "rad, m, N", "least angle, length, way, or force of a general joint"),
-    ("joint_upper", "joint", "real", "rad, m, N", "largest angle, length, way, or force of a general joint"),
-    ("joint_speed", "joint", "real", "rad/s, m/s", "what the motor drives at; what a general joint's Jacobians give"),
+    ("joint_reference", "joint", "real", "rad", "angle of B minus that of A (of a gear: times its ratio) at angle 0"),
+    ("joint_ratio", "joint", "real", "1", "rotations of B for each rotation of A of a gear"),
+    ("joint_lower", "joint", "real", "rad, m, N", "smallest angle, length, displacement, or force of a general joint"),
+    ("joint_upper", "joint", "real", "rad, m, N", "largest angle, length, displacement, or force of a general joint"),
+    ("joint_speed", "joint", "real", "rad/s, m/s", "target speed of the motor, or of a general joint's row"),
     ("joint_strength", "joint", "real", "N m, N", "largest torque or force of the motor, or of a target", NOT_NEGATIVE),
-    ("joint_frequency", "joint", "real", "Hz", "of the spring; 0: rigid", NOT_NEGATIVE),
-    ("joint_damping_ratio", "joint", "real", "1", "of the spring; 1: critical damping", NOT_NEGATIVE),
-    ("joint_jacobian_a", "joint", "vec3", "1, m", "what a general joint multiplies the velocity of A by"),
-    ("joint_jacobian_b", "joint", "vec3", "1, m", "what a general joint multiplies the velocity of B by"),
+    ("joint_frequency", "joint", "real", "Hz", "natural frequency of the spring; 0: rigid", NOT_NEGATIVE),
+    ("joint_damping_ratio", "joint", "real", "1", "damping ratio of the spring; 1: critical", NOT_NEGATIVE),
+    ("joint_jacobian_a", "joint", "vec3", "1, m", "Jacobian of a general joint for body A"),
+    ("joint_jacobian_b", "joint", "vec3", "1, m", "Jacobian of a general joint for body B"),
     ("joint_break_force", "joint", "real", "N", "force at which the joint breaks; 1e30: never", NOT_NEGATIVE),
-    ("joint_broken", "joint", "int32", "1", "1: it has broken, and does nothing", Number(0, 1)),
+    ("joint_broken", "joint", "int32", "1", "1: it has broken, and has no effect", Number(0, 1)),
     ("joint_collides", "joint", "int32", "1", "1: its bodies collide with each other", Number(0, 1)),
     ("joint_color", "joint row", "int32", "1", "colour in the constraint graph", COLOR),
-    ("joint_impulse", "joint row", "real", "N s", "of each row; of a rod along its line, positive pushes apart"),
+    ("joint_impulse", "joint row", "real", "N s", "impulse of each row; of a rod positive if it pushes apart"),
 )
 
 
@@ -259,12 +259,12 @@ ROWS = field_table(
     ("row_start", "world+1", "int32", "1", "first of each world's own rows, of joints or of a contact solver's caller"),
     ("row_body_a", "own row", "int32", "1", "body A", Index("body")),
     ("row_body_b", "own row", "int32", "1", "body B", Index("body")),
-    ("row_jacobian_a", "own row", "vec3", "1, m", "what the velocity (x, y, spin) of A is multiplied by"),
-    ("row_jacobian_b", "own row", "vec3", "1, m", "what the velocity (x, y, spin) of B is multiplied by"),
+    ("row_jacobian_a", "own row", "vec3", "1, m", "Jacobian for the velocity (x, y, spin) of A"),
+    ("row_jacobian_b", "own row", "vec3", "1, m", "Jacobian for the velocity (x, y, spin) of B"),
     ("row_bias", "own row", "real", "m/s", "added to the velocity that the impulse makes zero; see solve/soft.py"),
-    ("row_lower", "own row", "real", "N s", "least impulse; may be minus infinity"),
+    ("row_lower", "own row", "real", "N s", "smallest impulse; may be minus infinity"),
     ("row_upper", "own row", "real", "N s", "largest impulse; may be infinity"),
-    ("row_softness", "own row", "real", "1/kg", "velocity that the row gives way by for each impulse", NOT_NEGATIVE),
+    ("row_softness", "own row", "real", "1/kg", "velocity by which the row yields for each impulse", NOT_NEGATIVE),
     ("row_gap", "own row", "real", "m", "what position correction makes zero"),
     ("row_held", "own row", "real", "1", "1: position correction moves it, 0: it does not, -1: of a sleeper", SHARE),
     (
@@ -327,7 +327,7 @@ STATS = field_table(
     ("colors", "world", "int32", "1", "highest colour of the step's constraints, plus one"),
     ("iteration", "world", "iteration", "1", "the iteration in flight: a struct of the fields of ITERATION"),
     ("history", "world,sweep", "real", "N s", "largest impulse change of each sweep, if asked for"),
-    ("replaced", "world", "int32", "1", "1: a resumed solve takes contacts.impulse anew"),
+    ("replaced", "world", "int32", "1", "1: a resumed solve reads contacts.impulse again"),
 )
 
 # A world's iteration in flight; "squared step" is the sum of squares of what a sweep changed the impulses by.
