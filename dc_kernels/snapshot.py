@@ -1,16 +1,16 @@
-"""Snapshots: everything that a simulation needs to go on, in one HDF5 file.
+"""Snapshots: everything that a simulation needs to continue, in one HDF5 file.
 
 Groups ``model``, ``state``, ``joints`` and ``contacts`` hold the arrays of ``model/fields.py`` under their names, each
-with its unit, meaning and axis as attributes; contacts are packed, world after world, without unused slots (where
-each world's began is in ``contact_start``). ``config`` carries the solver's settings as attributes. Saving and loading
-keep every bit, so a run that goes on from a snapshot on the same device equals one that never stopped.
+with its unit, meaning and axis as attributes; contacts are packed, world after world, without unused slots
+(``contact_start`` has the first slot of each world). ``config`` has the solver's settings as attributes. Saving and
+loading keep every bit, so a run that continues from a snapshot on the same device equals one that never stopped.
 
-A step that was not finished, in a world that froze or after an OverflowError, leaves its contacts in ``contacts``,
-while the next step starts from those of the last finished one. Only then the group ``cache`` holds the latter.
-Where bodies may sleep, the group ``sleepers`` says which do, and holds their contacts; where there are sensors, or
-contact events, ``overlaps`` and ``touches`` hold their lists; where bodies, shapes or joints came or went, ``ids`` has
-their ids. ``stats`` says what the last solve took; files without it, of earlier versions, are read as well, and so are
-those without ``rolling_impulse`` of contacts, which is zero then.
+An unfinished step, in a world that froze or after an OverflowError, leaves its contacts in ``contacts``,
+while the next step starts from those of the last finished step; only then the group ``cache`` holds the latter.
+With sleep the group ``sleepers`` tells which bodies sleep, and holds their contacts; with sensors or
+contact events ``overlaps`` and ``touches`` hold their lists; after bodies, shapes or joints were added or removed
+``ids`` has their ids. ``stats`` has the statistics of the last solve; files of earlier versions without it are also
+read, and so are those without ``rolling_impulse`` of contacts, which is then zero.
 """
 
 from __future__ import annotations
@@ -60,17 +60,17 @@ _AXES = ("world", "body", "shape", "vertex", "joint", "joint row", "contact")
 
 
 def save(sim: Simulation, path: str | os.PathLike[str] | BinaryIO) -> None:
-    """Write a snapshot, between steps, to a path or to a binary file that is open, ``io.BytesIO()`` among them.
+    """Write a snapshot, between steps, to a path or to an open binary file, such as ``io.BytesIO()``.
 
-    The file of a path is complete or not there: it is written under another name in the same folder and renamed at the
-    end, so that a full disk or a kill never damages a file that was there before. Links are followed.
+    A file at a path is complete or missing: it is written under another name in the same folder and renamed at the
+    end, so that a full disk or a kill never damages an existing file. Links are followed.
 
     Raises:
-        ValueError: in the middle of a step, between ``collide`` and ``advance``, or for values written to the arrays
-            that ``load`` would refuse: naming array, index, value and limit.
-        OSError: naming the file, when it cannot be written, or there is a folder, a device or a FIFO of its name.
-        TypeError: for what is neither a path nor a binary file.
-        ImportError: without h5py, naming the extra that installs it.
+        ValueError: it is called between ``collide`` and ``advance``, or the arrays hold values that ``load`` would
+            refuse; the error names array, index, value and limit.
+        OSError: the file, which the error names, cannot be written, or is a folder, a device or a FIFO.
+        TypeError: ``path`` is neither a path nor a binary file.
+        ImportError: h5py is not installed; the error names the extra.
     """
     path = check_file("path", path, "write")
     require("h5py", "pipeline")
@@ -92,24 +92,24 @@ def load(
     backend: str | None = None,
     **options: Any,
 ) -> Made:
-    """The simulation of a snapshot.
+    """Return the simulation of a snapshot.
 
     Args:
-        make: the class ``Simulation``, or what makes one of the constructor's arguments.
-        path: of the file, or a binary file that is open, read from where it stands to its end.
-        threads: of the simulation; the result does not depend on it. None: as many as it was saved with, but no more
+        make: the class ``Simulation``, or a function of the constructor's arguments.
+        path: path of the file, or an open binary file, read from its position to its end.
+        threads: number of threads; the result does not depend on it. None: the saved number, but no more
             than there are cores.
-        device: "cpu" or a CUDA device of Warp; None: the one it was saved from.
-        backend: "warp", "numpy" or "taichi"; None: the one it was saved from.
-        **options: of the constructor of ``Simulation``, in place of those it was saved with.
+        device: "cpu" or a CUDA device of Warp; None: the saved device.
+        backend: "warp", "numpy" or "taichi"; None: the saved backend.
+        **options: options of the constructor of ``Simulation``, instead of the saved ones.
 
     Raises:
-        ValueError: naming file and dataset: not a snapshot, truncated or damaged, of another schema version, a
-            dataset missing or of another shape or dtype, a value that breaks the rule of its field, values in other
-            files, or sizes that the file cannot hold (``runtime.hdf5``).
-        OSError: when there is no such file, it is a folder, FIFO or device, or it must not be read.
-        TypeError: for what is neither a path nor a binary file.
-        ImportError: without h5py, naming the extra that installs it.
+        ValueError: the file is not a snapshot, truncated or damaged, or of another schema version; a dataset is missing
+            or has another shape or dtype; a value violates the rule of its field; values are in other
+            files, or sizes exceed the file (``runtime.hdf5``). The error names file and dataset.
+        OSError: the file does not exist, is a folder, FIFO or device, or must not be read.
+        TypeError: ``path`` is neither a path nor a binary file.
+        ImportError: h5py is not installed; the error names the extra.
     """
     path = check_file("path", path, "read")
     threads = None if threads is None else check_count("threads", threads)

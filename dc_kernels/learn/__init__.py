@@ -1,1 +1,1 @@
-"""A solve in flight as a network reads it, and differentiable sweeps."""
+"""Features of paused solves for networks, corrections of their impulses, and differentiable sweeps."""

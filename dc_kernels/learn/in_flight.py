@@ -1,9 +1,9 @@
-"""Reads a solve in flight for a network, and corrects its impulses by the network's answer, without copies.
+"""Features of a paused solve for a network, and corrections of its impulses by the network's output, without copies.
 
 reader = SolveReader(sim, grid)
-sim.solve(pause=0)                             # contacts.impulse is taken up, no sweep done
+sim.solve(pause=0)                             # reads contacts.impulse, makes no sweep
 reader.read(np.flatnonzero(sim.running), begin=True)
-trunk = convolutions(reader.images())          # of the worlds that run
+trunk = convolutions(reader.images())          # of the running worlds
 near = reader.gather(trunk)                    # at the contacts and at both bodies
 reader.correct(head(reader.features(), near))
 sim.resume(pause=20)
@@ -50,38 +50,38 @@ _grid, _ratio = checker(Grid), checker(Annotated[float, Limits(above=0.0, size=m
 
 
 class SolveReader(NotCopied):
-    """Reads a solve that pauses: features and images of any of its worlds, packed one world after the other.
+    """Computes features and images of a paused solve, for any of its worlds, packed one world after the other.
 
     Attributes:
         local: (room, len(LOCAL)); the first ``count`` rows are the contacts of the last ``read``.
-        image_value: what is splatted, (room, len(IMAGE)).
-        image: (W, len(IMAGE), rows, columns); plane k is that of the k-th world asked for.
+        image_value: splatted values, (room, len(IMAGE)).
+        image: (W, len(IMAGE), rows, columns); plane k is that of the k-th requested world.
         place, place_a, place_b: contact points and centres of their bodies [m], (room, 2).
-        step: step of the last sweep [N s], (room, 2); before the first, that of each contact alone.
+        step: step of the last sweep [N s], (room, 2); before the first, that of each contact by itself.
         rate: A near each contact, (room,).
         scale: scales of each world, its columns those of ``channels.Scale``, (W, 4).
         before, known: impulses before and after the last correction, (slots of ``sim.contacts``, 2) [N s].
-        active, packed_start: the worlds asked for, and the first row of each.
-        asked, count: worlds and contacts of the last ``read``.
-        answer: how each of them is answered (``channels.Answer``); what was read as "steps" evenly, (W,).
-        version: grows when all these arrays are made anew.
+        active, packed_start: the requested worlds, and the first row of each.
+        asked, count: numbers of worlds and contacts of the last ``read``.
+        answer: kind of correction of each (``channels.Answer``); even for worlds read as "steps", (W,).
+        version: number that grows when these arrays are reallocated.
     """
 
     def __init__(
         self, sim: Simulation, grid: Grid, *, cap: float = 200.0, limit: float = 100.0, threads: int | None = None
     ) -> None:
-        """Allocate everything.
+        """Allocate all memory.
 
         Args:
-            sim: whose solves are read; schedule "world", on the CPU. Not with acceleration "nncg": where it begins
-                anew, what it keeps of a sweep is 0.
-            grid: of the images, relative to each world's origin.
+            sim: the simulation; with schedule "world", on the CPU, and not with acceleration "nncg", whose restarts
+                set the stored step to 0.
+            grid: grid of the images, relative to each world's origin.
             cap: largest extrapolation A [1].
-            limit: largest RMS of a correction that is taken, in units of that expected [1].
-            threads: None: as many as the simulation has.
+            limit: largest RMS of an accepted correction, relative to the expected one [1].
+            threads: number of threads; None: that of the simulation.
 
         Raises:
-            ValueError: for a simulation whose solves cannot pause, or a setting out of range.
+            ValueError: the simulation's solves cannot pause, or a setting is out of range.
         """
         check_simulation("sim", sim)
         _grid("grid", grid)
@@ -100,7 +100,7 @@ class SolveReader(NotCopied):
             self._bind()
 
     def begin(self) -> None:
-        """Take the impulses that the solves begin with as those known: ``since`` then counts from there."""
+        """Record the start impulses of the solves, relative to which ``since`` is computed."""
         refuse_recording("a solve that is read", "the host reads what the kernels leave")
         with self.sim.calls:
             self._keep_bound()
@@ -108,20 +108,20 @@ class SolveReader(NotCopied):
             self._least.fill(np.inf)
 
     def read(self, worlds: np.ndarray, *, begin: bool, what: What = "images") -> int:
-        """Fill features and images of these worlds, whose solve is paused.
+        """Compute features and images of worlds whose solve is paused.
 
         Args:
             worlds: indices, ascending.
-            begin: whether no sweep has been done.
-            what: "steps": steps, rates and scales only; "features": and the columns of the contacts, with their places;
-                "images": and the images.
+            begin: whether no sweep has been made.
+            what: "steps": only steps, rates and scales; "features": also the features and positions of the contacts;
+                "images": also the images.
 
         Returns:
             The number of their contacts.
 
         Raises:
-            ValueError: for a world that is not there, out of order or not paused, acceleration "nncg", or another
-                ``what``.
+            ValueError: a world does not exist, is out of order or not paused, the acceleration is "nncg", or ``what``
+                is unknown.
         """
         check_choice("what", what, READS)
         refuse_recording("a solve that is read", "the host reads what the kernels leave")
@@ -153,7 +153,7 @@ class SolveReader(NotCopied):
         """Interpolate an image of the worlds read bilinearly at the contacts, at their bodies A and at their bodies B.
 
         Args:
-            image: (asked, C, rows, columns), contiguous, of the simulation's dtype, on the CPU, read where it lies.
+            image: (asked, C, rows, columns), contiguous, of the simulation's dtype, on the CPU, read in place.
 
         Returns:
             Three torch tensors (count, C); the next call with so many channels overwrites them.
@@ -178,15 +178,15 @@ class SolveReader(NotCopied):
         return tuple(to_torch(value)[: self.count] for value in values)  # type: ignore[return-value]
 
     def correct(self, output: Any) -> np.ndarray:
-        """Correct ``contacts.impulse`` of the worlds read, which ``resume`` then takes up.
+        """Correct ``contacts.impulse`` of the worlds read, from which ``resume`` then continues.
 
         Args:
-            output: (count, len(OUTPUT)), contiguous, of the simulation's dtype, on the CPU, read where it lies.
+            output: (count, len(OUTPUT)), contiguous, of the simulation's dtype, on the CPU, read in place.
 
         Returns:
-            Whether each world took its correction, bool (asked,): not one with NaN or inf, or beyond ``limit``; and
-            none where ``limit`` allows for what is so large beside impulses and steps, as they were when they were
-            read since ``begin``, that velocities would lose all their digits in it.
+            Whether each world accepted its correction, bool (asked,): not with NaN or inf, or beyond ``limit``, nor if
+            it is so large relative to the impulses and steps read since ``begin`` that velocities would lose all
+            their digits.
 
         Raises:
             ValueError: for an output of another dtype, shape, layout or device.
@@ -200,7 +200,7 @@ class SolveReader(NotCopied):
             return self.taken()
 
     def taken(self) -> np.ndarray:
-        """Return whether each world read took the correction that was made last, bool (asked,)."""
+        """Return whether each world read accepted the last correction, bool (asked,)."""
         return np.asarray(self.sim.stats.numpy("replaced")[self.active[: self.asked]] != 0)
 
     def correction_kernel(self, output: Any, begin: bool) -> Kernel:

@@ -1,4 +1,4 @@
-"""Arrays of other libraries, checked and read where they lie: torch tensors, numpy arrays and ``wp.array``."""
+"""Arrays of other libraries, checked and used in place: torch tensors, numpy arrays and ``wp.array``."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from dc_kernels.model.settings import WrongType, counted
 
 
 class NotCopied:
-    """What works on the memory of others where it lies, and so is neither copied nor pickled."""
+    """Base of objects that use given memory in place, and can be neither copied nor pickled."""
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Refuse: a copy would be of none of its arrays' owners.
+        """Raise an error: a copy would not use the given arrays.
 
         Raises:
-            TypeError: saying what to do.
+            TypeError: always; the error names the alternative.
         """
         name = type(self).__name__
         raise TypeError(
@@ -29,7 +29,7 @@ class NotCopied:
 
 
 class InPlace(NotCopied):
-    """What works on arrays that it is given."""
+    """Base of stages that work on given arrays."""
 
     dtype: np.dtype
     backend: str
@@ -40,7 +40,7 @@ class InPlace(NotCopied):
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        """What it works on, scalar and backend."""
+        """Return sizes, scalar type and backend."""
         counts = ", ".join(counted(number, name) for name, number in self.lengths.items())
         return f"<{type(self).__name__}: {counts}; {self.dtype}, {self.backend} on cpu>"
 
@@ -49,15 +49,15 @@ DLPACK_CPU = 1  # of its types of devices
 
 
 def address(array: Any, name: str, dtype: np.dtype) -> tuple[int, tuple[int, ...]]:
-    """Address and shape of an array in the CPU's memory that kernels can read as it is.
+    """Return address and shape of an array in the CPU's memory that kernels can read in place.
 
     Args:
         array: torch tensor, numpy array or ``wp.array``.
-        name: what the error messages call it.
-        dtype: that it must have.
+        name: name of the array in error messages.
+        dtype: required dtype.
 
     Raises:
-        ValueError: for another type, dtype or device, an array that is not contiguous, or a tensor that requires a
+        ValueError: the array has another type, dtype or device, is not contiguous, or is a tensor that requires a
             gradient, which would be lost.
     """
     if isinstance(array, np.ndarray):
