@@ -107,17 +107,17 @@ class SolverConfig(Settings):
     change of the bodies' motion by a sweep (``motion_tolerance``), which worlds of rods do not use. None: "change" if
     a tolerance is given, else "motion"."""
     motion_tolerance: NotNegative = 0.02
-    """With stop "motion" a sweep moves a contact that it changes the speed of, along the normal or the tangent, by more
-    than this many slops a step, and more where ``motion_share`` says so. A solve ends when a sweep moves at most one
-    contact in ten, none by 50 times as much, and no row that holds a joint together by 5 times, where its residual is
-    below 0.25 [slop/step]."""
+    """With stop "motion" a contact counts as moving if a sweep changes its relative speed, along the normal or the
+    tangent, by more than this many slops a step, plus a term by ``motion_share`` or ``motion_mean``. A solve ends when
+    at most one contact in ten moves, none by more than 50 times its limit, no row that holds a joint by more than 5
+    times, and the residual is below 0.25 [slop/step]."""
     motion_share: NotNegative = 0.05
-    """A change of speed counts as none, too, up to this share of what the contacts have changed the velocity of the
-    faster body by in the step, beyond 1.5 times what gravity does: impacts are solved to five per cent [1]."""
+    """Share of the velocity change by contacts in the step, of the faster body and beyond 1.5 times that by gravity,
+    by which the limit of ``motion_tolerance`` is raised: impacts are solved to five per cent [1]."""
     motion_mean: NotNegative = 0.1
-    """A change of speed counts as none, too, up to this multiple of what the contacts of the world have changed the
-    velocities of the bodies by that they push, beyond 1.5 times what gravity does, in the mean over their mass. So a
-    world in which much collides is solved less far than one at rest; 0: each contact by its own bodies alone [1]."""
+    """Share of the mean of that velocity change over all bodies that contacts push, weighted by mass; the larger
+    of both terms raises the limit. So a world with many collisions is solved less far than one at rest; 0: only
+    ``motion_share`` counts [1]."""
     residual_every: Count = 5
     """Number of sweeps between two checks of the residual or of the motion [1]."""
     start: Literal["cache", "zero"] = "cache"
