@@ -105,6 +105,10 @@ class Recipe(Settings):
             raise ValueError(
                 "solver.sleep is True; a data set holds the solves of all contacts, and sleepers have none"
             )
+        if solver.soft:
+            raise ValueError("solver.method is 'tgs_soft'; a data set holds solutions, and soft contacts have none")
+        if solver.substeps > 1:
+            raise ValueError(f"solver.substeps is {solver.substeps}; a data set holds every step: give a smaller dt")
         if solver.stop == "motion":
             raise ValueError("solver.stop is 'motion'; a data set is solved to a tolerance: 'change' or 'residual'")
         # said in full, so that the file does, too; without a stop the tolerance is the change's

@@ -730,6 +730,8 @@ def test_a_toml_file_is_a_recipe(tmp_path):
         ("[solver]\nmethod = 'newton'", "solver.method is 'newton'"),
         ("[solver]\nhistory = true", "solver.history is True"),
         ("[solver]\nstop = 'motion'", "solver.stop is 'motion'"),
+        ("[solver]\nmethod = 'tgs_soft'", "solver.method is 'tgs_soft'"),
+        ("[solver]\nsubsteps = 2", "solver.substeps is 2; a data set holds every step"),
         ("[ranges]\nradius = 0.5", r"ranges.radius is 0.5; it must be \[low, high\]"),
         ("worlds = ", "recipe.toml"),
     ],
