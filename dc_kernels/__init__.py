@@ -11,9 +11,9 @@
     sim = dc.Simulation(*builder.finalize())
     sim.run(steps=100, dt=0.01)
 
-Only numpy and warp-lang are needed. ``torch_ops`` holds the torch operators,
-``delassus`` contact problems in Delassus form; all else is here. A name is imported when it is
-first used, so importing the package costs next to nothing; ``model/fields.py`` holds the conventions and the name of
+It needs only numpy and warp-lang. ``torch_ops`` has the torch operators,
+``delassus`` contact problems in Delassus form; all other public names are here. A name is imported at its
+first use, so importing the package takes next to no time; ``model/fields.py`` has the conventions and the name of
 every array.
 """
 

@@ -1,6 +1,6 @@
 """Energy, momentum and overlap of each world, in float64 numpy.
 
-A simulation here is anything with the attributes ``model`` and ``state`` (``overlap`` needs ``contacts`` too).
+All functions take any object with the attributes ``model`` and ``state`` (``overlap`` also ``contacts``).
 """
 
 from __future__ import annotations
@@ -15,35 +15,35 @@ from dc_kernels.runtime.inputs import check_positive, check_simulation
 
 
 class Momentum(NamedTuple):
-    """Of each world's dynamic bodies."""
+    """Momentum of each world's dynamic bodies."""
 
     linear: np.ndarray  # (W, 2) [N s]
     angular: np.ndarray  # (W,) [N m s], about the world's origin
 
 
 class Overlap(NamedTuple):
-    """Of each world's contacts; 0 where there are none."""
+    """Overlaps of each world's contacts; 0 without contacts."""
 
     mean: np.ndarray  # (W,) [m]
     max: np.ndarray  # (W,) [m]
 
 
 def kinetic_energy(sim: Any) -> np.ndarray:
-    """Kinetic energy of each world's dynamic bodies, rotation included: (W,) [J]."""
+    """Return the kinetic energy of each world's dynamic bodies, including rotation, (W,) [J]."""
     check_simulation("sim", sim, ("model", "state"))
     mass, inertia, velocity, spin = _motion(sim)
     return _per_world(sim, (mass * (velocity * velocity).sum(axis=1) + inertia * spin**2) / 2)
 
 
 def potential_energy(sim: Any) -> np.ndarray:
-    """Potential energy of each world's dynamic bodies in its gravity, 0 at the world's origin: (W,) [J]."""
+    """Return the potential energy of each world's dynamic bodies in its gravity, 0 at the world's origin, (W,) [J]."""
     check_simulation("sim", sim, ("model", "state"))
     gravity = _float64(sim.model, "gravity")[_worlds(sim)]
     return _per_world(sim, -_float64(sim.model, "mass") * (gravity * _float64(sim.state, "position")).sum(axis=1))
 
 
 def momentum(sim: Any) -> Momentum:
-    """Linear momentum, and angular momentum about the world's origin, of each world's dynamic bodies."""
+    """Return linear momentum, and angular momentum about the world's origin, of each world's dynamic bodies."""
     check_simulation("sim", sim, ("model", "state"))
     mass, inertia, velocity, spin = _motion(sim)
     linear = mass[:, None] * velocity
@@ -53,15 +53,15 @@ def momentum(sim: Any) -> Momentum:
 
 
 def overlap(sim: Any, recollide: float | None = None) -> Overlap:
-    """How far surfaces overlap, over the contacts that press or overlap.
+    """Return the overlaps of surfaces, over the contacts that have an impulse or overlap.
 
-    A contact counts if its normal impulse is not zero or its gap is negative; one that only touches, or is apart
-    but presses because it closes within the step, counts as no overlap. One that is off does not count.
+    A contact counts if its normal impulse is not zero or its gap is negative; a contact that only touches, or closes
+    within the step, counts with overlap 0. Inactive contacts do not count.
 
     Args:
         sim: the simulation.
-        recollide: time step [s] for a call of ``sim.collide`` first, which finds the contacts of the present
-            positions (their impulses are then those the next solve starts from) without changing the state. None:
+        recollide: time step [s] of a preceding call of ``sim.collide``, which finds the contacts of the present
+            positions (their impulses are then the start of the next solve) without changing the state. None:
             the gaps are those at the beginning of the last step.
     """
     check_simulation("sim", sim, ("contacts",))
@@ -81,10 +81,10 @@ def overlap(sim: Any, recollide: float | None = None) -> Overlap:
 
 
 def contact_slots(contacts: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The slots in use, world after world, and the world of each: two arrays (n,) of integers.
+    """Return the slots in use, world after world, and the world of each: two arrays (n,) of integers.
 
     Raises:
-        TypeError: for what is no contacts of a simulation.
+        TypeError: ``contacts`` are not those of a simulation.
     """
     if isinstance(contacts, type) or not hasattr(contacts, "contact_count"):
         raise WrongType(f"contacts is {shown(contacts)}; it must be the contacts of a Simulation")
@@ -93,7 +93,7 @@ def contact_slots(contacts: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def are_off(contacts: Any, slots: np.ndarray) -> np.ndarray:
-    """Which contacts did not act in the last step (``collide/switches.py``): they have neither colour nor impulse."""
+    """Return which contacts were inactive in the last step (``collide/switches.py``), without colour and impulse."""
     return np.asarray((contacts.numpy("color")[slots] < 0) & (contacts.numpy("impulse")[slots, 0] == 0))
 
 
@@ -111,7 +111,7 @@ def _motion(sim: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _worlds(sim: Any) -> np.ndarray:
-    """World of each body."""
+    """Return the world of each body."""
     return np.repeat(np.arange(sim.model.world_count), np.diff(sim.model.numpy("body_start")))
 
 

@@ -1,16 +1,16 @@
-"""Which nodes a point reaches on a grid, and with which weights: the settings that splat, gather and images share.
+"""The weights of grid nodes for a point: the settings that splat, gather and images share.
 
 With the weights S_ip of point p at node i, a splat is ``image_i = sum_p S_ip value_p``, a gather its transpose
-``value_p = sum_i S_ip image_i``. What S is, says ``Stencil.normalize``:
+``value_p = sum_i S_ip image_i``. ``Stencil.normalize`` defines S:
 
 - "particle": S_ip = W(|x_p - x_i|) / sum_j W(|x_p - x_j|) over the nodes in the grid: each point's weights sum to 1, at
-  the border too, so a splat conserves the sum of its values and a gather reproduces constants (the theses' way);
+  the border too, so a splat conserves the sum of its values and a gather reproduces constants (as in the theses);
 - "sum": S_ip = W in 1/m^2, the SPH sum (Wu 2018, equation 3.7), for values m/rho A;
 - "shepard" (splat only): the SPH sum divided by that of ones: a weighted average, which reproduces constants.
 
 Stencils "bilinear" (Wu 2018, equations 3.15-3.17) and "bspline" (cubic B-spline, which smooths but reproduces linear
 fields) have weights that sum to 1 by themselves, whatever ``normalize`` says; a point outside the grid is moved to its
-border. With the radial ones a point outside reaches the nodes within h, if any. A point that reaches none is given to
+border. With radial kernels a point outside reaches the nodes within h, if any. A point that reaches none is assigned to
 its nearest node under "particle" (unless ``nearest`` is False) and contributes nothing under "sum".
 """
 
@@ -33,7 +33,7 @@ KernelName = Literal["poly6", "spiky", "gaussian", "cubic", "wendland", "bilinea
 
 
 class Normalize(IntEnum):
-    """What weights are divided by, as the kernels know it."""
+    """Codes of the normalization of weights in the kernels."""
 
     SUM = 0
     """Nothing."""
@@ -47,10 +47,10 @@ NORMALIZE = {"sum": Normalize.SUM, "particle": Normalize.PARTICLE, "shepard": No
 
 @dataclass(frozen=True)
 class Stencil(Settings):
-    """Settings of a splat or a gather: how the weights of a point follow from its distance to the nodes.
+    """Settings of a splat or a gather: the weights of a point as a function of its distance to the nodes.
 
     Raises:
-        ValueError: naming the setting, when it is unknown or out of range.
+        ValueError: a setting, which the error names, is unknown or out of range.
     """
 
     kernel: KernelName = "poly6"
@@ -59,15 +59,15 @@ class Stencil(Settings):
     h: Positive | None = None
     """Support radius of a radial kernel [m]; None: 2 spacings."""
     normalize: Literal["particle", "shepard", "sum"] = "particle"
-    """What the weights are divided by (see the module)."""
+    """Normalization of the weights (see the module)."""
     nearest: bool = True
-    """Whether a point that reaches no node is given to its nearest one, under "particle"."""
+    """Whether a point that reaches no node is assigned to its nearest one, under "particle"."""
 
     def support(self, spacing: float) -> float:
         """Return the support radius on a grid [m].
 
         Raises:
-            ValueError: when it is more than 2^20 spacings.
+            ValueError: it is more than 2^20 spacings.
         """
         if self.h is None:
             return SUPPORT * spacing
@@ -100,10 +100,10 @@ class Stencil(Settings):
         }
 
     def check_gather(self, reverse: bool = False) -> None:
-        """Check that a gather can have this stencil.
+        """Check that a gather can use this stencil.
 
         Raises:
-            ValueError: for "shepard", and unless ``normalize`` is "particle" where the gather is reversed.
+            ValueError: ``normalize`` is "shepard", or not "particle" for a reversed gather.
         """
         if reverse and self.normalize != "particle":
             raise ValueError(f"normalize is {self.normalize!r}; reverse needs 'particle'")
