@@ -76,19 +76,15 @@ SHAPES = {
     "deeper": lambda values: values[:, None],
     "scalar": lambda values: values.reshape(-1)[0],
 }
-VALUES = {
-    "nan": with_value(np.nan),
-    "huge": with_value(2.0**62),
-    "negative": with_value(-3.0),
-    "zero": np.zeros_like,
-    "turned": lambda values: values[::-1],
-}
+VALUES = {"nan": with_value(np.nan), "huge": with_value(2.0**62), "negative": with_value(-3.0)}
+OTHERS = {"zero": np.zeros_like, "turned": lambda values: values[::-1]}
 
 
 @pytest.mark.parametrize("name", DATASETS)
 def test_a_dataset_that_was_tampered_with(saved, stored, tmp_path, name):
-    shape = list(SHAPES)[DATASETS.index(name) % len(SHAPES)]  # each takes its turn
-    for word, change in {shape: SHAPES[shape], **VALUES}.items():
+    turn = DATASETS.index(name)  # of some changes each takes its turn
+    changes = dict(list(table.items())[turn % len(table)] for table in (SHAPES, OTHERS))
+    for word, change in {**changes, **VALUES}.items():
         values = change(stored[name])
         if values is None:
             continue
