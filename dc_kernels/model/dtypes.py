@@ -14,6 +14,7 @@ from dc_kernels.model.settings import shown
 FLOATS: dict[str, np.dtype] = {"float32": np.dtype(np.float32), "float64": np.dtype(np.float64)}
 ALIGNMENT = 64  # bytes: that of the widest SIMD loads
 SMALL = 2**14  # bytes of an array that shares its memory with others: making each on its own takes longer
+HUGE = 2**22  # bytes of arrays that share it too, as NumPy asks Linux for pages of 2 MB from there on
 _NAMES = {dtype: name for name, dtype in FLOATS.items()}
 _COMPONENTS = {"vec2": 2, "vec2d": 2, "vec3": 3, "vec3i": 3, "vec4": 4, "vec8": 8}
 
@@ -93,6 +94,9 @@ def elements(table: Mapping[str, Field], real: np.dtype) -> Mapping[str, Element
 class Plan:
     """Where the zeroed arrays of fields lie: small ones behind each other in one piece of memory, others in their own.
 
+    Where they are large together, all lie in one piece: a processor finds its large pages at once, while the pages of
+    some hundred arrays that a step goes through side by side are more than it remembers.
+
     Attributes:
         shapes: of the arrays, with those of their elements, by name.
         bytes: of all arrays.
@@ -109,8 +113,9 @@ class Plan:
         self.largest = max(size, key=size.__getitem__) if size else None
         self.pieces: list[int] = []
         places = {}
-        small = [name for name in arrays if size[name] <= SMALL]
-        for names in (small, *([name] for name in arrays if size[name] > SMALL)):
+        limit = SMALL if self.bytes < HUGE else self.bytes
+        small = [name for name in arrays if size[name] <= limit]
+        for names in (small, *([name] for name in arrays if size[name] > limit)):
             offset = 0
             for name in names:
                 places[name] = len(self.pieces), *arrays[name], offset
