@@ -7,7 +7,7 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import contiguous_groups, group_types
-from dc_kernels._warp.native import native_code
+from dc_kernels._warp.solve.ranges import ranges_code
 from dc_kernels.model.enums import BodyType
 from dc_kernels.solve.rows import SERIAL_COLOR
 
@@ -43,17 +43,19 @@ def kernels(dtype: str) -> dict[str, Any]:
     module = kernel_module("color", dtype)
     contiguous = contiguous_groups(dtype)
 
-    @wp.func_native(native_code("collide/count_fresh.h", dtype=dtype, SERIAL=SERIAL_COLOR))
-    def count_fresh(color: wp.array(dtype=wp.int32), i0: wp.int32, i1: wp.int32) -> wp.int32: ...
+    @wp.func_native(ranges_code(dtype, "collide/count_fresh.h", SERIAL=SERIAL_COLOR))
+    def count_fresh(color: wp.array(dtype=wp.int32), i0: wp.int32, i1: wp.int32, team: wp.uint64) -> wp.int32: ...
 
-    @wp.func_native(native_code("collide/color.h", dtype=dtype, SERIAL=SERIAL_COLOR, DYNAMIC=int(BodyType.DYNAMIC)))
+    @wp.func_native(ranges_code(dtype, "collide/color.h", SERIAL=SERIAL_COLOR, DYNAMIC=int(BodyType.DYNAMIC)))
     def color_contacts(
         body_type: wp.array(dtype=wp.int32),
         contacts: t.Contacts,
         taken: wp.array(dtype=wp.uint64),
+        begun: wp.int32,
         fresh: wp.int32,
         i0: wp.int32,
         i1: wp.int32,
+        team: wp.uint64,
     ): ...
 
     @wp.func(module=module)
@@ -96,14 +98,15 @@ def kernels(dtype: str) -> dict[str, Any]:
             return
         start = contacts.contact_start[w]
         end = start + contacts.contact_count[w]
-        own = rows.row_start[w + 1] - rows.row_start[w]
-        fresh = count_fresh(contacts.color, start, end)
-        if rows.line_start[w] == rows.line_start[w + 1] and own == 0:
-            # nothing new, nothing to colour
-            if fresh == 0:
-                return
-        for b in range(model.body_start[w], model.body_start[w + 1]):
-            rows.color_mask[b] = wp.uint64(0)
+        fresh = count_fresh(contacts.color, start, end, launch.team)
+        begun = int(0)
+        if rows.line_start[w] < rows.line_start[w + 1] or rows.row_start[w] < rows.row_start[w + 1]:
+            begun = 1
+        elif fresh == 0:
+            return  # nothing new, nothing to colour
+        if begun == 1:
+            for b in range(model.body_start[w], model.body_start[w + 1]):
+                rows.color_mask[b] = wp.uint64(0)
         for j in range(rows.line_start[w], rows.line_start[w + 1]):
             a = joints.joint_body_a[j]
             b = joints.joint_body_b[j]
@@ -116,7 +119,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             free = lowest_free(taken(a, b, model.body_type, rows.color_mask))
             rows.row_color[k] = free
             take(a, b, free, rows.color_mask)
-        color_contacts(model.body_type, contacts, rows.color_mask, fresh, start, end)
+        color_contacts(model.body_type, contacts, rows.color_mask, begun, fresh, start, end, launch.team)
 
     @wp.kernel(module=module, enable_backward=False)
     def keep_colors(
