@@ -22,6 +22,8 @@ from dc_kernels.runtime.threads import Trial
 
 SEATS = 64  # threads that may share one world
 SPLITS = 4  # lines of a cache with a number for each colour
+PLAN = 137  # lines of a cache for who sums up what
+TEAM_BYTES = 64 * (3 + 2 * SEATS + SPLITS + SPLITS * SEATS + PLAN)  # that hold a team
 NAP = 50  # that a member who finds nothing sleeps between two looks [us]
 PATIENCE = 200_000  # naps after which it leaves, even if nobody told it to
 CACHE_LINE = 16  # int32: what threads write, each for itself, lies so far apart
@@ -299,7 +301,7 @@ class Teams:
 
     def __init__(self, teams: int, size: int) -> None:
         """Seat teams of so many threads each, their leaders among them."""
-        self._memory = aligned_zeros((teams, 3 + 2 * SEATS + SPLITS, 4 * CACHE_LINE), np.dtype(np.uint8))
+        self._memory = aligned_zeros((teams, TEAM_BYTES // 64, 64), np.dtype(np.uint8))
         self.addresses = [self._memory.ctypes.data + i * self._memory.strides[0] for i in range(teams)]
         give_way, sleep, nap = _system_calls()
         head = self._memory[:, 0].view(np.uint64)

@@ -11,7 +11,7 @@ import warp as wp
 
 from dc_kernels._warp.native import native_code
 from dc_kernels.model.enums import Activity
-from dc_kernels.runtime.sequences import SEATS
+from dc_kernels.runtime.sequences import SEATS, TEAM_BYTES
 from dc_kernels.sleep.sleepers import LOOK_EVERY
 
 LAUNCH = wp.constant(4)  # numbers of a launch
@@ -66,7 +66,8 @@ def read_at(addresses: wp.array(dtype=wp.uint64), k: wp.int32, i: wp.int32) -> w
 
 
 def _team_code(name: str) -> str:
-    return native_code("runtime/team.h", "runtime/lead.h", f"runtime/{name}.h", dtype="float32", SEATS=SEATS)
+    headers = ("runtime/team.h", "runtime/lead.h", f"runtime/{name}.h")
+    return native_code(*headers, dtype="float32", SEATS=SEATS, TEAM_BYTES=TEAM_BYTES)
 
 
 @wp.func_native(_team_code("address"))

@@ -56,11 +56,17 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     def store_row(columns: wp.array(dtype=real), r: wp.int32, row: Row): ...
 
     surface = ["pack/surface.h"] if surfaced else []
-    laid = {"COLORS": COLORS, "ROLLING_COLOR": ROLLING_COLOR, **KEY_BITS, **row_macros(variant)}
+    laid = {"ROLLING_COLOR": ROLLING_COLOR, **KEY_BITS, **row_macros(variant)}
 
-    @wp.func_native(native_code(*surface, "pack/lay_out.h", dtype=dtype, **laid))
+    @wp.func_native(ranges_code(dtype, *surface, "pack/lay_out.h", **laid))
     def lay_out(
-        w: wp.int32, padding_body: wp.int32, model: t.Model, joints: t.Joints, contacts: t.Contacts, rows: t.Rows
+        w: wp.int32,
+        padding_body: wp.int32,
+        model: t.Model,
+        joints: t.Joints,
+        contacts: t.Contacts,
+        rows: t.Rows,
+        team: wp.uint64,
     ) -> wp.int32: ...
 
     @wp.func_native(native_code("pack/count_rows.h", dtype=dtype))
@@ -128,7 +134,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         contiguous(stats)
         if state.flags[w] != 0:
             return
-        used = lay_out(w, launch.padding_body, model, joints, contacts, rows)
+        used = lay_out(w, launch.padding_body, model, joints, contacts, rows, launch.team)
         if used < 0:
             state.flags[w] = state.flags[w] | ROW_OVERFLOW
             return

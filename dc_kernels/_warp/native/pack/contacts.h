@@ -143,7 +143,7 @@ for (int c = i0; c < i1; ++c) {
 #else
 // a block's contacts stand where its bodies A then do, those of CHUNK contacts before the rows of any: while the caches
 // hold them, and without a branch that is guessed wrong once a block
-const int CHUNK = 256, SHARED = 2048;  // contacts from which threads share them: 20 us
+const int CHUNK = 256;
 auto fill_block = [=](int block) {
     int* const between = ends + (size_t)block * 2 * LANES;
     int c[LANES];
@@ -170,21 +170,15 @@ auto place_and_fill = [=](int c0, int c1, int* next, int* done) {
 };
 int used = 0;
 Team* const members = (Team*)team;
-if (i1 - i0 < SHARED || !is_helped(members)) {
+if (!members || members->counted == 0) {
     int done[COLORS] = {};
     used = place_and_fill(i0, i1, filled, done);
 } else {
-    // threads count the colours of their shares of the contacts first, and so know the places of their own; rows are
+    // threads know the places of their own contacts, as pack/lay_out.h has counted the colours in all shares; rows are
     // made by who sweeps most of them, and has them in its caches then
-    const int parts = members->size;
-    int counted[SEATS][COLORS];
-    auto* const count = counted;
+    const int parts = members->counted;
+    const auto* const count = members->count;
     auto begin_of = [=](int p) { return i0 + (int)((long long)(i1 - i0) * p / parts); };
-    auto count_share = [=](int p) {
-        int found[COLORS] = {};
-        for (int c = begin_of(p); c < begin_of(p + 1); ++c) ++found[color[c]];
-        for (int k = 0; k < COLORS; ++k) count[p][k] = found[k];
-    };
     auto fill_share = [=](int p) {
         int next[COLORS] = {}, done[COLORS];  // blocks that the contacts of shares before are in
         for (int q = 0; q < p; ++q)
@@ -195,14 +189,8 @@ if (i1 - i0 < SHARED || !is_helped(members)) {
     Phases phases;
     phases.first[0] = 0;
     phases.add(parts, parts, 1);
-    phases.add(2 * parts, parts, 1);
     take_phases(members, phases, [=](int from, int to) {
-        for (int i = from; i < to; ++i) {
-            if (i < parts)
-                count_share(i);
-            else
-                fill_share(i - parts);
-        }
+        for (int p = from; p < to; ++p) fill_share(p);
         return 0.0;
     });
     for (int p = 0; p < parts; ++p) {

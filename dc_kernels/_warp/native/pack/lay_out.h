@@ -2,13 +2,39 @@
 // or -1 without room; then no row is of any colour yet. Where rows are made one by one, the empty lanes of a colour's
 // last block are zero and point at the padding body. Rows of rolling resistance have the colours from ROLLING_COLOR on,
 // which are not counted, or the serial one where the others have more than so many.
-// Parameters: w, padding_body, model, joints, contacts, rows. Macros: those of solve/row.h, COLORS, ROLLING_COLOR.
-// Stands behind surface.h where SURFACES is 1.
+// Threads of a team count the contacts of their parts, and keep for pack/contacts.h what they have found.
+// Parameters: w, padding_body, model, joints, contacts, rows, team. Macros: those of solve/row.h, ROLLING_COLOR. Stands
+// behind runtime/ranges.h, and surface.h where SURFACES is 1.
 const int i0 = contacts.contact_start.data[w], i1 = i0 + contacts.contact_count.data[w];
 // two counts at a time, as neighbours often have one colour and would wait for each other
 int of[2][COLORS] = {};
 const int* const color = contacts.color.data;
+#if defined(__CUDA_ARCH__)
 for (int c = i0; c < i1; ++c) ++of[c & 1][color[c]];
+#else
+const int SHARED = 2048;  // contacts from which threads share them
+Team* const members = (Team*)team;
+if (members) members->counted = 0;
+if (i1 - i0 < SHARED || !is_helped(members)) {
+    for (int c = i0; c < i1; ++c) ++of[c & 1][color[c]];
+} else {
+    const int parts = members->counted = members->size;
+    Phases phases;
+    phases.first[0] = 0;
+    phases.add(parts, parts, 1);
+    take_phases(members, phases, [=](int first, int last) {
+        for (int p = first; p < last; ++p) {
+            int found[2][COLORS] = {};
+            const int end = i0 + (int)((long long)(i1 - i0) * (p + 1) / parts);
+            for (int c = i0 + (int)((long long)(i1 - i0) * p / parts); c < end; ++c) ++found[c & 1][color[c]];
+            for (int k = 0; k < COLORS; ++k) members->count[p][k] = found[0][k] + found[1][k];
+        }
+        return 0.0;
+    });
+    for (int p = 0; p < parts; ++p)
+        for (int k = 0; k < COLORS; ++k) of[0][k] += members->count[p][k];
+}
+#endif
 #if JOINTS
 for (int j = rows.line_start.data[w]; j < rows.line_start.data[w + 1]; ++j) ++of[0][joints.joint_color.data[j]];
 #endif

@@ -3,5 +3,5 @@
 #if defined(__CUDA_ARCH__)
 return 0;
 #else
-return which == 0 ? (wp::uint64)&Lead::take : which == 1 ? (wp::uint64)&Lead::is_there : (wp::uint64)&Lead::make_plan;
+return which == 0 ? (wp::uint64)&Lead::take : which == 1 ? (wp::uint64)&Lead::is_there : (wp::uint64)&Lead::find_plan;
 #endif

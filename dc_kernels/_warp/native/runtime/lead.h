@@ -1,6 +1,7 @@
 // What threads do that work on one world together: compiled once, and called by the address in Team. Stands behind
-// team.h.
+// team.h. Macro: TEAM_BYTES.
 #if !defined(__CUDA_ARCH__)
+static_assert(sizeof(Team) <= TEAM_BYTES, "the host reserves TEAM_BYTES for a team");
 struct Lead {
     static Ticks now() {
 #if defined(__x86_64__)
@@ -184,6 +185,20 @@ struct Lead {
                 give(p - 1, (ends[k] + fixed + (int)((long long)(blocks - fixed) * p / size)) * per_block);
         }
         made->count = end == behind ? give_turns(*made, count, size, (behind - begin) / (8 * size)) : 0;
+    }
+    // The plan that make_plan makes; that of before where it would be equal.
+    static const Plan* find_plan(Team* team, const int* ends, int colors, int per_block, int length) {
+        const int sizes[] = {colors, per_block, length};
+        bool same = true;
+        auto take = [&same](int& known, int given) {
+            same &= known == given;
+            known = given;
+        };
+        for (int k = 0; k < 3; ++k) take(team->sizes[k], sizes[k]);
+        for (int k = 0; k <= colors; ++k) take(team->ends[k], ends[k]);
+        for (int k = 0; k < colors; ++k) take(team->splits[k], team->split[k]);
+        if (!same) make_plan(team, ends, colors, per_block, length, &team->made);
+        return &team->made;
     }
     // Turns of segments: those of a piece one after the other, and of each thread as many in a turn as the longest that
     // any has to take, or some items. The number of segments, or 0 where they take too many turns.

@@ -141,14 +141,12 @@ auto sum_rows = [=](wp::uint64 address, const int* ends, int colors, int per_blo
             Team* const team = (Team*)address;
             decltype(none) sums[MOST_SUMS];
             auto* const to = sums;
-            Plan plan;
-            if (is_helped(team)) team->plan(team, ends, colors, per_block, pieces.length, &plan);
-            if (plan.count > 0) {
-                const Plan* const made = &plan;
+            const Plan* const made = is_helped(team) ? team->plan(team, ends, colors, per_block, pieces.length) : 0;
+            if (made && made->count > 0) {
                 const int size = team->size;
                 Phases phases;
                 phases.first[0] = 0;
-                for (int k = 0; k < plan.turns; ++k) phases.add((k + 1) * size, size, 1);
+                for (int k = 0; k < made->turns; ++k) phases.add((k + 1) * size, size, 1);
                 take_phases(team, phases, [=](int first, int last) {
                     for (int i = first; i < last; ++i)
                         for (int k = 0; k < made->count; ++k) {

@@ -9,7 +9,16 @@
 #if !defined(__CUDA_ARCH__)
 typedef unsigned long long Ticks;
 const int MOST_PHASES = 64;
-struct Plan;
+// Who sums up what of the items of a world's rows, in order: which thread, into which piece's sum, in which turn of
+// that.
+struct Plan {
+    struct Segment {
+        int first, last;
+        short owner, piece, turn;
+    };
+    int count = 0, turns = 0;  // no segments: one thread sums up all
+    Segment segment[512];
+};
 struct Team {
     // of the host (runtime/sequences.py), before any member comes
     void (*give_way)();       // lets another thread have the core
@@ -20,7 +29,7 @@ struct Team {
     double (*take)(Team*, const void*, double (*)(const void*, int, int), const void*);
     bool (*is_there)(Team*);
     int closed;  // not 0: no job is opened
-    void (*plan)(Team*, const int*, int, int, int, Plan*);
+    const Plan* (*plan)(Team*, const int*, int, int, int);
     char apart_of_host[8];
     // of the leader
     const void* phases;
@@ -29,7 +38,8 @@ struct Team {
     Ticks rest_until;  // no job is opened before
     long long job;     // number of the latest, odd while it is open
     Ticks rest;        // for so long was none opened the last time that somebody was missed
-    char apart_of_leader[16];
+    int counted;       // parts whose contacts are counted in `count`, 0: they are not
+    char apart_of_leader[12];
     // of all
     int members;  // that are there, beside the leader
     char apart_of_members[60];
@@ -44,6 +54,11 @@ struct Team {
     // of the leader: blocks of each colour before which bodies A do not move, or else do (pack/contacts.h): whom ground
     // and walls are in contact with is everywhere, so that threads share these blocks, and the others, each by place
     int split[MOST_PHASES];
+    // contacts of each colour in each part of a world's contacts (pack/lay_out.h)
+    int count[SEATS][MOST_PHASES];
+    // of what the last plan was made, as those of the sweeps of a solve are one
+    int ends[MOST_PHASES + 1], splits[MOST_PHASES], sizes[3];
+    Plan made;
 };
 // What belongs to part p of so many parts of `items` from `begin` on, of which so many in front are of the first kind:
 // from first[i] to last[i] of either kind.
@@ -57,16 +72,6 @@ struct Share {
             last[i] = begin + from + (int)(count * (p + 1) / parts);
         }
     }
-};
-// Who sums up what of the items of a world's rows, in order: which thread, into which piece's sum, in which turn of
-// that.
-struct Plan {
-    struct Segment {
-        int first, last;
-        short owner, piece, turn;
-    };
-    int count = 0, turns = 0;  // no segments: one thread sums up all
-    Segment segment[512];
 };
 struct Phases {
     int count = 0;
