@@ -233,6 +233,24 @@ def test_impacts_elsewhere_leave_a_stack_in_peace():
 
 
 @pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_what_weighs_nothing_is_solved_at_any_size(backend):
+    """A row of boxes that another one hits: by an impulse of 1e-4 N s those of a gram are at 0.1 m/s."""
+    found = []
+    for size in (1.0, 1.0 / 64):  # a power of four, times and speeds by its root: the same bits
+        root = size**0.5
+        builder = dc.ModelBuilder()
+        builder.add_world(gravity=(0.0, 0.0))
+        for k in range(12):
+            body = builder.add_body((k * size, 0.0), velocity=(-8.0 * root * (k == 11), 0.0))
+            builder.add_box(body, size / 2, size / 2)
+        sim = dc.Simulation(*builder.finalize(backend=backend))
+        sim.step(root / 64)
+        found.append(sim.state.numpy("velocity") / root)
+    assert (found[0] == found[1]).all()
+    assert (found[0][:, 0] < -0.4).all()
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
 def test_a_world_with_joints_is_solved_to_the_tolerance(backend):
     """What a joint lacks shows as stretch, so motion does not end its solve."""
     sweeps = []

@@ -95,9 +95,12 @@ class World:
 
     @property
     def bound(self) -> Any:
-        """What the stop is compared with: without weight only the tolerance counts."""
+        """What the stop is compared with: without weight only the tolerance counts, or the motion."""
         config, w = self.config, self.w
         relative = config.relative_tolerance * self.motion.weight[w] * self.motion.step_dt[w]
+        rods = self.rows.line_start[w + 1] > self.rows.line_start[w]
+        if config.stop == BY_MOTION and self.motion.weight[w] == 0 and self.still > 0 and not rods:
+            return self.motion.weight[w]
         return min(config.tolerance, relative) if config.stop != BY_RESIDUAL and relative > 0 else config.tolerance
 
     @property

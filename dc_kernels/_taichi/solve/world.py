@@ -69,7 +69,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         """Where a world's rows lie, and the bound at which its solve stops.
 
         The bound is ``tolerance``, or the impulse ``relative_tolerance`` times weight times time step where that is
-        smaller; the latter is left out where the typical weight is zero, and where the residual decides the stop.
+        smaller; the latter is left out where the typical weight is zero, and where the residual decides the stop. Where
+        the motion decides and nothing weighs there is none: a fixed one would be large for light bodies.
         ``past_at`` counts the scalars of ``rows.past`` before the world's own.
         """
         span = Span()
@@ -94,6 +95,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                 span.still = -1e18
         pull = model.gravity[w]
         span.fall = FALL * ti.sqrt(pull[0] * pull[0] + pull[1] * pull[1]) * dt
+        if config.stop == BY_MOTION and motion.weight[w] == 0.0 and span.still > 0.0:
+            span.bound = 0.0
         return span
 
     @ti.func

@@ -73,7 +73,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         """Where a world's rows lie, and the bound at which its solve stops.
 
         The bound is ``tolerance``, or the impulse ``relative_tolerance`` times weight times time step where that is
-        smaller; the latter is left out where the typical weight is zero, and where the residual decides the stop.
+        smaller; the latter is left out where the typical weight is zero, and where the residual decides the stop. Where
+        the motion decides and nothing weighs there is none: a fixed one would be large for light bodies.
         ``past_at`` counts the scalars of ``rows.past`` before the world's own.
         """
         span = Span()
@@ -97,6 +98,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             if rows.line_start[w + 1] > rows.line_start[w]:
                 span.still = never
         span.fall = real(FALL) * wp.length(model.gravity[w]) * dt
+        if config.stop == BY_MOTION and motion.weight[w] == real(0.0) and span.still > real(0.0):
+            span.bound = real(0.0)
         return span
 
     @wp.func(module=module)
