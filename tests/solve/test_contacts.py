@@ -680,12 +680,13 @@ def test_whatever_stands_in_any_array_is_named_or_harmless():
             solver.solve(DT)
             solver.solve(kept=True)
         except ValueError as error:
-            named.add(str(error).split("[")[0])
+            # a place or an anchor of 1e38 is a number: what becomes of it is found out
+            named.add("ran off" if "ran off" in str(error) else str(error).split("[")[0])
         else:
             assert np.isfinite(held["velocity"]).all() and all(
                 np.isfinite(held["impulse"][a : a + n]).all() for a, n in zip(held["contact_start"], held["count"])
             )
-    assert len(named) > 15 and named <= {*arrays, *(f"the solve of world {w} ran off: its" for w in range(2))}
+    assert len(named) > 15 and named <= {*arrays, "ran off"}
 
 
 @pytest.mark.parametrize(
