@@ -104,16 +104,17 @@ class SolverConfig(Settings):
     stop: Literal["change", "residual", "motion"] | None = None
     """Criterion that ends a solve: "change", the largest impulse change of a sweep, at the tolerances; "residual", the
     natural map of the contact problem relative to its size, at the tolerance; "motion", the impulse change, or the
-    change of the bodies' motion by a sweep (``motion_tolerance``), which worlds of rods do not use. None: "change" if
-    a tolerance is given, else "motion"."""
+    change of the bodies' motion by a sweep (``motion_tolerance``): worlds without gravity use the motion alone, worlds
+    of rods the impulse change alone. None: "change" if a tolerance is given, else "motion"."""
     motion_tolerance: NotNegative = 0.02
     """With stop "motion" a contact counts as moving if a sweep changes its relative speed, along the normal or the
     tangent, by more than this many slops a step, plus a term by ``motion_share`` or ``motion_mean``. A solve ends when
     at most one contact in ten moves, none by more than 50 times its limit, no row that holds a joint by more than 5
     times, and the residual is below 0.25 [slop/step]."""
     motion_share: NotNegative = 0.05
-    """Share of the velocity change by contacts in the step, of the faster body and beyond 1.5 times that by gravity,
-    by which the limit of ``motion_tolerance`` is raised: impacts are solved to five per cent [1]."""
+    """Share of the velocity change by contacts in the step, of the faster body, beyond 1.5 times that by gravity and up
+    to twice the largest speed before it, by which the limit of ``motion_tolerance`` is raised: impacts are solved to
+    five per cent [1]."""
     motion_mean: NotNegative = 0.1
     """Share of the mean of that velocity change over all bodies that contacts push, weighted by mass; the larger
     of both terms raises the limit. So a world with many collisions is solved less far than one at rest; 0: only

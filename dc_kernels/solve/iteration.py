@@ -20,6 +20,7 @@ FAR = 50.0
 # no solve ends by motion with a larger residual. Impulses that have run off give the bodies such velocities that any
 # change counts as little beside them; with a friction of 1 or less it is .05 at most there (measured)
 ASKEW = 0.25
+RISE = 2.0  # what impulses gave a body counts up to this times the fastest speed before them: an elastic hit gives that
 APART = 5.0  # times as much a sweep may move a row that holds a joint together: a tenth of the slop a step
 FALL = 1.5
 ASTRAY = 2**30

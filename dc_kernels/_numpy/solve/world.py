@@ -13,7 +13,7 @@ from dc_kernels._numpy.solve.row import Row, by_lane, jacobi_row, natural_map_ro
 from dc_kernels._numpy.solve.trees import Tree
 from dc_kernels.model.config import ACCELERATIONS, JOINT_SOLVERS, METHODS, STOPS
 from dc_kernels.model.fields import UNBOUNDED
-from dc_kernels.solve.iteration import APART, ASKEW, FALL, FAR, MOVING, NEVER, PAST
+from dc_kernels.solve.iteration import APART, ASKEW, FALL, FAR, MOVING, NEVER, PAST, RISE
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, OWN
 
 JACOBI = METHODS["jacobi"]
@@ -112,11 +112,12 @@ class World:
         real, dt, still = motion.step_dt.dtype.type, motion.step_dt[w], self.still
         fall = real(FALL) * np.sqrt(np.sum(model.gravity[w] ** 2)) * dt
         given = np.abs(motion.solved[:, :2] - motion.predicted[:, :2]).max(axis=1)
-        least = real(config.motion_mean) * self.beyond(given, fall)
+        rise = real(RISE) * np.abs(motion.predicted[self.bodies, :2]).max(initial=0)
+        share, least = real(config.motion_share), real(config.motion_mean) * min(self.beyond(given, fall), rise)
         moving = movable = 0
         for row in self.own_rows:
             mass = row.effective_mass
-            limit = still + max(real(config.motion_share) * (max(given[row.a], given[row.b]) - fall), least)
+            limit = still + max(min(share * (max(given[row.a], given[row.b]) - fall), share * rise), least)
             moved = np.abs(by_lane(self.rows.change)[row.at])
             if not (moved <= real(FAR) * (limit * mass)).all():
                 return False

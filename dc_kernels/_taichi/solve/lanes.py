@@ -240,12 +240,12 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             rows.change[r + 1] = yt - xt
 
     @ti.func
-    def moving(rows: t.Rows, motion: t.Motion, b0, b1, still, share, fall, least, floor):
+    def moving(rows: t.Rows, motion: t.Motion, b0, b1, still, share, fall, most, least, floor):
         """MOVING times the rows that the last sweep still moved, less all rows that can move.
 
         ASTRAY where it moved one by FAR times as much. Moved is a row whose speed it changed by more than ``still`` +
         ``share`` times what the impulses of the step have changed the velocity of the faster body by, beyond ``fall``,
-        or than ``still`` + ``least`` where that is more.
+        ``most`` at most, or than ``still`` + ``least`` where that is more.
         """
         count = 0
         b = b0
@@ -253,7 +253,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             k = (b * width) & MASK
             r = (2 * b) & MASK
             given = ti.max(pushed(rows, r, motion, floor), pushed(rows, r + 1, motion, floor))
-            limit = still + ti.max(share * (given - fall), vec8(least))
+            limit = still + ti.max(ti.min(share * (given - fall), vec8(most)), vec8(least))
             dn = magnitude(rows.change[r])
             dt = magnitude(rows.change[r + 1])
             n = limit * rows.column[k + EN]

@@ -30,7 +30,7 @@ def range_functions(dtype: str) -> SimpleNamespace:
 
     ``squares`` is the sum of squares of the change, ``along`` its product with the move before; ``conjugate`` makes a
     step of nonlinear CG, ``onward`` and ``onward_bodies`` one of momentum; ``products``, ``remember`` and ``combine``
-    are the parts of Anderson's update. ``beyond`` is what bodies were given.
+    are the parts of Anderson's update. ``beyond`` is what bodies were given, ``fastest`` their largest speed before.
     ``copy`` keeps a world's impulses, or its changes.
     """
     t = group_types(dtype)
@@ -51,6 +51,15 @@ def range_functions(dtype: str) -> SimpleNamespace:
             sums = sums + part
             begin += length
         return total(sums)
+
+    @ti.func
+    def fastest(motion: t.Motion, b0, b1):
+        """The largest speed along x or y before the impulses."""
+        most = 0.0
+        for b in range(b0, b1):
+            v = motion.predicted[b]
+            most = ti.max(most, ti.max(ti.abs(v[0]), ti.abs(v[1])))
+        return most
 
     @ti.func
     def beyond(motion: t.Motion, b0, b1, fall):
@@ -238,6 +247,7 @@ def range_functions(dtype: str) -> SimpleNamespace:
     return SimpleNamespace(
         squares=squares,
         beyond=beyond,
+        fastest=fastest,
         copy=copy,
         conjugate=conjugate,
         along=along,

@@ -16,7 +16,7 @@ from dc_kernels._taichi.solve.ranges import piece, range_functions
 from dc_kernels._taichi.solve.row import row_functions
 from dc_kernels._taichi.solve.trees import tree_functions
 from dc_kernels.model.config import JOINT_SOLVERS, METHODS, STOPS
-from dc_kernels.solve.iteration import APART, FALL, FAR, NEVER
+from dc_kernels.solve.iteration import APART, FALL, FAR, NEVER, RISE
 from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, SERIAL_COLOR
 
 ENDS = COLORS + 1
@@ -54,7 +54,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     lanes = lane_functions(dtype, variant)
     sweep_lanes, apply_lanes, natural_map_lanes, moving = lanes.sweep, lanes.apply, lanes.natural_map, lanes.moving
     lacking = lanes.lacking
-    beyond = range_functions(dtype).beyond
+    beyond, fastest = range_functions(dtype).beyond, range_functions(dtype).fastest
     jointed, own = variant in JOINTED, variant == "rows"
     factor_tree = solve_tree = lack_of_tree = None
     if own:
@@ -196,10 +196,13 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         Rows of trees that were solved after it hold exactly, whatever they had lacked.
         """
         share, floor = config.motion_share, unknown_floor(config)
+        rise = RISE * fastest(motion, span.first_body, span.last_body)
         least = 0.0
         if config.motion_mean > 0.0:
-            least = config.motion_mean * beyond(motion, span.first_body, span.last_body, span.fall)
-        count = moving(rows, motion, span.first, span.last, span.still, share, span.fall, least, floor)
+            mean = beyond(motion, span.first_body, span.last_body, span.fall)
+            least = config.motion_mean * ti.min(mean, rise)
+        most = share * rise
+        count = moving(rows, motion, span.first, span.last, span.still, share, span.fall, most, least, floor)
         done = ti.cast(count <= 0, ti.i32)
         if ti.static(own):
             if done == 1:

@@ -167,8 +167,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         predicted: wp.array(dtype=vec4),
         change: wp.array(dtype=real),
         span: t.Span,
-        share: real,
-        least: real,
+        shares: vec4,
         colors: wp.array(dtype=wp.int32),
         at: wp.int32,
     ) -> wp.int32: ...

@@ -31,9 +31,9 @@ def range_functions(dtype: str) -> SimpleNamespace:
 
     ``squares`` is the sum of squares, ``along`` the product of a change with the move before; ``conjugate`` makes a
     step of nonlinear CG, ``onward`` and ``onward_bodies`` one of momentum; ``products``, ``remember`` and ``combine``
-    are the parts of Anderson's update; ``beyond`` is what bodies were given; ``copy`` and
-    ``copy_bodies`` keep numbers for later, ``restore`` goes back to the predicted velocities. ``first_color`` is where
-    the world's colours begin in ``colors``, the first block of each. Each is described at the top of its header.
+    are the parts of Anderson's update; ``beyond`` is what bodies were given, ``fastest`` their largest speed; ``copy``
+    and ``copy_bodies`` keep numbers for later, ``restore`` goes back to the predicted velocities. ``first_color`` is
+    where the world's colours begin in ``colors``, the first block of each. Each is described at the top of its header.
     """
     t = scalar_types(dtype)
     real, vec4 = t.real, t.vec4
@@ -59,6 +59,9 @@ def range_functions(dtype: str) -> SimpleNamespace:
         fall: real,
         team: wp.uint64,
     ) -> real: ...
+
+    @wp.func_native(code("fastest"))
+    def fastest(bodies: wp.array(dtype=vec4), b0: wp.int32, b1: wp.int32, team: wp.uint64) -> real: ...
 
     @wp.func_native(code("conjugate"))
     def conjugate(
@@ -171,6 +174,7 @@ def range_functions(dtype: str) -> SimpleNamespace:
         restore=restore,
         squares=squares,
         beyond=beyond,
+        fastest=fastest,
         conjugate=conjugate,
         along=along,
         onward=onward,

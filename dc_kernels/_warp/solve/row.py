@@ -270,7 +270,9 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         return wp.abs(dn)
 
     @wp.func(module=module)
-    def moving_row(block: int, lane: int, rows: t.Rows, motion: t.Motion, span: t.Span, share: real, least: real):
+    def moving_row(
+        block: int, lane: int, rows: t.Rows, motion: t.Motion, span: t.Span, share: real, most: real, least: real
+    ):
         """What a row adds to a world's ``moving``: MOVING where the last sweep moved it, less one where it can move.
 
         ASTRAY where it moved it by FAR times as much.
@@ -282,7 +284,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         va = motion.solved[a] - motion.predicted[a]
         vb = motion.solved[b] - motion.predicted[b]
         given = wp.max(wp.max(wp.abs(va[0]), wp.abs(va[1])), wp.max(wp.abs(vb[0]), wp.abs(vb[1])))
-        limit = span.still + wp.max(share * (given - span.fall), least)
+        limit = span.still + wp.max(wp.min(share * (given - span.fall), most), least)
         dn = wp.abs(rows.change[i])
         dt = wp.abs(rows.change[i + N_LANES])
         n = limit * rows.column[r + EN]

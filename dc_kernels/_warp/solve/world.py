@@ -12,7 +12,7 @@ from dc_kernels._warp.solve.ranges import range_functions, ranges_code
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels._warp.solve.trees import tree_functions
 from dc_kernels.model.config import JOINT_SOLVERS, METHODS, STOPS
-from dc_kernels.solve.iteration import APART, ASTRAY, FALL, FAR, NEVER
+from dc_kernels.solve.iteration import APART, ASTRAY, FALL, FAR, NEVER, RISE
 from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, OWN, ROLLING_COLOR, SERIAL_COLOR, SURFACED
 
 ENDS = wp.constant(COLORS + 1)
@@ -42,7 +42,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
     sweep_lanes, apply_lanes, natural_map_lanes = lanes.sweep, lanes.apply, lanes.natural_map
     extrapolate_lanes, move_on, moving_lanes = lanes.extrapolate, lanes.move_on, lanes.moving
     lacking_lanes, lacking_row = lanes.lacking, row.lacking_row
-    restore, beyond = range_functions(dtype).restore, range_functions(dtype).beyond
+    ranges = range_functions(dtype)
+    restore, beyond, fastest = ranges.restore, ranges.beyond, ranges.fastest
     bound_lanes = lanes.bound
     jointed, own, surfaced = variant in JOINTED, variant in OWN, variant in SURFACED
     one, TOO_FAR, TOO_MUCH = real(1.0), real(FAR), real(APART)
@@ -284,10 +285,11 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         Rows of trees that were solved after it hold exactly, whatever they had lacked.
         """
         share = config.motion_share
+        rise = real(RISE) * fastest(motion.predicted, span.first_body, span.last_body, span.team)
         least = real(0.0)
         if config.motion_mean > least:
             mean = beyond(motion.solved, motion.predicted, span.first_body, span.last_body, span.fall, span.team)
-            least = config.motion_mean * mean
+            least = config.motion_mean * wp.min(mean, rise)
         if has_lanes() == 1:  # nothing is written, so rows of the serial colour may stand side by side too
             count = moving_lanes(
                 rows.column,
@@ -296,8 +298,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                 motion.predicted,
                 rows.change,
                 span,
-                share,
-                least,
+                vec4(share, share * rise, least, real(0.0)),
                 rows.color_block,
                 span.world * ENDS,
             )
@@ -305,7 +306,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             count = int(0)
             for k in range(span.first * N_LANES, span.last * N_LANES):
                 if count < LED_ASTRAY:
-                    here = moving_row(k / N_LANES, k % N_LANES, rows, motion, span, share, least)
+                    here = moving_row(k / N_LANES, k % N_LANES, rows, motion, span, share, share * rise, least)
                     count = wp.where(here == LED_ASTRAY, here, count + here)
         done = wp.where(count <= 0, 1, 0)
         if wp.static(own):

@@ -1,12 +1,13 @@
 // MOVING times the rows of the blocks first .. last that the last sweep still moved, less all rows that can move;
 // ASTRAY where it moved one by FAR times as much. Moved is a row whose speed it changed by more than span.still + share
-// times what the impulses of the step have changed the velocity of the faster body by, beyond span.fall, or than
-// span.still + least where that is more. Parameters: columns, row_body, bodies, predicted, change, first, last, span,
-// share, least. Stands behind prelude.h, bodies.h.
+// times what the impulses of the step have changed the velocity of the faster body by, beyond span.fall, most at most,
+// or than span.still + least where that is more. Parameters: columns, row_body, bodies, predicted, change, first, last,
+// span, shares: share, most and least. Stands behind prelude.h, bodies.h.
 #if defined(__CUDA_ARCH__)
 return 0;  // a GPU counts row by row
 #else
 const Real* const before = (const Real*)predicted.data;
+const Real share = shares[0], most = shares[1], least = shares[2];
 int count = 0;
 for (int b = first; b < last; ++b) {
     const int* const index = row_body.data + (size_t)b * 2 * LANES;
@@ -18,7 +19,8 @@ for (int b = first; b < last; ++b) {
         return larger(magnitude(now.x - then.x), magnitude(now.y - then.y));
     };
     const Vector given = larger(pushed(index), pushed(index + LANES));
-    const Vector limit = span.still + larger(share * (given - span.fall), zero + least);
+    const Vector part = smaller(share * (given - span.fall), zero + most);
+    const Vector limit = span.still + larger(part, zero + least);
     const Vector dn = magnitude(load(d)), dt = magnitude(load(d + LANES));
     const Vector n = limit * en, t = limit * et;
     // NaN is moved, and far
