@@ -56,7 +56,7 @@ class ProtocolOptions(Settings):
     dtype: Literal["float32", "float64"] = "float32"
     """Scalar type of all arrays."""
     history: bool = True
-    """Record the impulse change of every sweep, for its plot."""
+    """Whether the impulse change of every sweep is recorded and plotted; --no-history leaves both out."""
 
     def check(self) -> None:
         """Raise a ``ValueError`` where nothing is to be run."""
