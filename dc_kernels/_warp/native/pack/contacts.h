@@ -178,7 +178,7 @@ if (!members || members->counted == 0) {
     // made by who sweeps most of them, and has them in its caches then
     const int parts = members->counted;
     const auto* const count = members->count;
-    auto begin_of = [=](int p) { return i0 + (int)((long long)(i1 - i0) * p / parts); };
+    auto begin_of = [=](int p) { return Share::begin(i0, i1, p, parts); };
     auto fill_share = [=](int p) {
         int next[COLORS] = {}, done[COLORS];  // blocks that the contacts of shares before are in
         for (int q = 0; q < p; ++q)

@@ -180,9 +180,9 @@ struct Lead {
             const int blocks = ends[k + 1] - ends[k];
             if (blocks == 0) continue;
             const int fixed = team->split[k] < blocks ? team->split[k] : blocks;
-            for (int p = 1; p <= size; ++p) give(p - 1, (ends[k] + (int)((long long)fixed * p / size)) * per_block);
+            for (int p = 1; p <= size; ++p) give(p - 1, Share::begin(ends[k], ends[k] + fixed, p, size) * per_block);
             for (int p = 1; p <= size; ++p)
-                give(p - 1, (ends[k] + fixed + (int)((long long)(blocks - fixed) * p / size)) * per_block);
+                give(p - 1, Share::begin(ends[k] + fixed, ends[k + 1], p, size) * per_block);
         }
         made->count = end == behind ? give_turns(*made, count, size, (behind - begin) / (8 * size)) : 0;
     }

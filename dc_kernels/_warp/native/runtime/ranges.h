@@ -39,9 +39,8 @@ auto add_range = [=](wp::uint64 address, int i0, int i1, int least, auto part) {
         phases.first[0] = 0;
         phases.add(size, size, 1);
         take_phases(team, phases, [=](int first, int last) {
-            const long long items = i1 - i0;
             for (int p = first; p < last; ++p)
-                to[p] = part(i0 + (int)(items * p / size), i0 + (int)(items * (p + 1) / size));
+                to[p] = part(Share::begin(i0, i1, p, size), Share::begin(i0, i1, p + 1, size));
             return 0.0;
         });
         for (int p = 1; p < size; ++p) sums[0] += sums[p];

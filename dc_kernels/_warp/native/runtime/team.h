@@ -64,12 +64,13 @@ struct Team {
 // from first[i] to last[i] of either kind.
 struct Share {
     int first[2], last[2];
+    // Where part p of so many parts of the items from..to begins, whose kinds are all one.
+    static int begin(int from, int to, int p, int parts) { return from + (int)((long long)(to - from) * p / parts); }
     Share(int begin, int items, int of_first_kind, int p, int parts) {
         const int of[] = {of_first_kind < items ? of_first_kind : items, items};
         for (int i = 0, from = 0; i < 2; from = of[i++]) {
-            const long long count = of[i] - from;
-            first[i] = begin + from + (int)(count * p / parts);
-            last[i] = begin + from + (int)(count * (p + 1) / parts);
+            first[i] = Share::begin(begin + from, begin + of[i], p, parts);
+            last[i] = Share::begin(begin + from, begin + of[i], p + 1, parts);
         }
     }
 };
