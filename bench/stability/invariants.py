@@ -147,7 +147,7 @@ def parted(p: Array, q: Array, normal: Array) -> float:
     return float((q @ normal).min() - (p @ normal).max())
 
 
-def pass_by(sim: dc.Simulation, pair: tuple[int, int], reach: float) -> bool:
+def pass_by(sim: dc.Simulation, pair: tuple[int, int], dt: float, reach: float) -> bool:
     """Whether two discs miss each other on their straight ways in the step and are beyond the look-ahead at its end."""
     model, predicted = sim.model, sim.motion.numpy("predicted").astype(np.float64)
     centers, radii, ways = [], 0.0, []
@@ -161,7 +161,7 @@ def pass_by(sim: dc.Simulation, pair: tuple[int, int], reach: float) -> bool:
         centers.append(points[0])
         ways.append(np.array([vx - spin * arm[1], vy + spin * arm[0]]))
         radii += radius
-    start, way = centers[1] - centers[0], (ways[1] - ways[0]) * float(sim.motion.numpy("step_dt").max())
+    start, way = centers[1] - centers[0], (ways[1] - ways[0]) * dt
     if way @ way == 0.0:
         return False
     nearest = start - way * (start @ way) / (way @ way)
@@ -188,11 +188,11 @@ def lost_contacts(sim: dc.Simulation, bound: float) -> list[str]:
         (p, p_radius), (q, q_radius) = hulls[a], hulls[b]
         lack[name] = max(parted(p, q, normal) - p_radius - q_radius - gap, lack.get(name, -math.inf))
     world = np.repeat(np.arange(model.world_count), np.diff(model.numpy("shape_start")))
-    scale, reach = model.numpy("length_scale"), sim.motion.numpy("reach")
+    scale, reach, dt = model.numpy("length_scale"), sim.motion.numpy("reach"), sim.motion.numpy("step_dt")
     for pair, gap in closest(sim).items():
         w = world[pair[0]]
         slack = bound * float(scale[w])
-        if gap < reach[w] - slack and pair not in seen and not pass_by(sim, pair, reach[w] - slack):
+        if gap < reach[w] - slack and pair not in seen and not pass_by(sim, pair, float(dt[w]), reach[w] - slack):
             faults.append(f"shapes {pair} are {gap:g} m apart, look-ahead {reach[w]:g} m: no contact")
         if pair in seen and gap > slack and lack[pair] > slack:
             faults.append(f"shapes {pair} are {gap:g} m apart, their contact says {seen[pair]:g} m")
