@@ -13,7 +13,7 @@ from dc_kernels._numpy.solve.row import Row, by_lane, jacobi_row, natural_map_ro
 from dc_kernels._numpy.solve.trees import Tree
 from dc_kernels.model.config import ACCELERATIONS, JOINT_SOLVERS, METHODS, STOPS
 from dc_kernels.model.fields import UNBOUNDED
-from dc_kernels.solve.iteration import APART, ASKEW, FALL, FAR, MOVING, NEVER, PAST, RISE
+from dc_kernels.solve.iteration import APART, ASKEW, FALL, FAR, FARTHEST, MOVING, NEVER, PAST, RISE, SCARCE
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, OWN
 
 JACOBI = METHODS["jacobi"]
@@ -105,7 +105,10 @@ class World:
 
     @property
     def is_still(self) -> bool:
-        """Whether the last sweep has moved at most one row in MOVING, and none far, and the residual is not ASKEW."""
+        """Whether the last sweep has moved at most one row in MOVING, one in SCARCE far, and none farthest.
+
+        The residual is not ASKEW either.
+        """
         config, motion, model, w = self.config, self.motion, self.model, self.w
         if self.rows.line_start[w + 1] > self.rows.line_start[w]:
             return False  # what a rod lacks shows as stretch: such a world is solved to the tolerances
@@ -114,16 +117,17 @@ class World:
         given = np.abs(motion.solved[:, :2] - motion.predicted[:, :2]).max(axis=1)
         rise = real(RISE) * np.abs(motion.predicted[self.bodies, :2]).max(initial=0)
         share, least = real(config.motion_share), real(config.motion_mean) * min(self.beyond(given, fall), rise)
-        moving = movable = 0
+        moving = far = movable = 0
         for row in self.own_rows:
             mass = row.effective_mass
             limit = still + max(min(share * (max(given[row.a], given[row.b]) - fall), share * rise), least)
             moved = np.abs(by_lane(self.rows.change)[row.at])
-            if not (moved <= real(FAR) * (limit * mass)).all():
+            if not (moved <= real(FARTHEST) * (limit * mass)).all():
                 return False
+            far += int(not (moved <= real(FAR) * (limit * mass)).all())
             moving += int(not (moved <= limit * mass).all())
             movable += int(mass[0] > 0)
-        return MOVING * moving <= movable and not self.lacks(APART) and bool(self.natural_map() < ASKEW)
+        return MOVING * moving + SCARCE * far <= movable and not self.lacks(APART) and bool(self.natural_map() < ASKEW)
 
     @property
     def still(self) -> Any:

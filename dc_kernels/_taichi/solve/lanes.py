@@ -14,7 +14,7 @@ from dc_kernels._taichi.lanes import MASK
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.solve.bodies import body_functions, largest, magnitude, total
 from dc_kernels.model.fields import UNBOUNDED
-from dc_kernels.solve.iteration import ASTRAY, FAR, MOVING
+from dc_kernels.solve.iteration import ASTRAY, FAR, FARTHEST, MOVING, SCARCE
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES
 
 INFINITY = float("inf")
@@ -241,12 +241,13 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @ti.func
     def moving(rows: t.Rows, motion: t.Motion, b0, b1, still, share, fall, most, least, floor):
-        """MOVING times the rows that the last sweep still moved, less all rows that can move.
+        """MOVING times the rows that the last sweep still moved, SCARCE times those moved FAR, less all that can move.
 
-        ASTRAY where it moved one by FAR times as much. Moved is a row whose speed it changed by more than ``still`` +
-        ``share`` times what the impulses of the step have changed the velocity of the faster body by, beyond ``fall``,
-        ``most`` at most, or than ``still`` + ``least`` where that is more.
+        ASTRAY where it moved one by FARTHEST times as much. Moved is a row whose speed it changed by more than
+        ``still`` + ``share`` times what the impulses of the step have changed the velocity of the faster body by,
+        beyond ``fall``, ``most`` at most, or than ``still`` + ``least`` where that is more.
         """
+        all = LANES * (b1 - b0)
         count = 0
         b = b0
         while b < b1:
@@ -258,13 +259,15 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             dt = magnitude(rows.change[r + 1])
             n = limit * rows.column[k + EN]
             tangential = limit * rows.column[k + ET]
-            # NaN is moved, and far
+            # NaN is moved, and farthest
             moved = ti.select(dn <= n, ti.select(dt <= tangential, vec8(0.0), vec8(1.0)), vec8(1.0))
             far = ti.select(dn <= FAR * n, ti.select(dt <= FAR * tangential, vec8(0.0), vec8(1.0)), vec8(1.0))
+            within = ti.select(dt <= FARTHEST * tangential, vec8(0.0), vec8(1.0))
+            farthest = ti.select(dn <= FARTHEST * n, within, vec8(1.0))
             moves = ti.select(rows.column[k + EN] > 0.0, vec8(1.0), vec8(0.0))
-            count += ti.cast(total(MOVING * moved - moves), ti.i32)
+            count += ti.cast(total(MOVING * moved + SCARCE * far - moves), ti.i32)
             b += 1
-            if total(far) > 0.0:
+            if total(farthest) > 0.0 or count > all:
                 count = ASTRAY
                 b = b1
         return count

@@ -191,7 +191,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @ti.func
     def is_still(span, sweeps, config: t.Config, motion: t.Motion, rows: t.Rows):
-        """1 where the last sweep has moved at most one row in MOVING, and none far: see ``SolverConfig.stop``.
+        """1 where the last sweep has moved at most one row in MOVING, one in SCARCE far: see ``SolverConfig.stop``.
 
         Rows of trees that were solved after it hold exactly, whatever they had lacked.
         """

@@ -12,11 +12,12 @@ from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.laws import linear_speed, natural_map_squared, relative_speed
 from dc_kernels.model.fields import UNBOUNDED
-from dc_kernels.solve.iteration import ASTRAY, FAR, MOVING
+from dc_kernels.solve.iteration import ASTRAY, FAR, FARTHEST, MOVING, SCARCE
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SURFACED
 
 N_LANES = wp.constant(LANES)
 IN_ALL = wp.constant(MOVING)
+FAR_IN_ALL = wp.constant(SCARCE)
 LED_ASTRAY = wp.constant(ASTRAY)
 
 
@@ -275,7 +276,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
     ):
         """What a row adds to a world's ``moving``: MOVING where the last sweep moved it, less one where it can move.
 
-        ASTRAY where it moved it by FAR times as much.
+        SCARCE more where it moved it by FAR times as much, and ASTRAY by FARTHEST times.
         """
         r = block * width + lane
         i = block * 2 * N_LANES + lane
@@ -295,6 +296,8 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         if not (dn <= n and dt <= tangential):  # NaN is moved, and far
             count += IN_ALL
         if not (dn <= real(FAR) * n and dt <= real(FAR) * tangential):
+            count += FAR_IN_ALL
+        if not (dn <= real(FARTHEST) * n and dt <= real(FARTHEST) * tangential):
             count = LED_ASTRAY
         return count
 

@@ -280,7 +280,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @wp.func(module=module)
     def is_still(span: Span, sweeps: int, config: t.Config, motion: t.Motion, rows: t.Rows):
-        """1 where the last sweep has moved at most one row in MOVING, and none far: see ``SolverConfig.stop``.
+        """1 where the last sweep has moved at most one row in MOVING, one in SCARCE far: see ``SolverConfig.stop``.
 
         Rows of trees that were solved after it hold exactly, whatever they had lacked.
         """
@@ -305,7 +305,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         else:
             count = int(0)
             for k in range(span.first * N_LANES, span.last * N_LANES):
-                if count < LED_ASTRAY:
+                if count <= (span.last - span.first) * N_LANES:
                     here = moving_row(k / N_LANES, k % N_LANES, rows, motion, span, share, share * rise, least)
                     count = wp.where(here == LED_ASTRAY, here, count + here)
         done = wp.where(count <= 0, 1, 0)

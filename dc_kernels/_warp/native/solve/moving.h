@@ -1,13 +1,15 @@
-// MOVING times the rows of the blocks first .. last that the last sweep still moved, less all rows that can move;
-// ASTRAY where it moved one by FAR times as much. Moved is a row whose speed it changed by more than span.still + share
-// times what the impulses of the step have changed the velocity of the faster body by, beyond span.fall, most at most,
-// or than span.still + least where that is more. Parameters: columns, row_body, bodies, predicted, change, first, last,
-// span, shares: share, most and least. Stands behind prelude.h, bodies.h.
+// MOVING times the rows of the blocks first .. last that the last sweep still moved, and SCARCE times those that it
+// moved by FAR times as much, less all rows that can move; ASTRAY where it moved one by FARTHEST times as much, or
+// where the rest of the world cannot make up for them. Moved is a row whose speed it changed by more than span.still +
+// share times what the impulses of the step have changed the velocity of the faster body by, beyond span.fall, most at
+// most, or than span.still + least where that is more. Parameters: columns, row_body, bodies, predicted, change, first,
+// last, span, shares: share, most and least. Stands behind prelude.h, bodies.h.
 #if defined(__CUDA_ARCH__)
 return 0;  // a GPU counts row by row
 #else
 const Real* const before = (const Real*)predicted.data;
 const Real share = shares[0], most = shares[1], least = shares[2];
+const int all = LANES * (span.last - span.first);
 int count = 0;
 for (int b = first; b < last; ++b) {
     const int* const index = row_body.data + (size_t)b * 2 * LANES;
@@ -23,16 +25,16 @@ for (int b = first; b < last; ++b) {
     const Vector limit = span.still + larger(part, zero + least);
     const Vector dn = magnitude(load(d)), dt = magnitude(load(d + LANES));
     const Vector n = limit * en, t = limit * et;
-    // NaN is moved, and far
+    // NaN is moved, and farthest
     const auto moved = ~((dn <= n) & (dt <= t)), far = ~((dn <= (Real)FAR * n) & (dt <= (Real)FAR * t));
+    const auto farthest = ~((dn <= (Real)FARTHEST * n) & (dt <= (Real)FARTHEST * t));
     const auto moves = en > zero;
-    int here = 0, away = 0;
+    int away = 0;
     for (int lane = 0; lane < LANES; ++lane) {
-        here += (int)moves[lane] - MOVING * (int)moved[lane];  // a true lane is -1
-        away |= (int)far[lane];
+        count += (int)moves[lane] - MOVING * (int)moved[lane] - SCARCE * (int)far[lane];  // a true lane is -1
+        away |= (int)farthest[lane];
     }
-    if (away) return ASTRAY;
-    count += here;
+    if (away || count > all) return ASTRAY;
 }
 return count;
 #endif
