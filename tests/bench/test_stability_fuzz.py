@@ -80,13 +80,18 @@ def test_a_lost_contact_and_a_wrong_gap_are_found():
     assert "no contact" in " ".join(invariants.lost_contacts(sim, 1e-9))
 
 
+@pytest.mark.parametrize("half", [0.0, 0.1])
 @pytest.mark.parametrize(("aside", "lost"), [(1.001, False), (0.999, True)])
-def test_only_discs_that_pass_by_need_no_contact(aside, lost):
-    """One flies at another; with its centre more than two radii aside it passes, 13 mm away at the beginning."""
+def test_only_shapes_that_pass_by_need_no_contact(aside, lost, half):
+    """One flies at a disc; with its centre more than two radii aside it passes, 13 mm away at the beginning."""
     builder = dc.ModelBuilder()
     builder.add_world(gravity=(0.0, 0.0))
-    for position, velocity in (((0.0, 0.0), (0.0, 0.0)), ((-0.16, aside), (100.0, 0.0))):
-        builder.add_disc(builder.add_body(position, velocity=velocity), 0.5)
+    builder.add_disc(builder.add_body((0.0, 0.0)), 0.5)
+    other = builder.add_body((-0.16 - half, aside), velocity=(100.0, 0.0))
+    if half:
+        builder.add_capsule(other, (-half, 0.0), (half, 0.0), 0.5)
+    else:
+        builder.add_disc(other, 0.5)
     sim = dc.Simulation(*builder.finalize("float64"))
     sim.collide(0.01)
     dc.to_numpy(sim.contacts.contact_count)[0] = 0
