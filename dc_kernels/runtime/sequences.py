@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -125,17 +125,18 @@ class Watch(NamedTuple):
 
 
 class Rounds:
-    """Rounds of launches over a shard of worlds, many in one call, until one halts.
+    """Rounds of launches over a shard of worlds, many in one call, until one halts; bound when first wanted.
 
     Attributes:
         halt: an int32, not 0 once a round has halted; several shards may share it.
+        worlds: number of worlds in the shard.
         sweeps: over all bodies, that a round may make.
         helped: whether helpers within worlds shorten a round.
     """
 
     def __init__(
         self,
-        launches: Sequence[Launch],
+        bind: Callable[[int, int], Sequence[Launch]],
         first: int,
         count: int,
         watch: Watch,
@@ -145,10 +146,10 @@ class Rounds:
         sweeps: int = 0,
         once: int = 0,
     ) -> None:
-        """Bind what is launched.
+        """Remember what is launched.
 
         Args:
-            launches: one round.
+            bind: launches of one round over so many worlds from a first one.
             first: world of the shard.
             count: worlds of the shard.
             watch: what is looked at after each round.
@@ -157,9 +158,11 @@ class Rounds:
             sweeps: over all bodies, that a round may make.
             once: launches at the beginning that only the first of the rounds taken in one call makes.
         """
+        self._make = bind
+        self._launches: list[Launch] | None = None
         self._once, self.helped = once, Trial()
-        self.launches, self.watch, self.peak, self.halt, self.sweeps = list(launches), watch, peak, halt, sweeps
-        self._worlds = slice(first, first + count)
+        self.watch, self.peak, self.halt, self.sweeps = watch, peak, halt, sweeps
+        self._first, self.worlds = first, count
         self._done = aligned_zeros((CACHE_LINE,), np.dtype(np.int64))
         # of which a number is read and written in half the time
         self._taken: Any = memoryview(self._done)  # type: ignore[arg-type]
@@ -167,23 +170,36 @@ class Rounds:
         self._counted = 0
         self._bound_to = 1  # rounds that the bound launch takes
         self._run: Any = None
+
+    @property
+    def launches(self) -> list[Launch]:
+        """Those of one round."""
+        if self._launches is None:
+            launches = list(self._make(self._first, self.worlds))
+            self._run = self._repeated(launches)
+            self._launches = launches
+        return self._launches
+
+    def _repeated(self, launches: list[Launch]) -> Any:
+        """A call that takes rounds of them; None where they cannot be made without Python."""
         table = address_table(launches)
         if table is None:
-            return
-        self._run = _bind(
+            return None
+        watch, once = self.watch, self._once
+        return _bind(
             "repeat_launches",
             {
                 "launches": np.concatenate((table, awake_table(table, once))) if watch.sleep else table,
-                "count": len(self.launches),
+                "count": len(launches),
                 "once": once,
                 "rounds": 1,
-                "shard": (first, count),
+                "shard": (self._first, self.worlds),
                 "stop_at": watch.stop_at,
                 "flags": watch.flags,
                 "used": np.array([array.ptr for array in watch.used], np.uint64),
                 "sleep": watch.addresses,
-                "peak": peak,
-                "halt": halt,
+                "peak": self.peak,
+                "halt": self.halt,
                 "done": self._done,
             },
         )
@@ -191,7 +207,7 @@ class Rounds:
     @property
     def compiled(self) -> bool:
         """Whether the launches of a round are made without Python between them, so that no interrupt falls into one."""
-        return self._run is not None
+        return bool(self.launches) and self._run is not None
 
     def take_one(self) -> bool:
         """Take one round, whatever has halted before; whether it halts."""
@@ -204,6 +220,7 @@ class Rounds:
 
     def take(self, rounds: int) -> None:
         """Take so many rounds, or fewer if one halts; ``count`` tells how many, with the one that halts."""
+        launches = self.launches
         if self._run is not None:
             if rounds != self._bound_to:
                 self._bound_to = -1  # until it is so: an interrupt may fall between the two
@@ -211,15 +228,16 @@ class Rounds:
                 self._bound_to = rounds
             self._run.launch_now()
             return
+        worlds = slice(self._first, self._first + self.worlds)
         for i in range(rounds):
             if self.halt[0]:
                 break
-            for launch in self.launches[self._once if i else 0 :]:
+            for launch in launches[self._once if i else 0 :]:
                 launch()
             self._done[0] += 1
             for k, used in enumerate(self.watch.used):
-                self.peak[k] = max(int(self.peak[k]), int(to_numpy(used)[self._worlds].max(initial=0)))
-            if self.watch.stop_at and (to_numpy(self.watch.flags)[self._worlds] & self.watch.stop_at).any():
+                self.peak[k] = max(int(self.peak[k]), int(to_numpy(used)[worlds].max(initial=0)))
+            if self.watch.stop_at and (to_numpy(self.watch.flags)[worlds] & self.watch.stop_at).any():
                 self.halt[0] = 1
 
     def count(self) -> int:
@@ -268,8 +286,8 @@ class PoolRounds(Rounds):
         Raises:
             ValueError: where the launches are not kernels that one kernel can call.
         """
-        self.launches, self.watch, self.peak, self.sweeps = list(launches), watch, peak, sweeps
-        self.parts = len(starts) - 1
+        self._launches, self.watch, self.peak, self.sweeps = list(launches), watch, peak, sweeps
+        self.worlds, self.parts = int(starts[-1] - starts[0]), len(starts) - 1
         self.halt, self.taken, self._todo = (aligned_zeros((self.parts,), np.dtype(np.int32)) for _ in range(3))
         self._run = kernel_file(backend, "runtime.sequences").repeated(
             launches,

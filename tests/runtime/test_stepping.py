@@ -25,7 +25,7 @@ class Worlds:
     def __init__(self, threads, full):
         self.count, self.flags = np.zeros(WORLDS, np.int32), np.zeros(WORLDS, np.int32)
         self.full = full
-        self.shards = Shards(WORLDS, 10 * WORLDS, threads)
+        self.shards = Shards(WORLDS, 10 * WORLDS, threads, tiles=True)
         self.rounds = self.shards.rounds(self.bind, Watch(self.flags, 2, (self.count,)), together=True)
 
     def bind(self, first, count):
@@ -39,10 +39,21 @@ class Worlds:
         return [launch]
 
 
-@pytest.mark.parametrize(("threads", "worth"), [(1, 10**9), (3, 10**9), (3, 0), (3, 600)])
-def test_all_rounds_are_taken_however_often_some_world_runs_full(monkeypatch, threads, worth):
+def in_tiles(monkeypatch):
+    """Let one thread take worlds of 20 bodies one after the other, from the first round on."""
+    monkeypatch.setattr(stepping, "TILE", 20)
+    monkeypatch.setattr(stepping, "WORTH_TILES", 1)
+
+
+@pytest.mark.parametrize(
+    ("threads", "worth", "tiled"),
+    [(1, 10**9, 0), (3, 10**9, 0), (3, 0, 0), (3, 600, 0), (1, 10**9, 1), (1, 0, 1), (1, 600, 1)],
+)
+def test_all_rounds_are_taken_however_often_some_world_runs_full(monkeypatch, threads, worth, tiled):
     """With a bar of 600 the work is shared at first, and the rest of each shard taken by one thread."""
     monkeypatch.setattr(stepping, "WORTH_THREADS", worth)
+    if tiled:
+        in_tiles(monkeypatch)
     worlds = Worlds(threads, {0: 7, 5: 7, 3: 15})
     left, halts = 20, 0
     while worlds.shards.run(worlds.rounds, left):
@@ -52,6 +63,7 @@ def test_all_rounds_are_taken_however_often_some_world_runs_full(monkeypatch, th
         worlds.flags[...] = 0
     assert (worlds.count == 20).all()
     assert 2 <= halts <= 3
+    assert len(worlds.rounds) == (4 if tiled else 7 if threads > 1 else 1)
     assert worlds.shards.peak.max() == 20
 
 
@@ -76,14 +88,18 @@ def interrupt(monkeypatch, when):
     monkeypatch.setattr(Rounds, "count", count_or_raise)
 
 
-@pytest.mark.parametrize("worth", [0, 10**9])
+@pytest.mark.parametrize(("threads", "worth"), [(2, 0), (2, 10**9), (1, 0)])
 @pytest.mark.parametrize("room", [0.2, 2.5])
 @pytest.mark.parametrize("when", [1, 2, 3])
-def test_an_interrupt_leaves_all_worlds_after_the_same_step(monkeypatch, when, room, worth):
+def test_an_interrupt_leaves_all_worlds_after_the_same_step(monkeypatch, when, room, threads, worth):
     """Whatever the threads have taken of it, and whether a world was about to get more room."""
     monkeypatch.setattr(stepping, "WORTH_THREADS", worth)
     monkeypatch.setattr(stepping, "AT_ONCE", 10**3)
-    sim, alone = pile(threads=2, contacts_per_body=room), pile()
+    alone = pile()
+    if threads == 1:
+        in_tiles(monkeypatch)
+    sim = pile(threads=threads, contacts_per_body=room)
+    assert len(sim.ranges) == 3
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         interrupt(patch, when)
         sim.run(3000, 0.01)
@@ -128,13 +144,34 @@ def test_an_interrupt_is_held_back_until_the_block_has_ended():
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def pile(**options):
+def pile(worlds=3, **options):
     builder = dc.ModelBuilder()
-    for _ in range(3):
+    for _ in range(worlds):
         builder.add_world()
         builder.add_chain(builder.add_body(type=dc.BodyType.STATIC), [(0, 9), (0, 0), (9, 0), (9, 9)])
         builder.add_discs([(1.0 + i % 7 * 1.1, 1.0 + i // 7 * 1.1) for i in range(20)], 0.5)
     return dc.Simulation(*builder.finalize(), **options)
+
+
+def test_small_worlds_in_tiles_have_the_bits_of_all_at_once(monkeypatch):
+    """They grow, fall asleep and wake each in its own time; 48 worlds of 21 bodies are the two tiles that they are."""
+    sims = []
+    for tile in (stepping.TILE // 2, 10**9):
+        monkeypatch.setattr(stepping, "TILE", tile)
+        sim = pile(48, config=dc.SolverConfig(sleep=True, sleep_time=0.2), contacts_per_body=0.2, pairs_per_shape=0.5)
+        sim.state.numpy("velocity")[5, 0] = 20.0
+        for _ in range(4):
+            sim.run(100, 0.01)
+        sim.state.numpy("velocity")[-1] = (3.0, 9.0)
+        sim.step(0.01)
+        sim.run(30, 0.01)
+        sims.append(sim)
+    tiled, whole = sims
+    assert len(tiled.ranges) == 2 and len(whole.ranges) == 1
+    assert 0 < tiled.asleep.sum() < tiled.model.body_count
+    assert tiled.capacity() == whole.capacity()
+    for name in ("position", "angle", "velocity", "angular_velocity", "time"):
+        np.testing.assert_array_equal(tiled.state.numpy(name), whole.state.numpy(name))
 
 
 def test_launches_by_address_and_by_warp_give_the_same(monkeypatch):
