@@ -171,9 +171,8 @@ class Rounds:
         self._bound_to = 1  # rounds that the bound launch takes
         self._run: Any = None
 
-    @property
-    def launches(self) -> list[Launch]:
-        """Those of one round."""
+    def bind(self) -> list[Launch]:
+        """Bind the launches of one round, if they are not; return them."""
         if self._launches is None:
             launches = list(self._make(self._first, self.worlds))
             self._run = self._repeated(launches)
@@ -207,7 +206,7 @@ class Rounds:
     @property
     def compiled(self) -> bool:
         """Whether the launches of a round are made without Python between them, so that no interrupt falls into one."""
-        return bool(self.launches) and self._run is not None
+        return bool(self.bind()) and self._run is not None
 
     def take_one(self) -> bool:
         """Take one round, whatever has halted before; whether it halts."""
@@ -220,7 +219,7 @@ class Rounds:
 
     def take(self, rounds: int) -> None:
         """Take so many rounds, or fewer if one halts; ``count`` tells how many, with the one that halts."""
-        launches = self.launches
+        launches = self.bind()
         if self._run is not None:
             if rounds != self._bound_to:
                 self._bound_to = -1  # until it is so: an interrupt may fall between the two
@@ -249,7 +248,7 @@ class Rounds:
     def record(self, rounds: int) -> None:
         """Make so many rounds part of the graph that this thread records."""
         for _ in range(rounds):
-            for launch in self.launches:
+            for launch in self.bind():
                 launch()
 
 

@@ -124,6 +124,7 @@ class Shards:
         ]
         if len(found) > 1:
             found.append(rounds_of(0, self._worlds, self.peak[-1], shared))
+        found[-1].bind()  # an interrupt while kernels are compiled ends no round
         return found
 
     def run(self, rounds: Sequence[Rounds], count: int | Sequence[int]) -> bool:
@@ -289,7 +290,7 @@ class Shards:
         """All threads take chunks of shards, whichever is farthest behind."""
         self._busy.clear()
         for one in shards:
-            one.launches  # noqa: B018  bound here, by one thread
+            one.bind()  # here, by one thread
         most = max(min(CHUNK, self._at_once(shards[0]), LEVELED // self.bodies), 1)
         apart = max(APART * self._at_once(whole), most)
 
