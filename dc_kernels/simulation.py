@@ -127,10 +127,9 @@ class Simulation(Driven):
         self.dtype, self.device, self.backend = model.dtype, model.device, model.backend
         self.schedule, self.on_overflow = options.schedule, options.on_overflow
         threads = options.threads if self.device == "cpu" else 1
-        teams = schedule == "world"
-        tiles = teams and self.device == "cpu"
-        bodies = model.body_count
-        self._shards = shards_of(self.backend, model.world_count, bodies, threads, teams=teams, tiles=tiles)
+        teams, tiles = schedule == "world", schedule == "world" and self.device == "cpu"
+        sizes = model.world_count, model.body_count
+        self._shards = shards_of(self.backend, *sizes, threads, teams=teams, tiles=tiles)
         self.threads = self._shards.over_worlds + self._shards.helpers
         self.specialize = options.specialize
         self._config = options.config or DEFAULT

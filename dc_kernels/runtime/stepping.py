@@ -67,7 +67,7 @@ class Shards:
         count = 1 if self.threads == 1 else SHARDS_PER_THREAD * self.threads
         if tiles and bodies <= SMALL * worlds:
             count = max(count, bodies // TILE)
-        count = min(count, worlds)
+        count = min(count, max(worlds, 1))
         edges = np.linspace(0, worlds, count + 1).astype(int) if count > 1 else (0, worlds)
         self.ranges = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
         self.parts = count
