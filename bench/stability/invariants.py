@@ -39,11 +39,8 @@ def rotation(angle: float) -> Array:
     return np.array(((c, -s), (s, c)))
 
 
-def core(sim: dc.Simulation, shape: int, time: float = 0.0) -> tuple[Array, float]:
-    """A shape's hull in the world's coordinates, (n, 2), a segment's without its neighbours, and its radius.
-
-    ``time`` is into the step, with the velocities predicted for it [s].
-    """
+def core(sim: dc.Simulation, shape: int) -> tuple[Array, float]:
+    """A shape's hull in the world's coordinates, (n, 2), a segment's without its neighbours, and its radius."""
     model, state = sim.model, sim.state
     body = int(model.numpy("shape_body")[shape])
     first, last = model.numpy("vertex_start")[shape : shape + 2]
@@ -51,11 +48,8 @@ def core(sim: dc.Simulation, shape: int, time: float = 0.0) -> tuple[Array, floa
     local = model.numpy("vertices")[first : first + 2 if kind == dc.ShapeType.SEGMENT else last].astype(np.float64)
     if kind == dc.ShapeType.DISC:
         local = model.numpy("shape_center")[shape : shape + 1].astype(np.float64)
-    at, angle = state.numpy("position")[body].astype(np.float64), float(state.numpy("angle")[body])
-    if time:
-        way = sim.motion.numpy("predicted")[body, :3].astype(np.float64) * time
-        at, angle = at + way[:2], angle + way[2]
-    return local @ rotation(angle).T + at, float(model.numpy("shape_radius")[shape])
+    turned = local @ rotation(float(state.numpy("angle")[body])).T
+    return turned + state.numpy("position")[body].astype(np.float64), float(model.numpy("shape_radius")[shape])
 
 
 def edges(hull: Array) -> tuple[Array, Array]:
@@ -156,32 +150,59 @@ def parted(p: Array, q: Array, normal: Array) -> float:
 def pass_by(sim: dc.Simulation, pair: tuple[int, int], dt: float, reach: float, slack: float) -> bool:
     """Whether two shapes stay apart on their ways in the step and are beyond the look-ahead at its end.
 
-    Conservative advancement (Mirtich 1996): no gap closes sooner than at the largest relative speed of any two points.
+    Shapes move with their bodies, or straight with the velocities of their centres, as contacts are looked for.
     """
-    model, predicted = sim.model, sim.motion.numpy("predicted").astype(np.float64)
-    body, segment = model.numpy("shape_body"), model.numpy("shape_type") == dc.ShapeType.SEGMENT
-
-    def gap(one: int, other: int, time: float) -> float:
-        (p, p_radius), (q, q_radius) = core(sim, one, time), core(sim, other, time)
-        return distance(p, q) - p_radius - q_radius
-
-    def turning(shape: int) -> float:
-        points = core(sim, shape)[0] - sim.state.numpy("position")[body[shape]].astype(np.float64)
-        return abs(predicted[body[shape], 2]) * float(np.hypot(*points.T).max())
-
+    body, segment = sim.model.numpy("shape_body"), sim.model.numpy("shape_type") == dc.ShapeType.SEGMENT
     # a chain stands for all its segments
     parts = [np.flatnonzero(segment & (body == body[shape])) if segment[shape] else [shape] for shape in pair]
-    for one, other in ((int(i), int(j)) for i in parts[0] for j in parts[1]):
-        if gap(one, other, dt) <= reach:
+    return any(
+        all(_stay_apart(Way(sim, int(i), turns), Way(sim, int(j), turns), dt, reach, slack)
+            for i in parts[0] for j in parts[1])
+        for turns in (True, False)
+    )  # fmt: skip
+
+
+class Way:
+    """A shape's way through a step, with the velocities predicted for it."""
+
+    def __init__(self, sim: dc.Simulation, shape: int, turns: bool) -> None:
+        """``turns``: with its body, else straight with the velocity of its centre."""
+        body = int(sim.model.numpy("shape_body")[shape])
+        self.points, self.radius = core(sim, shape)
+        self.middle = sim.state.numpy("position")[body].astype(np.float64)
+        vx, vy, self.spin = (float(v) for v in sim.motion.numpy("predicted")[body, :3])
+        self.velocity = np.array((vx, vy))
+        if not turns:
+            center = sim.model.numpy("shape_center")[shape].astype(np.float64)
+            x, y = rotation(float(sim.state.numpy("angle")[body])) @ center
+            self.velocity = self.velocity + self.spin * np.array((-y, x))
+            self.spin = 0.0
+
+    @property
+    def turning(self) -> float:
+        """Largest speed of a point about the body's centre of mass [m/s]."""
+        return abs(self.spin) * float(np.hypot(*(self.points - self.middle).T).max())
+
+    def at(self, time: float) -> Array:
+        """The hull so long into the step."""
+        return (self.points - self.middle) @ rotation(self.spin * time).T + self.middle + self.velocity * time
+
+
+def _stay_apart(one: Way, other: Way, dt: float, reach: float, slack: float) -> bool:
+    """By conservative advancement (Mirtich 1996): no gap closes sooner than at the largest relative speed of points."""
+
+    def gap(time: float) -> float:
+        return distance(one.at(time), other.at(time)) - one.radius - other.radius
+
+    if gap(dt) <= reach:
+        return False
+    speed = float(np.hypot(*(other.velocity - one.velocity))) + one.turning + other.turning
+    time = 0.0
+    while time < dt and speed > 0:
+        now = gap(time)
+        if now <= slack:
             return False
-        drift = predicted[body[other], :2] - predicted[body[one], :2]
-        speed = math.hypot(*drift) + turning(one) + turning(other)
-        time = 0.0
-        while time < dt and speed > 0:
-            now = gap(one, other, time)
-            if now <= slack:
-                return False
-            time += now / speed
+        time += now / speed
     return True
 
 
@@ -311,10 +332,12 @@ def joint_frames(sim: dc.Simulation) -> tuple[Array, Array, Array, tuple[Array, 
 
 
 def energy_gain(sim: dc.Simulation) -> tuple[float, float]:
-    """Kinetic energy of all worlds that a solve added to the predicted one, less what kinematic bodies supplied [J].
+    """Kinetic energy of all worlds that a solve added to the predicted one, less what was supplied to it [J].
 
-    With restitution 0 and no velocity bias against overlap a solution takes energy: p.(u+ + u-)/2 with u+ = -gap/dt or
-    0 where it presses, and friction against the slip. Returns the gain and the energy that it is to be compared with.
+    The energy changes by p.u+ - dv.M dv / 2. With restitution 0 and no velocity bias against overlap p.u+ is not
+    positive for contacts, where u+ = -gap/dt or 0 where they press, and friction acts against the slip. Kinematic
+    bodies supply energy, and so do rods that turn: they are given the speed by which the straight motion of the step
+    would stretch them. Returns the gain and the energy that it is to be compared with.
     """
     model, table = sim.model, contact_table(sim)
     mass, inertia = (model.numpy(name).astype(np.float64) for name in ("mass", "inertia"))
@@ -332,6 +355,11 @@ def energy_gain(sim: dc.Simulation) -> tuple[float, float]:
         a, b, along, arms = joint_frames(sim)
         pull = sim.joints.numpy("joint_impulse").astype(np.float64)[:, None] * along
         ends += [(a, arms[0], pull, 1.0), (b, arms[1], pull, -1.0)]
+        va, vb = (after[i, :2] + after[i, 2:3] * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
+                  for i, arm in ((a, arms[0]), (b, arms[1])))  # fmt: skip
+        given = (pull * (vb - va)).sum(axis=1)
+        work += float(given.sum())
+        size += float(np.abs(given).sum())
     for body, arm, push, sign in ends:
         v = before[body]
         at = v[:, :2] + v[:, 2:3] * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
