@@ -132,6 +132,7 @@ class Rounds:
         worlds: number of worlds in the shard.
         sweeps: over all bodies, that a round may make.
         helped: whether helpers within worlds shorten a round.
+        wanted: rounds that were asked of it and of the shards that it is the whole of.
     """
 
     def __init__(
@@ -160,7 +161,7 @@ class Rounds:
         """
         self._make = bind
         self._launches: list[Launch] | None = None
-        self._once, self.helped = once, Trial()
+        self._once, self.helped, self.wanted = once, Trial(), 0
         self.watch, self.peak, self.halt, self.sweeps = watch, peak, halt, sweeps
         self._first, self.worlds = first, count
         self._done = aligned_zeros((CACHE_LINE,), np.dtype(np.int64))

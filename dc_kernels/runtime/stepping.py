@@ -20,8 +20,9 @@ SHARDS_PER_THREAD = 2  # who is done first takes on what is left
 # 1 024 worlds of ten boxes, 22 MB, take .8 of the time on one thread and .89 on two. Larger worlds gain nothing.
 TILE = 700
 SMALL = 64  # bodies of a world
+MOST_TILES = 300  # beyond, a round of all takes longer than LEVELED, and launches take long to bind
 WORTH_TILES = 20  # rounds from which a shard's launches are worth binding: 1.5 ms each
-LEVELED = 200_000  # bodies times rounds that shards may be apart: what an interrupt leaves to be leveled takes 0.2 s
+LEVELED = 0.2  # that it may take to bring all shards as far as the one that is farthest, after an interrupt [s]
 CHUNK = 10  # rounds that a thread takes of a shard at a time: 250 at once leaves one idle at the end for 3 %
 AT_ONCE = 20_000  # bodies times rounds between two looks for an interrupt: 10 to 40 ms
 IDLE_AT_ONCE = 2_000_000  # worlds times rounds in which nothing is awake: 1 to 50 ms
@@ -65,7 +66,7 @@ class Shards:
         self.threads = self.over_worlds = max(1, min(threads, worlds))
         self.helpers = 0
         count = 1 if self.threads == 1 else SHARDS_PER_THREAD * self.threads
-        if tiles and bodies <= SMALL * worlds:
+        if tiles and bodies <= min(SMALL * worlds, MOST_TILES * TILE):
             count = max(count, bodies // TILE)
         count = min(count, max(worlds, 1))
         edges = np.linspace(0, worlds, count + 1).astype(int) if count > 1 else (0, worlds)
@@ -79,7 +80,6 @@ class Shards:
         self._turn = threading.Condition()
         self._busy: set[int] = set()
         self._stop = False
-        self._taken = 0  # rounds, ever
         self.disturbed = False
         self.idle: Callable[[], bool] | None = None
         self._timer: threading.Timer | None = None
@@ -152,7 +152,9 @@ class Shards:
             one.halt[0] = 0
         self._calm()
         try:
-            apart = self.bodies * whole.sweeps > SWEPT and whole.compiled and in_main_thread()
+            # one thread may take so many rounds of a shard before the last shard has one
+            ahead = CHUNK if self.threads == 1 and len(self.ranges) > 1 and longest > 1 else 1
+            apart = self.bodies * whole.sweeps * ahead > SWEPT and whole.compiled and in_main_thread()
             if apart and not (longest == 1 and self._is_idle()):  # to start a thread takes longer than an idle step
                 run_apart(lambda: self._run(rounds, longest), self._interrupt)
             else:
@@ -240,8 +242,8 @@ class Shards:
 
     def _take_rounds(self, rounds: Sequence[Rounds], longest: int, teams: Teams | None = None) -> None:
         shards, whole = rounds[: len(self.ranges)], rounds[-1]
-        self._taken += longest
-        tiled = len(shards) > 1 and longest > 1 and self._taken >= WORTH_TILES and not self._is_idle()
+        whole.wanted += longest
+        tiled = len(shards) > 1 and longest > 1 and whole.wanted >= WORTH_TILES and not self._is_idle()
         if (self.threads > 1 or tiled) and self.bodies * longest >= WORTH_THREADS:
             self._share(shards, whole)
         elif longest == min(self.left):
@@ -291,8 +293,9 @@ class Shards:
         self._busy.clear()
         for one in shards:
             one.bind()  # here, by one thread
-        most = max(min(CHUNK, self._at_once(shards[0]), LEVELED // self.bodies), 1)
-        apart = max(APART * self._at_once(whole), most)
+        at_once = min(CHUNK, self._at_once(shards[0]))
+        spent = [LEVELED] * len(shards)  # by a round of each, as far as is known [s]
+        apart = max(APART * self._at_once(whole), at_once)
 
         def stop() -> None:
             self._stop = self.disturbed = True
@@ -302,7 +305,10 @@ class Shards:
         def work() -> None:
             try:
                 while (i := self._next(shards, apart)) is not None:
+                    most = max(min(at_once, int(LEVELED / sum(spent))), 1)
+                    begun = time.perf_counter()
                     shards[i].take(min(self.left[i], most))
+                    spent[i] = (time.perf_counter() - begun) / most
                     with self._turn:
                         self.left[i] -= shards[i].count()
                         self._busy.discard(i)
