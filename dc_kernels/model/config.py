@@ -110,7 +110,8 @@ class SolverConfig(Settings):
     """With stop "motion" a contact counts as moving if a sweep changes its relative speed, along the normal or the
     tangent, by more than this many slops a step, plus a term by ``motion_share`` or ``motion_mean``. A solve ends when
     at most one contact in ten moves, at most one in 5 000 by more than 50 times its limit, none by more than 200 times,
-    no row that holds a joint by more than 5 times, and the residual is below 0.25 [slop/step]."""
+    or 50 if one of its bodies is ten times as heavy as the other, no row that holds a joint by more than 5 times, and
+    the residual is below 0.25 [slop/step]."""
     motion_share: NotNegative = 0.05
     """Share of the velocity change by contacts in the step, of the faster body, beyond 1.5 times that by gravity and up
     to twice the largest speed before it, by which the limit of ``motion_tolerance`` is raised: impacts are solved to

@@ -13,7 +13,7 @@ from dc_kernels._numpy.solve.row import Row, by_lane, jacobi_row, natural_map_ro
 from dc_kernels._numpy.solve.trees import Tree
 from dc_kernels.model.config import ACCELERATIONS, JOINT_SOLVERS, METHODS, STOPS
 from dc_kernels.model.fields import UNBOUNDED
-from dc_kernels.solve.iteration import APART, ASKEW, FALL, FAR, FARTHEST, MOVING, NEVER, PAST, RISE, SCARCE
+from dc_kernels.solve.iteration import ALIKE, APART, ASKEW, FALL, FAR, FARTHEST, MOVING, NEVER, PAST, RISE, SCARCE
 from dc_kernels.solve.rows import COLORS, COLUMNS, LANES, OWN
 
 JACOBI = METHODS["jacobi"]
@@ -107,7 +107,7 @@ class World:
     def is_still(self) -> bool:
         """Whether the last sweep has moved at most one row in MOVING, one in SCARCE far, and none farthest.
 
-        The residual is not ASKEW either.
+        Nor one far whose bodies are not ALIKE; and the residual is not ASKEW.
         """
         config, motion, model, w = self.config, self.motion, self.model, self.w
         if self.rows.line_start[w + 1] > self.rows.line_start[w]:
@@ -122,7 +122,9 @@ class World:
             mass = row.effective_mass
             limit = still + max(min(share * (max(given[row.a], given[row.b]) - fall), share * rise), least)
             moved = np.abs(by_lane(self.rows.change)[row.at])
-            if not (moved <= real(FARTHEST) * (limit * mass)).all():
+            heavier, lighter = sorted((motion.solved[row.a, 3], motion.solved[row.b, 3]))
+            unlike = heavier > 0 and lighter > real(ALIKE) * heavier
+            if not (moved <= real(FAR if unlike else FARTHEST) * (limit * mass)).all():
                 return False
             far += int(not (moved <= real(FAR) * (limit * mass)).all())
             moving += int(not (moved <= limit * mass).all())

@@ -12,7 +12,7 @@ from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.laws import linear_speed, natural_map_squared, relative_speed
 from dc_kernels.model.fields import UNBOUNDED
-from dc_kernels.solve.iteration import ASTRAY, FAR, FARTHEST, MOVING, SCARCE
+from dc_kernels.solve.iteration import ALIKE, ASTRAY, FAR, FARTHEST, MOVING, SCARCE
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SURFACED
 
 N_LANES = wp.constant(LANES)
@@ -276,7 +276,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
     ):
         """What a row adds to a world's ``moving``: MOVING where the last sweep moved it, less one where it can move.
 
-        SCARCE more where it moved it by FAR times as much, and ASTRAY by FARTHEST times.
+        SCARCE more where it moved it by FAR times as much, and ASTRAY where its bodies are not ALIKE, or by FARTHEST.
         """
         r = block * width + lane
         i = block * 2 * N_LANES + lane
@@ -297,6 +297,9 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
             count += IN_ALL
         if not (dn <= real(FAR) * n and dt <= real(FAR) * tangential):
             count += FAR_IN_ALL
+            heavier = wp.min(motion.solved[a][3], motion.solved[b][3])
+            if heavier > real(0.0) and wp.max(motion.solved[a][3], motion.solved[b][3]) > real(ALIKE) * heavier:
+                count = LED_ASTRAY
         if not (dn <= real(FARTHEST) * n and dt <= real(FARTHEST) * tangential):
             count = LED_ASTRAY
         return count
