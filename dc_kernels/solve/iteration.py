@@ -14,11 +14,11 @@ RETREAT = 4.0  # times the least change: a solve that hits its cap beyond goes b
 # was led astray, by steps along which rows are nearly singular
 GROWTH = 100.0
 # stop "motion" (``SolverConfig.stop``): a sweep may still move one row in MOVING, one in SCARCE by FAR times as much as
-# counts, and none by FARTHEST times, or by FAR if one of its bodies is more than ALIKE
-# times as heavy as the other. Of the rows of a large pile some are always the last: of 196 000 at rest up to 35 moved
-# by 50 to 130 times after 10 sweeps, for which all were swept 15 to 45 times. A heavy box on them sank further where
-# its own rows might be far. FALL: what gravity gives a body in a step, times this, is no impact. ASTRAY stands for more
-# rows than there are
+# counts, and none by FARTHEST times, or by FAR if one of its bodies is more than ALIKE times as heavy as the other. Of
+# the rows of a large pile some are always the last: of 196 000 at rest up to 35 moved by 50 to 130 times after 10
+# sweeps, for which all were swept 15 to 45 times. A heavy box on them sank further where its own rows might be far.
+# Where ``motion_mean`` is 0 no row may be. FALL: what gravity gives a body in a step, times this, is no impact. ASTRAY
+# stands for more rows than there are
 MOVING, SCARCE = 10, 5000
 FAR, FARTHEST, ALIKE = 50.0, 200.0, 10.0
 # no solve ends by motion with a larger residual. Impulses that have run off give the bodies such velocities that any

@@ -177,8 +177,12 @@ def test_of_thousands_of_contacts_a_few_may_be_far(backend, schedule, monkeypatc
         config = dc.SolverConfig(acceleration="none")
         sim = dc.Simulation(*builder.finalize(backend=backend), config=config, schedule=schedule)
         sim.collide(DT)
+        start = sim.contacts.numpy("impulse").copy()
         sim.solve()
         found.append(int(sim.stats.numpy("sweeps")[0]))
+        sim.contacts.numpy("impulse")[...] = start
+        sim.solve(replace(config, motion_mean=0.0))  # the preset "strict"
+        assert sim.stats.numpy("sweeps")[0] > 10
     assert found[0] > 10 and found[1] == 10 and found[2] > 10 and found[3] > 10
 
 

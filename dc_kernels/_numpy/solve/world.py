@@ -117,6 +117,7 @@ class World:
         given = np.abs(motion.solved[:, :2] - motion.predicted[:, :2]).max(axis=1)
         rise = real(RISE) * np.abs(motion.predicted[self.bodies, :2]).max(initial=0)
         share, least = real(config.motion_share), real(config.motion_mean) * min(self.beyond(given, fall), rise)
+        farthest = FARTHEST if config.motion_mean > 0 else FAR
         moving = far = movable = 0
         for row in self.own_rows:
             mass = row.effective_mass
@@ -124,7 +125,7 @@ class World:
             moved = np.abs(by_lane(self.rows.change)[row.at])
             heavier, lighter = sorted((motion.solved[row.a, 3], motion.solved[row.b, 3]))
             unlike = heavier > 0 and lighter > real(ALIKE) * heavier
-            if not (moved <= real(FAR if unlike else FARTHEST) * (limit * mass)).all():
+            if not (moved <= real(FAR if unlike else farthest) * (limit * mass)).all():
                 return False
             far += int(not (moved <= real(FAR) * (limit * mass)).all())
             moving += int(not (moved <= limit * mass).all())

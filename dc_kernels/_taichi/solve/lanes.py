@@ -14,7 +14,7 @@ from dc_kernels._taichi.lanes import MASK
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.solve.bodies import body_functions, largest, magnitude, total
 from dc_kernels.model.fields import UNBOUNDED
-from dc_kernels.solve.iteration import ALIKE, ASTRAY, FAR, FARTHEST, MOVING, SCARCE
+from dc_kernels.solve.iteration import ALIKE, ASTRAY, FAR, MOVING, SCARCE
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES
 
 INFINITY = float("inf")
@@ -240,10 +240,10 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             rows.change[r + 1] = yt - xt
 
     @ti.func
-    def moving(rows: t.Rows, motion: t.Motion, b0, b1, still, share, fall, most, least, floor):
+    def moving(rows: t.Rows, motion: t.Motion, b0, b1, still, share, fall, most, least, farthest, floor):
         """MOVING times the rows that the last sweep still moved, SCARCE times those moved FAR, less all that can move.
 
-        ASTRAY where it moved one by FARTHEST times as much, or one by FAR whose bodies are not ALIKE. Moved is a row
+        ASTRAY where it moved one by ``farthest`` times as much, or one by FAR whose bodies are not ALIKE. Moved is one
         whose speed it changed by more than ``still`` + ``share`` times what the impulses of the step have changed the
         velocity of the faster body by, beyond ``fall``, ``most`` at most, or than ``still`` + ``least`` where that is
         more.
@@ -263,18 +263,18 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             # NaN is moved, and farthest
             moved = ti.select(dn <= n, ti.select(dt <= tangential, vec8(0.0), vec8(1.0)), vec8(1.0))
             far = ti.select(dn <= FAR * n, ti.select(dt <= FAR * tangential, vec8(0.0), vec8(1.0)), vec8(1.0))
-            within = ti.select(dt <= FARTHEST * tangential, vec8(0.0), vec8(1.0))
-            farthest = ti.select(dn <= FARTHEST * n, within, vec8(1.0))
+            within = ti.select(dt <= farthest * tangential, vec8(0.0), vec8(1.0))
+            away = ti.select(dn <= farthest * n, within, vec8(1.0))
             if total(far) > 0.0:
                 _, _, _, ma = load_bodies(rows, r, motion.solved, floor)
                 _, _, _, mb = load_bodies(rows, r + 1, motion.solved, floor)
                 heavier = ti.min(ma, mb)
                 unlike = ti.select(ti.max(ma, mb) > ALIKE * heavier, far, vec8(0.0))
-                farthest = ti.max(farthest, ti.select(heavier > 0.0, unlike, vec8(0.0)))
+                away = ti.max(away, ti.select(heavier > 0.0, unlike, vec8(0.0)))
             moves = ti.select(rows.column[k + EN] > 0.0, vec8(1.0), vec8(0.0))
             count += ti.cast(total(MOVING * moved + SCARCE * far - moves), ti.i32)
             b += 1
-            if total(farthest) > 0.0 or count > all:
+            if total(away) > 0.0 or count > all:
                 count = ASTRAY
                 b = b1
         return count

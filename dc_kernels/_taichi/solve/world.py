@@ -16,7 +16,7 @@ from dc_kernels._taichi.solve.ranges import piece, range_functions
 from dc_kernels._taichi.solve.row import row_functions
 from dc_kernels._taichi.solve.trees import tree_functions
 from dc_kernels.model.config import JOINT_SOLVERS, METHODS, STOPS
-from dc_kernels.solve.iteration import APART, FALL, FAR, NEVER, RISE
+from dc_kernels.solve.iteration import APART, FALL, FAR, FARTHEST, NEVER, RISE
 from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, SERIAL_COLOR
 
 ENDS = COLORS + 1
@@ -198,11 +198,13 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         share, floor = config.motion_share, unknown_floor(config)
         rise = RISE * fastest(motion, span.first_body, span.last_body)
         least = 0.0
+        farthest = FAR
         if config.motion_mean > 0.0:
+            farthest = FARTHEST
             mean = beyond(motion, span.first_body, span.last_body, span.fall)
             least = config.motion_mean * ti.min(mean, rise)
         most = share * rise
-        count = moving(rows, motion, span.first, span.last, span.still, share, span.fall, most, least, floor)
+        count = moving(rows, motion, span.first, span.last, span.still, share, span.fall, most, least, farthest, floor)
         done = ti.cast(count <= 0, ti.i32)
         if ti.static(own):
             if done == 1:

@@ -22,7 +22,7 @@ from dc_kernels._warp.native import SCALARS, in_parts, native_code
 from dc_kernels._warp.solve.ranges import RANGES
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.runtime.sequences import SEATS
-from dc_kernels.solve.iteration import ALIKE, ASTRAY, FAR, FARTHEST, MOVING, SCARCE
+from dc_kernels.solve.iteration import ALIKE, ASTRAY, FAR, MOVING, SCARCE
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SERIAL_COLOR, SOFT_NUMBERS, SURFACED, TOUCH
 
 
@@ -153,7 +153,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         "runtime/team.h", "runtime/ranges.h", "runtime/count_rows.h", dtype=dtype, ASTRAY=ASTRAY, **RANGES
     )
     moved = in_parts(
-        code("bodies", "moving", ASTRAY=ASTRAY, ALIKE=ALIKE, FAR=FAR, FARTHEST=FARTHEST, MOVING=MOVING, SCARCE=SCARCE),
+        code("bodies", "moving", ASTRAY=ASTRAY, ALIKE=ALIKE, FAR=FAR, MOVING=MOVING, SCARCE=SCARCE),
         "int",
         counted,
         ("columns", "row_body", "bodies", "predicted", "change"),

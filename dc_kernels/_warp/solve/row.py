@@ -12,7 +12,7 @@ from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.solve.laws import linear_speed, natural_map_squared, relative_speed
 from dc_kernels.model.fields import UNBOUNDED
-from dc_kernels.solve.iteration import ALIKE, ASTRAY, FAR, FARTHEST, MOVING, SCARCE
+from dc_kernels.solve.iteration import ALIKE, ASTRAY, FAR, MOVING, SCARCE
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SURFACED
 
 N_LANES = wp.constant(LANES)
@@ -271,12 +271,11 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         return wp.abs(dn)
 
     @wp.func(module=module)
-    def moving_row(
-        block: int, lane: int, rows: t.Rows, motion: t.Motion, span: t.Span, share: real, most: real, least: real
-    ):
+    def moving_row(block: int, lane: int, rows: t.Rows, motion: t.Motion, span: t.Span, shares: t.vec4):
         """What a row adds to a world's ``moving``: MOVING where the last sweep moved it, less one where it can move.
 
-        SCARCE more where it moved it by FAR times as much, and ASTRAY where its bodies are not ALIKE, or by FARTHEST.
+        SCARCE more where it moved it by FAR times as much, and ASTRAY where its bodies are not ALIKE then, or it moved
+        farther than ``shares`` allow.
         """
         r = block * width + lane
         i = block * 2 * N_LANES + lane
@@ -285,7 +284,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         va = motion.solved[a] - motion.predicted[a]
         vb = motion.solved[b] - motion.predicted[b]
         given = wp.max(wp.max(wp.abs(va[0]), wp.abs(va[1])), wp.max(wp.abs(vb[0]), wp.abs(vb[1])))
-        limit = span.still + wp.max(wp.min(share * (given - span.fall), most), least)
+        limit = span.still + wp.max(wp.min(shares[0] * (given - span.fall), shares[1]), shares[2])
         dn = wp.abs(rows.change[i])
         dt = wp.abs(rows.change[i + N_LANES])
         n = limit * rows.column[r + EN]
@@ -300,7 +299,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
             heavier = wp.min(motion.solved[a][3], motion.solved[b][3])
             if heavier > real(0.0) and wp.max(motion.solved[a][3], motion.solved[b][3]) > real(ALIKE) * heavier:
                 count = LED_ASTRAY
-        if not (dn <= real(FARTHEST) * n and dt <= real(FARTHEST) * tangential):
+        if not (dn <= shares[3] * n and dt <= shares[3] * tangential):
             count = LED_ASTRAY
         return count
 

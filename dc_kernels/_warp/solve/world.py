@@ -12,7 +12,7 @@ from dc_kernels._warp.solve.ranges import range_functions, ranges_code
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels._warp.solve.trees import tree_functions
 from dc_kernels.model.config import JOINT_SOLVERS, METHODS, STOPS
-from dc_kernels.solve.iteration import APART, ASTRAY, FALL, FAR, NEVER, RISE
+from dc_kernels.solve.iteration import APART, ASTRAY, FALL, FAR, FARTHEST, NEVER, RISE
 from dc_kernels.solve.rows import COLORS, COLUMNS, JOINTED, LANES, OWN, ROLLING_COLOR, SERIAL_COLOR, SURFACED
 
 ENDS = wp.constant(COLORS + 1)
@@ -287,9 +287,12 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
         share = config.motion_share
         rise = real(RISE) * fastest(motion.predicted, span.first_body, span.last_body, span.team)
         least = real(0.0)
+        farthest = real(FAR)
         if config.motion_mean > least:
+            farthest = real(FARTHEST)
             mean = beyond(motion.solved, motion.predicted, span.first_body, span.last_body, span.fall, span.team)
             least = config.motion_mean * wp.min(mean, rise)
+        shares = vec4(share, share * rise, least, farthest)
         if has_lanes() == 1:  # nothing is written, so rows of the serial colour may stand side by side too
             count = moving_lanes(
                 rows.column,
@@ -298,7 +301,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                 motion.predicted,
                 rows.change,
                 span,
-                vec4(share, share * rise, least, real(0.0)),
+                shares,
                 rows.color_block,
                 span.world * ENDS,
             )
@@ -306,7 +309,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             count = int(0)
             for k in range(span.first * N_LANES, span.last * N_LANES):
                 if count <= (span.last - span.first) * N_LANES:
-                    here = moving_row(k / N_LANES, k % N_LANES, rows, motion, span, share, share * rise, least)
+                    here = moving_row(k / N_LANES, k % N_LANES, rows, motion, span, shares)
                     count = wp.where(here == LED_ASTRAY, here, count + here)
         done = wp.where(count <= 0, 1, 0)
         if wp.static(own):

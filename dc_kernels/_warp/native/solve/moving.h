@@ -3,13 +3,13 @@
 // whose bodies are not ALIKE by FAR, or where the rest of the world cannot make up for them. Moved is a row whose speed
 // it changed by more than span.still + share times what the impulses of the step have changed the velocity of the
 // faster body by, beyond span.fall, most at most, or than span.still + least where that is more. Parameters: columns,
-// row_body, bodies, predicted, change, first, last, span, shares: share, most and least. Stands behind prelude.h,
-// bodies.h.
+// row_body, bodies, predicted, change, first, last, span, shares: share, most, least and FARTHEST. Stands behind
+// prelude.h, bodies.h.
 #if defined(__CUDA_ARCH__)
 return 0;  // a GPU counts row by row
 #else
 const Real* const before = (const Real*)predicted.data;
-const Real share = shares[0], most = shares[1], least = shares[2];
+const Real share = shares[0], most = shares[1], least = shares[2], farthest_of_all = shares[3];
 const int all = LANES * (span.last - span.first);
 int count = 0;
 for (int b = first; b < last; ++b) {
@@ -31,7 +31,7 @@ for (int b = first; b < last; ++b) {
     const auto moved = ~((dn <= n) & (dt <= t)), far = ~((dn <= (Real)FAR * n) & (dt <= (Real)FAR * t));
     const Vector heavier = smaller(A.m, B.m), lighter = larger(A.m, B.m);
     const auto unlike = (heavier > 0) & (lighter > (Real)ALIKE * heavier);
-    const auto farthest = ~((dn <= (Real)FARTHEST * n) & (dt <= (Real)FARTHEST * t)) | (far & unlike);
+    const auto farthest = ~((dn <= farthest_of_all * n) & (dt <= farthest_of_all * t)) | (far & unlike);
     const auto moves = en > zero;
     int away = 0;
     for (int lane = 0; lane < LANES; ++lane) {
