@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -75,7 +76,11 @@ def machines(records: Mapping[str, Record]) -> str:
         found.setdefault(line, []).append(name)
     if len(found) == 1:
         return f"All figures are from one machine: {next(iter(found))}."
-    return "\n".join(f"- {', '.join(f'`{name}`' for name in names)}: {line}." for line, names in found.items())
+    lines = (f"- {', '.join(f'`{name}`' for name in names)}: {line}." for line, names in found.items())
+    return "\n".join(
+        textwrap.fill(line, 120, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+        for line in lines
+    )
 
 
 def measured(records: Mapping[str, Record]) -> str:

@@ -16,9 +16,8 @@ from dc_kernels.runtime.sequences import CACHE_LINE, SEATS, PoolRounds, Rounds, 
 from dc_kernels.runtime.threads import in_main_thread, run_apart, run_helped, run_together, uninterrupted, usable_cores
 
 SHARDS_PER_THREAD = 2  # who is done first takes on what is left
-# Many small worlds are taken through CHUNK rounds a few at a time, those of so many bodies, which stay in the caches:
-# 1 024 worlds of ten boxes, 22 MB, take .8 of the time on one thread and .89 on two. Larger worlds gain nothing.
-TILE = 700
+# small worlds are taken through CHUNK rounds so many bodies at a time, which stay in the caches: 1 024 worlds of ten
+TILE = 700  # boxes, 22 MB, take .8 of the time on one thread and .89 on two; larger worlds gain nothing
 SMALL = 64  # bodies of a world
 MOST_TILES = 300  # beyond, a round of all takes longer than LEVELED, and launches take long to bind
 WORTH_TILES = 20  # rounds from which a shard's launches are worth binding: 1.5 ms each
@@ -152,8 +151,7 @@ class Shards:
             one.halt[0] = 0
         self._calm()
         try:
-            # one thread may take so many rounds of a shard before the last shard has one
-            ahead = CHUNK if self.threads == 1 and len(self.ranges) > 1 and longest > 1 else 1
+            ahead = CHUNK if self.threads == 1 and len(self.ranges) > 1 and longest > 1 else 1  # of the last shard
             apart = self.bodies * whole.sweeps * ahead > SWEPT and whole.compiled and in_main_thread()
             if apart and not (longest == 1 and self._is_idle()):  # to start a thread takes longer than an idle step
                 run_apart(lambda: self._run(rounds, longest), self._interrupt)
@@ -448,5 +446,5 @@ def shards_of(backend: str, worlds: int, bodies: int, threads: int, *, teams: bo
     """
     if BACKENDS[backend].own_threads:
         return PoolShards(worlds, bodies, max(1, min(threads, worlds)), backend)
-    traits = BACKENDS[backend]
-    return Shards(worlds, bodies, threads, teams=teams and traits.teams, tiles=tiles and not traits.on_numpy)
+    hosted = not BACKENDS[backend].on_numpy
+    return Shards(worlds, bodies, threads, teams=teams and BACKENDS[backend].teams, tiles=tiles and hosted)

@@ -240,13 +240,13 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             rows.change[r + 1] = yt - xt
 
     @ti.func
-    def moving(rows: t.Rows, motion: t.Motion, b0, b1, still, share, fall, most, least, farthest, floor):
+    def moving(rows: t.Rows, motion: t.Motion, b0, b1, still, fall, shares, floor):
         """MOVING times the rows that the last sweep still moved, SCARCE times those moved FAR, less all that can move.
 
-        ASTRAY where it moved one by ``farthest`` times as much, or one by FAR whose bodies are not ALIKE. Moved is one
-        whose speed it changed by more than ``still`` + ``share`` times what the impulses of the step have changed the
+        ASTRAY where it moved one farther than ``shares`` allow, or one by FAR whose bodies are not ALIKE. Moved is one
+        whose speed it changed by more than ``still`` + a share times what the impulses of the step have changed the
         velocity of the faster body by, beyond ``fall``, ``most`` at most, or than ``still`` + ``least`` where that is
-        more.
+        more; ``shares``: this share, ``most``, ``least``, and how many times as much no row may be moved.
         """
         all = LANES * (b1 - b0)
         count = 0
@@ -255,7 +255,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             k = (b * width) & MASK
             r = (2 * b) & MASK
             given = ti.max(pushed(rows, r, motion, floor), pushed(rows, r + 1, motion, floor))
-            limit = still + ti.max(ti.min(share * (given - fall), vec8(most)), vec8(least))
+            limit = still + ti.max(ti.min(shares[0] * (given - fall), vec8(shares[1])), vec8(shares[2]))
             dn = magnitude(rows.change[r])
             dt = magnitude(rows.change[r + 1])
             n = limit * rows.column[k + EN]
@@ -263,8 +263,8 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             # NaN is moved, and farthest
             moved = ti.select(dn <= n, ti.select(dt <= tangential, vec8(0.0), vec8(1.0)), vec8(1.0))
             far = ti.select(dn <= FAR * n, ti.select(dt <= FAR * tangential, vec8(0.0), vec8(1.0)), vec8(1.0))
-            within = ti.select(dt <= farthest * tangential, vec8(0.0), vec8(1.0))
-            away = ti.select(dn <= farthest * n, within, vec8(1.0))
+            within = ti.select(dt <= shares[3] * tangential, vec8(0.0), vec8(1.0))
+            away = ti.select(dn <= shares[3] * n, within, vec8(1.0))
             if total(far) > 0.0:
                 _, _, _, ma = load_bodies(rows, r, motion.solved, floor)
                 _, _, _, mb = load_bodies(rows, r + 1, motion.solved, floor)

@@ -203,8 +203,8 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
             farthest = FARTHEST
             mean = beyond(motion, span.first_body, span.last_body, span.fall)
             least = config.motion_mean * ti.min(mean, rise)
-        most = share * rise
-        count = moving(rows, motion, span.first, span.last, span.still, share, span.fall, most, least, farthest, floor)
+        shares = t.vec4(share, share * rise, least, farthest)
+        count = moving(rows, motion, span.first, span.last, span.still, span.fall, shares, floor)
         done = ti.cast(count <= 0, ti.i32)
         if ti.static(own):
             if done == 1:
