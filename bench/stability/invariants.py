@@ -52,6 +52,11 @@ def core(sim: dc.Simulation, shape: int) -> tuple[Array, float]:
     return turned + state.numpy("position")[body].astype(np.float64), float(model.numpy("shape_radius")[shape])
 
 
+def velocity_at(velocity: Array, arm: Array) -> Array:
+    """Velocities of points of bodies with these velocities and spins, (..., 3), at these arms, (..., 2)."""
+    return velocity[..., :2] + velocity[..., 2:3] * np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
+
+
 def edges(hull: Array) -> tuple[Array, Array]:
     """Starts and ends of a hull's edges: one for a point (to itself) or a line, n for a polygon."""
     if len(hull) < 3:
@@ -174,8 +179,8 @@ class Way:
         self.velocity = np.array((vx, vy))
         if not turns:
             center = sim.model.numpy("shape_center")[shape].astype(np.float64)
-            x, y = rotation(float(sim.state.numpy("angle")[body])) @ center
-            self.velocity = self.velocity + self.spin * np.array((-y, x))
+            arm = rotation(float(sim.state.numpy("angle")[body])) @ center
+            self.velocity = velocity_at(np.array((vx, vy, self.spin)), arm)
             self.spin = 0.0
 
     @property
@@ -310,9 +315,8 @@ def stopping(sim: dc.Simulation, table: dict[str, Array], predicted: Array) -> A
     """Impulses (contacts, 2) [N s] of the size that a contact alone would need to stop the relative velocity there."""
     inverse = sim.model.numpy("inv_mass").astype(np.float64)
     a, b = table["body_a"], table["body_b"]
-    at = [predicted[i, :2] + predicted[i, 2:3] * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
-          for i, arm in ((a, table["arm_a"]), (b, table["arm_b"]))]  # fmt: skip
-    return np.hypot(*(at[1] - at[0]).T)[:, None] / (inverse[a] + inverse[b])[:, None] * np.ones(2)
+    speed = velocity_at(predicted[b], table["arm_b"]) - velocity_at(predicted[a], table["arm_a"])
+    return np.hypot(*speed.T)[:, None] / (inverse[a] + inverse[b])[:, None] * np.ones(2)
 
 
 def joint_frames(sim: dc.Simulation) -> tuple[Array, Array, Array, tuple[Array, Array]]:
@@ -355,15 +359,11 @@ def energy_gain(sim: dc.Simulation) -> tuple[float, float]:
         a, b, along, arms = joint_frames(sim)
         pull = sim.joints.numpy("joint_impulse").astype(np.float64)[:, None] * along
         ends += [(a, arms[0], pull, 1.0), (b, arms[1], pull, -1.0)]
-        va, vb = (after[i, :2] + after[i, 2:3] * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
-                  for i, arm in ((a, arms[0]), (b, arms[1])))  # fmt: skip
-        given = (pull * (vb - va)).sum(axis=1)
+        given = (pull * (velocity_at(after[b], arms[1]) - velocity_at(after[a], arms[0]))).sum(axis=1)
         work += float(given.sum())
         size += float(np.abs(given).sum())
     for body, arm, push, sign in ends:
-        v = before[body]
-        at = v[:, :2] + v[:, 2:3] * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
-        power = sign * (push * at).sum(axis=1)[kinematic[body]]  # on what is not kinematic
+        power = sign * (push * velocity_at(before[body], arm)).sum(axis=1)[kinematic[body]]  # on what is not kinematic
         work += float(power.sum())
         size += float(np.abs(power).sum())
     return kinetic(after) - kinetic(before) - work, kinetic(before) + size
