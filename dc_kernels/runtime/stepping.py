@@ -71,7 +71,7 @@ class Shards:
         edges = np.linspace(0, worlds, count + 1).astype(int) if count > 1 else (0, worlds)
         self.ranges = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
         self.parts = count
-        self.bodies, self._worlds = max(bodies, 1), worlds
+        self.bodies, self._worlds = max(bodies, 1), max(worlds, 1)
         self.peak = aligned_zeros((count + 1, CACHE_LINE), INT)
         self.left = [0] * count
         self.halted = False
@@ -151,7 +151,7 @@ class Shards:
             one.halt[0] = 0
         self._calm()
         try:
-            ahead = CHUNK if self.threads == 1 and len(self.ranges) > 1 and longest > 1 else 1  # of the last shard
+            ahead = CHUNK if self.threads == 1 < len(self.ranges) and longest > 1 else 1  # of a shard to the next
             apart = self.bodies * whole.sweeps * ahead > SWEPT and whole.compiled and in_main_thread()
             if apart and not (longest == 1 and self._is_idle()):  # to start a thread takes longer than an idle step
                 run_apart(lambda: self._run(rounds, longest), self._interrupt)
@@ -303,10 +303,10 @@ class Shards:
         def work() -> None:
             try:
                 while (i := self._next(shards, apart)) is not None:
-                    most = max(min(at_once, int(LEVELED / sum(spent))), 1)
+                    chunk = min(self.left[i], max(min(at_once, int(LEVELED / sum(spent))), 1))
                     begun = time.perf_counter()
-                    shards[i].take(min(self.left[i], most))
-                    spent[i] = (time.perf_counter() - begun) / most
+                    shards[i].take(chunk)
+                    spent[i] = (time.perf_counter() - begun) / chunk
                     with self._turn:
                         self.left[i] -= shards[i].count()
                         self._busy.discard(i)
