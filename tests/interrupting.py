@@ -1,11 +1,14 @@
 """Ctrl-C from outside, for work that may hold the interpreter's lock."""
 
 import contextlib
+import gc
 import os
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
+from types import FrameType
 
 import pytest
 
@@ -50,7 +53,9 @@ def interrupted(within: float = 1.0) -> Iterator[None]:
     It has to go on until then: ``work_on`` at its end makes it do so.
     """
     # tests in the background of a shell would ignore Ctrl-C
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    before = signal.signal(signal.SIGINT, interrupt)
+    collects = gc.isenabled()
+    gc.disable()  # what other tests have left is not deleted here
     try:
         with pytest.raises(KeyboardInterrupt), sent() as worked:
             yield
@@ -58,6 +63,18 @@ def interrupted(within: float = 1.0) -> Iterator[None]:
         assert time.process_time() - worked[0] < within
     finally:
         signal.signal(signal.SIGINT, before)
+        if collects:
+            gc.enable()
+
+
+def interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt, but not from ``__del__``, where Python would ignore it: then a moment later."""
+    while frame is not None:
+        if frame.f_code.co_name == "__del__":
+            threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
 
 
 def work_on(seconds: float = 10.0) -> None:
