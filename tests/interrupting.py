@@ -5,10 +5,11 @@ import gc
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
-from types import FrameType
+from typing import Any
 
 import pytest
 
@@ -53,28 +54,28 @@ def interrupted(within: float = 1.0) -> Iterator[None]:
     It has to go on until then: ``work_on`` at its end makes it do so.
     """
     # tests in the background of a shell would ignore Ctrl-C
-    before = signal.signal(signal.SIGINT, interrupt)
+    before, hook = signal.signal(signal.SIGINT, signal.default_int_handler), sys.unraisablehook
     collects = gc.isenabled()
     gc.disable()  # what other tests have left is not deleted here
+
+    def again(ignored: Any) -> None:
+        """Python ignores an interrupt that falls into ``__del__``."""
+        if issubclass(ignored.exc_type, KeyboardInterrupt):
+            threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGINT)).start()
+        else:
+            hook(ignored)
+
+    sys.unraisablehook = again
     try:
         with pytest.raises(KeyboardInterrupt), sent() as worked:
             yield
         # several threads may have worked meanwhile; how much time passed says nothing on a busy machine
         assert time.process_time() - worked[0] < within
     finally:
+        sys.unraisablehook = hook
         signal.signal(signal.SIGINT, before)
         if collects:
             gc.enable()
-
-
-def interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt, but not from ``__del__``, where Python would ignore it: then a moment later."""
-    while frame is not None:
-        if frame.f_code.co_name == "__del__":
-            threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
-            return
-        frame = frame.f_back
-    raise KeyboardInterrupt
 
 
 def work_on(seconds: float = 10.0) -> None:
