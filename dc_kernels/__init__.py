@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dc_kernels.runtime.lazy import lazy_names
+from dc_kernels.runtime.imports import lazy_names
 
 if TYPE_CHECKING:
     from dc_kernels import delassus, func

@@ -29,7 +29,7 @@ from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import refuse_hosted, refuse_recording
 from dc_kernels.runtime.inputs import check_whole
 from dc_kernels.runtime.sequences import Needing, Rounds, Watch
-from dc_kernels.runtime.stepping import shards_of
+from dc_kernels.runtime.shards import shards_of
 from dc_kernels.runtime.threads import GPU_CALLS, OneCaller, uninterrupted
 from dc_kernels.sleep.sleepers import Sleepers
 from dc_kernels.solve import schedules

@@ -37,8 +37,8 @@ from dc_kernels.model.validate.scene import check_joints, check_model, check_sta
 from dc_kernels.runtime.backends import BACKENDS, check_device
 from dc_kernels.runtime.files import file_name, write_file
 from dc_kernels.runtime.hdf5 import image, reading
+from dc_kernels.runtime.imports import require
 from dc_kernels.runtime.inputs import check_count, check_file
-from dc_kernels.runtime.optional import require
 from dc_kernels.runtime.threads import usable_cores
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast, get_args
 
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.commands.compare import Demo, Evaluate, Protocol
 from pipeline.commands.fclib import Fclib
 from pipeline.commands.figures import Figures

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 
 PATIENCE = 0.25
 """Time that a loop has to end by itself after Ctrl-C, before what is urgent in it is interrupted [s]."""

@@ -11,7 +11,7 @@ import numpy as np
 from bench.error_time import runs as error_time_runs
 from bench.error_time import solve as error_time_solve
 from bench.error_time.motion import MOTIONS, SERIES, order
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.plots import style as plots
 
 Style = Mapping[str, str]

@@ -17,7 +17,7 @@ import numpy as np
 import dc_kernels as dc
 from bench import timing
 from bench.peers.engines import ENGINES
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline import scenes
 
 GRAVITY = 9.8  # [m/s^2]

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from dc_kernels.grid.grid import Grid
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 
 
 class ThesesTransfer:

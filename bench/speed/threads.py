@@ -16,7 +16,7 @@ THREADS = 2
 SIZES = {1_000: 1, 2_000: 2, 5_000: 5, 10_000: 10, 100_000: 100}  # piles of 1 000 side by side
 SETTINGS = {"default": None, "sweeps_10": 10}  # most sweeps of a step
 ROUNDS, ROUNDS_QUICK = 7, 3
-WORK, WORK_QUICK = 400_000, 100_000  # bodies times steps of a round at 10 sweeps
+WORK, WORK_QUICK = 400_000, 100_000  # bodies times steps of a round
 
 
 def _spin() -> None:
@@ -29,7 +29,7 @@ def _piles(quick: bool) -> dict[tuple[int, str], dict[int, Any]]:
     """Simulations of the same pile by size and setting, on one thread and on two."""
     import dc_kernels as dc
     from bench import cases
-    from dc_kernels.runtime.stepping import AT_ONCE
+    from dc_kernels.runtime.stepping import AT_ONCE, MORE
     from dc_kernels.runtime.threads import FIRST_TRIES
 
     one = cases.settled(1_000)
@@ -43,15 +43,15 @@ def _piles(quick: bool) -> dict[tuple[int, str], dict[int, Any]]:
             sims = {}
             for threads in (1, THREADS):
                 sims[threads] = dc.Simulation(sim.model.copy(), sim.state.copy(), config=config, threads=threads)
-                sims[threads].run(4 * FIRST_TRIES * max(AT_ONCE // bodies, 1), cases.DT)  # until it has its way
+                # until it has its way
+                sims[threads].run(4 * FIRST_TRIES * max(MORE * AT_ONCE // bodies, 1), cases.DT)
             found[bodies, name] = sims
     return found
 
 
-def _steps(bodies: int, name: str, quick: bool) -> int:
-    """Steps of a round, fewer where each may take a thousand sweeps."""
-    work = WORK_QUICK if quick else WORK
-    return max(work // bodies // (1 if name == "sweeps_10" else 10), 2)
+def _steps(bodies: int, quick: bool) -> int:
+    """Steps of a round."""
+    return max((WORK_QUICK if quick else WORK) // bodies, 2)
 
 
 def _runner(sim: Any, steps: int) -> Callable[[], None]:
@@ -73,7 +73,7 @@ def measure(quick: bool) -> dict[str, Any]:
     equal, trips = [], []
     for (bodies, name), sims in piles.items():
         timing.progress(f"{bodies} discs, {name}")
-        steps = _steps(bodies, name, quick)
+        steps = _steps(bodies, quick)
         trips.append(round_trip_ns())
         times = timing.interleave({str(threads): _runner(sim, steps) for threads, sim in sims.items()}, rounds)
         trips.append(round_trip_ns())
@@ -89,7 +89,7 @@ def measure(quick: bool) -> dict[str, Any]:
     values["round_trip_ns"] = statistics.median(trips)
 
     timing.progress("with every core busy")
-    sims, steps = piles[10_000, "sweeps_10"], _steps(10_000, "sweeps_10", quick)
+    sims, steps = piles[10_000, "sweeps_10"], _steps(10_000, quick)
     context = multiprocessing.get_context("spawn")
     busy = [context.Process(target=_spin, daemon=True) for _ in range(timing.machine(THREADS)["cores"])]
     try:

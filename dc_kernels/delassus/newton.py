@@ -15,7 +15,7 @@ from dc_kernels.delassus.first_order import FirstOrder
 from dc_kernels.delassus.groups import PROBLEM, Acceleration, PackedProblem
 from dc_kernels.delassus.lemke import WHOLE, lemke, solve_patch
 from dc_kernels.delassus.search import HUGE, LEAST, Search
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 
 FIRST_SWEEPS = 60  # before Newton: active sets are roughly known then
 PATIENCE = 100  # sweeps without a map halved, after which they have stalled

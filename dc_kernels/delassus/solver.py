@@ -12,7 +12,7 @@ from dc_kernels.delassus.problem import DelassusProblem
 from dc_kernels.delassus.search import METHODS, DelassusSolution, Dtype, Method, Search, SolveOptions
 from dc_kernels.model.settings import checker
 from dc_kernels.runtime.capture import refuse_recording
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 
 _problem = checker(DelassusProblem)
 

@@ -17,10 +17,10 @@ from dc_kernels.learn.packed import Column
 from dc_kernels.measure import contact_slots
 from dc_kernels.model.settings import Limits, checker
 from dc_kernels.runtime.capture import refuse_recording
+from dc_kernels.runtime.imports import require
 from dc_kernels.runtime.inputs import check_array, check_count, check_simulation, check_start, check_whole, check_worlds
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.memory import check_memory
-from dc_kernels.runtime.optional import require
 from dc_kernels.solve.rows import read_column
 from dc_kernels.torch_ops.sweeps import launch
 from dc_kernels.torch_ops.tensors import check_tensors

@@ -23,8 +23,8 @@ from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.model.worlds import Segments, WorldViews, by_world, locked
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
+from dc_kernels.runtime.imports import require
 from dc_kernels.runtime.memory import LARGE, check_memory
-from dc_kernels.runtime.optional import require
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -20,8 +20,8 @@ from dc_kernels.model.settings import Limits, check_choice, checker
 from dc_kernels.neighbors.cells import KEPT, Workspace, allowed, hash_lists, hash_pairs
 from dc_kernels.runtime.backends import bind, check_backend, make_kernels
 from dc_kernels.runtime.capture import refuse_recording
+from dc_kernels.runtime.imports import require
 from dc_kernels.runtime.inputs import check_count, check_points, check_start
-from dc_kernels.runtime.optional import require
 from dc_kernels.runtime.threads import in_main_thread, map_threads, run_apart
 
 _number = checker(Annotated[float, Limits(above=0.0, size=math.sqrt(np.finfo(np.float64).max))])  # its square decides

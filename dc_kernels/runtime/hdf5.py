@@ -28,7 +28,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 from dc_kernels.runtime.files import check_regular, file_name
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 
 MOST_RATIO = 1032
 """Bytes of values that a byte of a file may stand for; gzip's format allows no more [1]."""

@@ -22,8 +22,15 @@ from dc_kernels.runtime.threads import Trial
 
 SEATS = 64  # threads that may share one world
 SPLITS = 4  # lines of a cache with a number for each colour
-PLAN = 137  # lines of a cache for who sums up what
-TEAM_BYTES = 64 * (3 + 2 * SEATS + SPLITS + SPLITS * SEATS + PLAN)  # that hold a team
+PLAN = 141  # lines of a cache for who sums up what
+BEGINS = SEATS // 16  # lines of a cache for where the parts of threads begin
+SEAT = 3  # lines of a cache for each thread
+TEAM_BYTES = 64 * (3 + BEGINS + SEAT * SEATS + SPLITS + SPLITS * SEATS + PLAN)  # that hold a team
+WHOLE = 65536  # of which each thread has a share
+ENOUGH = 32  # phases that tell how fast threads are
+LEARNED = 0.7  # exponent: what they tell is disturbed now and then
+NEARLY = 1.03  # times the least that the longest spent, up to which they are left: what moves has to change caches
+LEAST_SHARE = 4  # times that a thread may take less than as many each, or more
 NAP = 50  # that a member who finds nothing sleeps between two looks [us]
 PATIENCE = 200_000  # naps after which it leaves, even if nobody told it to
 CACHE_LINE = 16  # int32: what threads write, each for itself, lies so far apart
@@ -308,6 +315,38 @@ class PoolRounds(Rounds):
         self._run()
 
 
+class Shares:
+    """How much of each loop the threads of a team take, by how fast they are: cores differ in kind, clock and load.
+
+    Attributes:
+        of: the share of each thread; their sum is 1.
+    """
+
+    def __init__(self, begins: Any) -> None:
+        """Give all as much.
+
+        Args:
+            begins: where each thread's part begins, in units of 1 / ``WHOLE``, int32; written.
+        """
+        self._begins = begins
+        self._set([1.0 / len(begins)] * len(begins))
+
+    def learn(self, spent: Sequence[float]) -> None:
+        """Change them by the time that each has spent with its share, most of the way to where all spend as much."""
+        size, mean = len(spent), sum(spent) / len(spent)
+        if max(spent) < NEARLY * min(spent):
+            return
+        wanted = [
+            min(max(one * (mean / time) ** LEARNED, 1.0 / (LEAST_SHARE * size)), LEAST_SHARE / size)
+            for one, time in zip(self.of, spent)
+        ]
+        self._set([one / sum(wanted) for one in wanted])
+
+    def _set(self, of: list[float]) -> None:
+        self.of = of
+        self._begins[:] = [round(WHOLE * sum(of[:p])) for p in range(len(of))]
+
+
 class Teams:
     """Memory by which threads share the loops of worlds: a team for each shard (``_warp/native/runtime/team.h``).
 
@@ -326,6 +365,10 @@ class Teams:
         head[:, 0], head[:, 1], head[:, [3, 4, 6]] = give_way, sleep, _team_calls()
         head.view(np.uint32)[:, 4:6] = nap, min(size, SEATS)
         self._closed = head.view(np.int32)[:, 10]
+        begins = self._memory[:, 1 : 1 + BEGINS].reshape(teams, -1).view(np.int32)
+        self._shares = [Shares(begins[i, :size]) for i in range(teams)]
+        seats = self._memory[:, 3 + BEGINS :][:, : SEAT * SEATS].reshape(teams, SEATS, -1).view(np.uint64)
+        self._spent = seats[:, :size, 16:18]  # by each thread of each team, and in how many phases
         self._over = aligned_zeros((CACHE_LINE,), np.dtype(np.int32))
         self._process = os.getpid()
         table = np.array(self.addresses, np.uint64)
@@ -335,12 +378,20 @@ class Teams:
         """Prepare for members; those of a process that forked are not there."""
         if self._process != os.getpid():
             self._process = os.getpid()
-            self._memory[:, 1:] = 0
+            self._memory[:, 1 + BEGINS :] = 0
         self._over[0] = 0
 
     def open_jobs(self, wanted: bool) -> None:
         """Let leaders open jobs, or take their loops alone; between two launches."""
         self._closed[:] = not wanted
+
+    def balance(self) -> None:
+        """Share loops by how fast threads were since they last were so shared; between two launches."""
+        for shares, seats in zip(self._shares, self._spent):
+            spent = seats.tolist()
+            if all(ticks and phases >= ENOUGH for ticks, phases in spent):
+                shares.learn([ticks / phases for ticks, phases in spent])
+                seats[:] = 0
 
     def serve(self) -> None:
         """Be a member of all teams, until ``end`` is called."""

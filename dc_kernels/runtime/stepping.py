@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from dc_kernels.model.dtypes import aligned_zeros
-from dc_kernels.runtime.backends import BACKENDS, Launch, kernel_file
+from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import recording
-from dc_kernels.runtime.sequences import CACHE_LINE, SEATS, PoolRounds, Rounds, Teams, Watch, in_turn
+from dc_kernels.runtime.sequences import CACHE_LINE, SEATS, Rounds, Teams, Watch, in_turn
 from dc_kernels.runtime.threads import in_main_thread, run_apart, run_helped, run_together, uninterrupted, usable_cores
 
 SHARDS_PER_THREAD = 2  # who is done first takes on what is left
@@ -23,7 +23,9 @@ MOST_TILES = 300  # beyond, a round of all takes longer than LEVELED, and launch
 WORTH_TILES = 20  # rounds from which a shard's launches are worth binding: 1.5 ms each
 LEVELED = 0.2  # that it may take to bring all shards as far as the one that is farthest, after an interrupt [s]
 CHUNK = 10  # rounds that a thread takes of a shard at a time: 250 at once leaves one idle at the end for 3 %
-AT_ONCE = 20_000  # bodies times rounds between two looks for an interrupt: 10 to 40 ms
+AT_ONCE = 20_000  # bodies times rounds between two looks for an interrupt: 4 to 40 ms
+LOOKED = 0.01  # between two looks, once it is known how long a round takes: a look costs 80 us, as caches are cold [s]
+MORE = 5  # times so many rounds then at most
 IDLE_AT_ONCE = 2_000_000  # worlds times rounds in which nothing is awake: 1 to 50 ms
 SWEPT = 10_000_000  # bodies times sweeps between two looks, if no solve converges: 0.1 to 0.6 s
 APART = 4  # looks that a shard may be ahead of another: what an interrupt leaves to be leveled takes that long
@@ -78,7 +80,7 @@ class Shards:
         self.cut_flag = aligned_zeros((CACHE_LINE,), INT)
         self._turn = threading.Condition()
         self._busy: set[int] = set()
-        self._stop = False
+        self._stop = self._apart = False
         self.disturbed = False
         self.idle: Callable[[], bool] | None = None
         self._timer: threading.Timer | None = None
@@ -89,10 +91,15 @@ class Shards:
             self._teams = Teams(count, self.helpers + 1)
         self.teams = [0] * count if self._teams is None else self._teams.addresses
 
-    def _at_once(self, rounds: Rounds) -> int:
-        """Count the rounds that are taken between two looks for an interrupt."""
+    def _at_once(self, rounds: Rounds, spent: float | None = None) -> int:
+        """Count the rounds between two looks for an interrupt, where those before took ``spent`` each, if known [s]."""
         bodies = max(self.bodies * rounds.worlds // self._worlds, 1)
-        return max(min(AT_ONCE, SWEPT // max(rounds.sweeps, 1)) // bodies, 1)
+        swept = SWEPT // max(rounds.sweeps, 1)
+        if spent is None:
+            return max(min(AT_ONCE, swept) // bodies, 1)
+        # an interrupt cuts short the sweeps of a thread apart
+        most = MORE * AT_ONCE if self._apart else min(MORE * AT_ONCE, swept)
+        return max(min(most // bodies, int(LOOKED / max(spent, 1e-9))), 1)
 
     def rounds(
         self,
@@ -152,8 +159,9 @@ class Shards:
         self._calm()
         try:
             ahead = CHUNK if self.threads == 1 < len(self.ranges) and longest > 1 else 1  # of a shard to the next
-            apart = self.bodies * whole.sweeps * ahead > SWEPT and whole.compiled and in_main_thread()
-            if apart and not (longest == 1 and self._is_idle()):  # to start a thread takes longer than an idle step
+            self._apart = self.bodies * whole.sweeps * ahead > SWEPT and whole.compiled and in_main_thread()
+            # to start a thread takes longer than an idle step
+            if self._apart and not (longest == 1 and self._is_idle()):
                 run_apart(lambda: self._run(rounds, longest), self._interrupt)
             else:
                 self._run(rounds, longest)
@@ -232,6 +240,7 @@ class Shards:
             teams.begin()
             teams.open_jobs(True)
             run_helped(lambda: self._take_rounds(rounds, longest, teams), teams.serve, self.helpers, teams.end)
+            teams.balance()
         else:
             teams.open_jobs(False)
             self._take_rounds(rounds, longest)
@@ -254,8 +263,11 @@ class Shards:
                 whole.take(min(longest, at_once))
                 done = whole.count()
                 longest -= done
+                spent = (time.perf_counter() - begun) / max(done, 1)
                 if tried is not None:
-                    whole.helped.took((time.perf_counter() - begun) / max(done, 1))
+                    whole.helped.took(spent)
+                    tried.balance()
+                at_once = self._at_once(whole, spent)
                 self.left = [longest] * n
                 if self._is_idle():
                     # what is written between two calls was seen in the first round, which takes 100 ns a world
@@ -331,120 +343,3 @@ class Shards:
                     return i
                 self._turn.wait()  # for whom a thread is at work on
         return None
-
-
-class PoolShards(Shards):
-    """Shards that the backend's own threads take through whole steps, and all worlds as one for single phases."""
-
-    def __init__(self, worlds: int, bodies: int, threads: int, backend: str) -> None:
-        """Divide so many worlds with so many bodies in all."""
-        super().__init__(worlds, bodies, 1)
-        self.over_worlds = threads
-        self._parallel, self._backend = threads > 1, backend
-        self._signals = kernel_file(backend, "runtime.signals")
-        self.cut_flag = aligned_zeros((self._signals.WORDS,), INT)  # with what tells a launch of an interrupt
-        count = min(SHARDS_PER_THREAD * threads, worlds) if self._parallel else 1
-        self._starts = np.linspace(0, worlds, count + 1).astype(INT)
-        self.peak = aligned_zeros((count + 1, CACHE_LINE), INT)
-        self.parts = max(count, threads)
-        self._goal: list[int] = []
-
-    def rounds(
-        self,
-        bind: Callable[[int, int], Sequence[Launch]],
-        watch: Watch,
-        together: bool,
-        *,
-        sweeps: int = 0,
-        once: int = 0,
-    ) -> list[Rounds]:
-        """Rounds of all worlds: those of a whole step as one kernel."""
-        launches = bind(*self.ranges[0])
-        if together and all(hasattr(launch, "prepare") for launch in launches):
-            return [self._whole(launches, self._starts, watch, self.peak[:-1], sweeps)]
-        for launch in launches:
-            getattr(launch, "prepare", bool)()
-        return super().rounds(lambda *_: launches, watch, together, sweeps=sweeps, once=once)
-
-    def run(self, rounds: Sequence[Rounds], count: int | Sequence[int]) -> bool:
-        """Take rounds until none is left or one halts (see ``Shards.run``)."""
-        if self.bodies * rounds[0].sweeps <= SWEPT or recording():
-            return self._take_all(rounds, count)
-        try:
-            with self._signals.signals_in(self.cut_flag, round(GRACE * ROWS_PER_SECOND)):
-                return self._take_all(rounds, count)
-        finally:
-            self.disturbed |= bool(self.cut_flag[0])
-
-    def _take_all(self, rounds: Sequence[Rounds], count: int | Sequence[int]) -> bool:
-        """Take rounds until none is left or one halts."""
-        only = rounds[0]
-        if not isinstance(only, PoolRounds) or recording():
-            return super().run(rounds, count)
-        self.halted = False
-        self._begin(only, [count] * only.parts if isinstance(count, int) else list(count))
-        self._calm()
-        try:
-            self._take_to(only, 0)
-        except BaseException:
-            with uninterrupted():
-                self._settle(only)
-                if not self.halted:
-                    self.level(rounds)
-            raise
-        return self.halted
-
-    def once(self, launches: Sequence[Launch], first: int, count: int, watch: Watch) -> None:
-        """Take one round over some of the worlds."""
-        self._whole(launches, np.array([0, count]), watch, self.peak[-1:], 0).take_each([1])
-
-    def _whole(
-        self, launches: Sequence[Launch], starts: np.ndarray, watch: Watch, peak: np.ndarray, sweeps: int
-    ) -> PoolRounds:
-        """Rounds of shards that begin at these worlds, as one kernel."""
-        backend, parallel = self._backend, self._parallel
-        return PoolRounds(launches, starts, watch, peak, backend=backend, parallel=parallel, sweeps=sweeps)
-
-    def level(self, rounds: Sequence[Rounds]) -> bool:
-        """Take rounds until each shard has as few ``left`` as any, or one halts; whether one did."""
-        only = rounds[0]
-        if not isinstance(only, PoolRounds):
-            return super().level(rounds)
-        self._stop = self.halted = False
-        self._begin(only, self.left)
-        self._take_to(only, min(self.left))
-        return self.halted
-
-    def _begin(self, only: PoolRounds, left: list[int]) -> None:
-        only.halt[:] = 0
-        self.left = left
-        self._goal = [n + t for n, t in zip(left, only.taken.tolist())]
-
-    def _take_to(self, only: PoolRounds, least: int) -> None:
-        """Take rounds until so few are left of each shard, as long as none halts and no interrupt arrives."""
-        at_once = self._at_once(only)
-        while max(self.left) > least and not (self.halted or self._stop):
-            only.take_each([min(n - least, at_once) for n in self.left])
-            self._settle(only)
-
-    def _settle(self, only: PoolRounds) -> None:
-        """Count what was taken, however often this is called."""
-        self.left = [goal - t for goal, t in zip(self._goal, only.taken.tolist())]
-        self.halted = bool(only.halt.any())
-
-
-def shards_of(backend: str, worlds: int, bodies: int, threads: int, *, teams: bool, tiles: bool = False) -> Shards:
-    """Shards of so many worlds with so many bodies in all, as the threads of a backend take them.
-
-    Args:
-        backend: of the kernels.
-        worlds: how many.
-        bodies: in all.
-        threads: at most so many are at work at once.
-        teams: whether threads may share the loops of a world, where the backend can.
-        tiles: whether a few small worlds may be taken through several rounds before the others.
-    """
-    if BACKENDS[backend].own_threads:
-        return PoolShards(worlds, bodies, max(1, min(threads, worlds)), backend)
-    hosted = not BACKENDS[backend].on_numpy
-    return Shards(worlds, bodies, threads, teams=teams and BACKENDS[backend].teams, tiles=tiles and hosted)

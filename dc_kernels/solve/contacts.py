@@ -16,7 +16,7 @@ from dc_kernels.runtime.capture import recording, refuse_hosted, refuse_recordin
 from dc_kernels.runtime.inputs import check_layout, check_truth
 from dc_kernels.runtime.interop import InPlace
 from dc_kernels.runtime.sequences import Rounds, Watch
-from dc_kernels.runtime.stepping import shards_of
+from dc_kernels.runtime.shards import shards_of
 from dc_kernels.runtime.threads import OneCaller
 from dc_kernels.solve.exchange import (
     BEFORE,

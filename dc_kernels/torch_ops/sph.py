@@ -20,9 +20,9 @@ import numpy as np
 
 from dc_kernels.model.settings import check_choice
 from dc_kernels.neighbors.search import METHODS, Neighbors, neighbor_lists
+from dc_kernels.runtime.imports import require
 from dc_kernels.runtime.inputs import check_array, check_positive
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
-from dc_kernels.runtime.optional import require
 from dc_kernels.sph.quantities import PUBLIC, Quantity
 from dc_kernels.sph.smoothing import KERNELS, scale
 from dc_kernels.sph.sums import (

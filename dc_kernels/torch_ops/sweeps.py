@@ -11,8 +11,8 @@ import functools
 from typing import Any
 
 from dc_kernels.runtime.backends import make_kernels
+from dc_kernels.runtime.imports import require
 from dc_kernels.runtime.launches import Calls
-from dc_kernels.runtime.optional import require
 
 torch = require("torch", "pipeline")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from dc_kernels.model.settings import WrongType, numeric, shown
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 
 torch = require("torch", "pipeline")
 

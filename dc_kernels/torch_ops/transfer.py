@@ -37,10 +37,10 @@ from dc_kernels.grid.splat import (
 from dc_kernels.grid.stencil import BILINEAR, POLY6, Stencil, check_place
 from dc_kernels.model.arrays import kernel_array
 from dc_kernels.runtime.backends import argument_names, check_backend, has_kernels
+from dc_kernels.runtime.imports import require
 from dc_kernels.runtime.inputs import check_bins, check_count, check_places, check_start, check_truth
 from dc_kernels.runtime.interop import tensor_array, tensor_integers
 from dc_kernels.runtime.launches import Calls
-from dc_kernels.runtime.optional import require
 from dc_kernels.runtime.program import Kernel, bind_part
 from dc_kernels.torch_ops.tensors import check_devices, check_tensors, flat, flat_batch, given_tensor
 

@@ -15,7 +15,7 @@ from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.stencil import Stencil
 from dc_kernels.learn.channels import Scale
 from dc_kernels.learn.differentiable import ContactProblem, sweeps_torch
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from dc_kernels.torch_ops.transfer import gather_torch, splat_torch
 from pipeline.contactnet.network import CARRIED, FREE, STEP, EvenShare
 

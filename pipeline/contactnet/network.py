@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 from dc_kernels.learn.channels import IMAGE, LOCAL, OUTPUT, SHARE
 from dc_kernels.learn.layers import Layers
 from dc_kernels.model.settings import Positive, Settings
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.networks.models import Channels
 from pipeline.networks.registry import register
 from pipeline.networks.trunk import Trunk

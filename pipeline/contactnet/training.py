@@ -17,7 +17,7 @@ import numpy as np
 
 import dc_kernels as dc
 from dc_kernels.learn.channels import Scale
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.contactnet.loss import ERRORS, CallBatch, errors_left, predicted
 from pipeline.contactnet.network import EvenShare
 from pipeline.contactnet.options import ContactTrainOptions

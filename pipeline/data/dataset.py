@@ -18,7 +18,7 @@ import numpy as np
 
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.settings import WrongType, shown
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.data.batch import BODY, CONTACT, SHAPE, Batch, World
 from pipeline.data.folders import Folders, Paths, row_counts
 from pipeline.data.layout import MOTION, offsets

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from dc_kernels.model.enums import flag_names
+from dc_kernels.runtime.imports import require
 from dc_kernels.runtime.inputs import check_whole
-from dc_kernels.runtime.optional import require
 from pipeline.data.index import write_index
 from pipeline.data.layout import INDEX, shard_path
 from pipeline.data.packing import check_compression, one_by_one

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.data.layout import INDEX, LAYOUT, STARTS, DatasetSpec, described, spec_of
 from pipeline.data.packing import file_image, pack
 from pipeline.data.shards import datasets, opened, row_count

@@ -14,7 +14,7 @@ import numpy as np
 
 from dc_kernels.model.settings import check_choice
 from dc_kernels.runtime.hdf5 import ZSTD, image
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.data.layout import DatasetSpec
 
 Compression = Literal["zstd", "gzip"]

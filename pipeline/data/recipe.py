@@ -14,7 +14,7 @@ import numpy as np
 import dc_kernels as dc
 from dc_kernels.grid.splat import TILED_BYTES
 from dc_kernels.model.settings import Count, Positive, Seed, Settings, WrongType, field_checks, shown
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.scenes import SCENES, Scene, Thesis
 from pipeline.scenes import scene as named_scene
 from pipeline.seeds import check_seeds

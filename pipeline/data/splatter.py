@@ -15,8 +15,8 @@ from dc_kernels.grid.scene import Nodes, Scene, SceneSplat
 from dc_kernels.grid.splat import allocate_image
 from dc_kernels.model.arrays import kernel_array
 from dc_kernels.model.enums import BodyType
+from dc_kernels.runtime.imports import require
 from dc_kernels.runtime.inputs import check_count
-from dc_kernels.runtime.optional import require
 
 if TYPE_CHECKING:
     from pipeline.data.dataset import Batch

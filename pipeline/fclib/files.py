@@ -26,7 +26,7 @@ from dc_kernels.delassus import DelassusProblem, assemble_blocks
 from dc_kernels.model.rules import FINITE, NOT_NEGATIVE, POSITIVE, BrokenRule, Number
 from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.runtime.hdf5 import image, reading
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.files import write_bytes
 
 ROOT = "fclib_local"

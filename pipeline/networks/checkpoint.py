@@ -26,7 +26,7 @@ from typing import Any
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.image_spec import ImageSpec
 from dc_kernels.runtime.files import check_regular
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.files import plain, versions, write_bytes
 from pipeline.networks import models
 from pipeline.networks.registry import entry

@@ -30,7 +30,7 @@ from dataclasses import asdict, dataclass, fields, is_dataclass
 from typing import Annotated, Any, ClassVar
 
 from dc_kernels.model.settings import Limits, Settings
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.networks.registry import Setup, Share, Width, entry, register
 
 torch = require("torch", "pipeline")

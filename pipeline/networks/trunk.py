@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 
 torch = require("torch", "pipeline")
 nn = torch.nn

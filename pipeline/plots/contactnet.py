@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.plots.style import CYCLE, INK, LINES, MARKERS, MUTED, SKY, VERMILION, figure, legend_below
 
 COLORS = tuple(color for color in CYCLE if color not in (SKY, MUTED))

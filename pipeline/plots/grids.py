@@ -11,7 +11,7 @@ from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.image_spec import ImageSpec
 from dc_kernels.grid.images import Images
 from dc_kernels.model.arrays import to_numpy
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.plots.style import INK, figure
 from pipeline.plots.world import Forces, WorldDrawing, WorldShapes, arrays
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.evaluate.runs import PARTS, PATHS, Run
 from pipeline.evaluate.tables import EVALUATION_COLUMNS, PROTOCOL_COLUMNS, Column, cells
 from pipeline.plots.style import BLUE, GREEN, INK, LINES, MUTED, ORANGE, PURPLE, SKY, figure, legend_below, start_styles

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.files import write_bytes
 
 INK = "#1f2933"

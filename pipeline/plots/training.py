@@ -10,7 +10,7 @@ import numpy as np
 
 from dc_kernels.grid.channels import IMPULSES
 from dc_kernels.grid.grid import Grid
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.plots.grids import LINEAR, POSITIVE_MAP, SIGNED_MAP, ticks
 from pipeline.plots.style import BLUE, COMPONENTS, INK, MUTED, SKY, VERMILION, figure, legend_below
 

@@ -12,7 +12,7 @@ import numpy as np
 from dc_kernels.model.rules import FINITE, refuse
 from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.runtime.hdf5 import reading
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.plots.style import QUANTITIES, figure, legend_below
 from pipeline.plots.world import WorldDrawing, WorldShapes, draw_world
 from pipeline.run.model import read_model

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.model.enums import BodyType, JointKind, ShapeType
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.plots.style import EDGE, FILL, GREEN, INK
 
 FORCE_MAP = "inferno_r"

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from dc_kernels.runtime.files import not_written, partial_name, put_in_place, target_of
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 
 PAGE = 2**16
 """Size of a page [B]."""

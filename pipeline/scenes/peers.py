@@ -14,8 +14,8 @@ import numpy as np
 import dc_kernels as dc
 from dc_kernels.model.enums import BodyType, ShapeType
 from dc_kernels.model.settings import WrongType, shown
+from dc_kernels.runtime.imports import require
 from dc_kernels.runtime.inputs import check_whole
-from dc_kernels.runtime.optional import require
 from dc_kernels.solve.rows import SURFACED, has_traits, variant_of
 from pipeline.scenes.base import Scene
 from pipeline.scenes.peer_joints import add_to_box2d, add_to_pymunk, peer_joints

@@ -15,7 +15,7 @@ from dc_kernels.learn.channels import Answer as How
 from dc_kernels.learn.in_flight import SolveReader, What
 from dc_kernels.learn.layers import MOST_SCALES
 from dc_kernels.learn.network import NetworkInLanes
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.networks.weights import Watch
 from pipeline.starts.start import Clock
 

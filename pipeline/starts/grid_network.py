@@ -13,7 +13,7 @@ import numpy as np
 
 import dc_kernels as dc
 from dc_kernels.measure import contact_slots
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.starts.impulses import ImpulseStart
 from pipeline.starts.start import Report
 

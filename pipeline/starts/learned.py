@@ -30,7 +30,7 @@ from dc_kernels.learn.channels import Answer as How
 from dc_kernels.learn.channels import Scale
 from dc_kernels.learn.in_flight import SolveReader
 from dc_kernels.model.settings import MAX_INT, Limits, Settings, Whole
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.starts.answers import Answer, InLanes, answer_of
 from pipeline.starts.start import Clock, Report, Started
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.stencil import POLY6
 from dc_kernels.model.settings import shown
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from dc_kernels.torch_ops.transfer import gather_torch, splat_torch
 from pipeline.stepper.view import StepView
 

@@ -15,7 +15,7 @@ from dc_kernels.grid.grid import Grid
 from dc_kernels.learn.step_channels import ANSWER, CHANNELS, LEAST_GIVE, MOTION
 from dc_kernels.learn.step_layers import StepLayers
 from dc_kernels.model.settings import Limits, Positive, Settings
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from dc_kernels.torch_ops.transfer import gather_torch
 from pipeline.networks.models import Channels
 from pipeline.networks.registry import register

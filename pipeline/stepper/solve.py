@@ -26,7 +26,7 @@ from dc_kernels.learn.step_network import StepNetworkInLanes
 from dc_kernels.measure import contact_slots
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.settings import shown
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.networks.weights import Watch
 from pipeline.starts.learned import grid_of
 from pipeline.starts.start import Clock, Report, Started

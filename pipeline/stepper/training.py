@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from dc_kernels.learn.step_channels import CHANNELS
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.data.dataset import Split, describe
 from pipeline.data.generate import generate
 from pipeline.data.recipe import GenerateOptions, Recipe

@@ -17,8 +17,8 @@ from dc_kernels.grid.area import wall_nodes
 from dc_kernels.learn.step_channels import BINS, FLOATING
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.room import rows_of
+from dc_kernels.runtime.imports import require
 from dc_kernels.runtime.memory import check_memory
-from dc_kernels.runtime.optional import require
 from dc_kernels.torch_ops.transfer import splat_torch
 from pipeline.training.losses import direction_bins
 

@@ -20,7 +20,7 @@ from typing import Any
 
 from dc_kernels.grid.image_spec import ImageSpec
 from dc_kernels.grid.stencil import Stencil
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.data import dataset
 from pipeline.data.splatter import Splatter
 from pipeline.files import check_writable, plain, write_json

@@ -19,7 +19,7 @@ from typing import Any, get_args
 from dc_kernels.grid.image_spec import ImageSpec
 from dc_kernels.grid.stencil import BILINEAR
 from dc_kernels.learn.differentiable import ContactProblem, sweeps_torch
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from dc_kernels.solve.rows import COLORS
 from dc_kernels.torch_ops.transfer import gather_torch
 from pipeline.training.options import LossName

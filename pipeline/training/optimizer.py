@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from typing import Any, get_args
 
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.training.options import OptimizerName, ScheduleName
 
 torch = require("torch", "pipeline")

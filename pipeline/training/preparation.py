@@ -9,7 +9,7 @@ from typing import Any
 
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.image_spec import ImageSpec
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.networks import models, registry
 from pipeline.training.options import TrainOptions
 from pipeline.training.processes import own_randomness

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 
 torch = require("torch", "pipeline")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.training.processes import ALONE, Processes, own_randomness
 
 torch = require("torch", "pipeline")

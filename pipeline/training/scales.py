@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.data.splatter import Splatter
 
 torch = require("torch", "pipeline")

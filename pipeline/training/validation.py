@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 from pipeline.data.splatter import Splatter
 from pipeline.plots.training import NAMES, Prediction
 from pipeline.training.losses import Decoder, Loss

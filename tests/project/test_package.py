@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import dc_kernels
-from dc_kernels.runtime.optional import require
+from dc_kernels.runtime.imports import require
 
 ROOT = Path(__file__).resolve().parents[2]
 OPTIONAL = (

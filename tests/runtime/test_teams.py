@@ -11,10 +11,11 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels.runtime import sequences, stepping, threads
+from dc_kernels.runtime.sequences import BEGINS
 from tests.interrupting import interrupted
 
 STEPS = 4
-JOB, MEMBERS = 1, 2  # lines of a team's memory: the leader's, and that of the members
+JOB, MEMBERS = 1 + BEGINS, 2 + BEGINS  # lines of a team's memory: the leader's, and that of the members
 
 
 @pytest.fixture(autouse=True)
@@ -90,6 +91,36 @@ def met(monkeypatch, sim):
         threads.run_helped(wait_and_work, *others)
 
     monkeypatch.setattr(stepping, "run_helped", run_helped)
+
+
+def test_faster_threads_get_larger_shares():
+    begins = np.zeros(3, np.int32)
+    shares = sequences.Shares(begins)
+    assert begins.tolist() == [0, 21845, 43691]
+    speeds = np.array([1.0, 2.0, 1.0])
+    for _ in range(8):
+        shares.learn((np.array(shares.of) / speeds).tolist())
+    np.testing.assert_allclose(shares.of, speeds / 4, rtol=0.03)
+    assert begins.tolist() == [round(65536 * sum(shares.of[:p])) for p in range(3)]
+    learned = list(shares.of)
+    shares.learn([1.0, 1.02, 1.0])
+    assert shares.of == learned
+    for _ in range(20):
+        shares.learn([1e-3, 1.0, 1e3])  # one that another process keeps from its core
+    assert sum(shares.of) == pytest.approx(1.0) and min(shares.of) > 0.03
+
+
+@pytest.mark.parametrize("shares", [(0.75, 0.25), (0.07, 0.93)])
+def test_bits_do_not_depend_on_shares(monkeypatch, shares):
+    monkeypatch.setattr(sequences.Shares, "learn", lambda *_: None)
+    alone, sim = heap(900), heap(900, threads=2)
+    sim._shards._teams._shares[0]._set(list(shares))
+    met(monkeypatch, sim)
+    for one in (alone, sim):
+        one.run(STEPS, 0.01)
+        one.run(STEPS, 0.01)
+    assert jobs_of(sim) > 0
+    assert ends(sim) == ends(alone)
 
 
 @pytest.mark.parametrize(("shape", "acceleration"), [("disc", "adaptive"), ("box", "adaptive"), ("disc", "nncg")])

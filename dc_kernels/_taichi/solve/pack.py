@@ -216,12 +216,17 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
                     for b in range(model.body_start[w], model.body_start[w + 1]):
                         rows.body_rows[b] = 0
                 place_contacts(w, used, launch.padding_body, config, model, state, motion, contacts, rows)
-                scale = 0.0
                 least = 0.0
                 start = contacts.contact_start[w]
-                for c in range(start, start + contacts.contact_count[w]):
+                last = start + contacts.contact_count[w]
+                for c in range(start, last):
                     least = ti.min(least, contacts.gap[c])
-                    scale += rows.square[c]
+                scale = 0.0
+                for lane in range(LANES):
+                    squares = 0.0
+                    for k in range((last - start - lane + LANES - 1) // LANES):
+                        squares += rows.square[start + lane + k * LANES]
+                    scale += squares
                 if jacobi:
                     for c in range(start, start + contacts.contact_count[w]):
                         a = contacts.body_a[c]

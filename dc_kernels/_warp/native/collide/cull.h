@@ -25,7 +25,7 @@ if (end - start >= 2 * few && is_helped(members)) {
     const int parts = members->size;
     int place[SEATS + 1], found[SEATS];
     auto *const to = place, *const behind = found;
-    auto begin_of = [=](int p) { return Share::begin(start, end, p, parts); };
+    auto begin_of = [=](int p) { return Share::begin(members, start, end, p, parts); };
     Phases scans, moves;
     scans.first[0] = moves.first[0] = 0;
     scans.add(parts, parts, 1);

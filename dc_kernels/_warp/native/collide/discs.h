@@ -152,7 +152,7 @@ for (int begin = i0, limit = helped ? i0 + few : i1;;) {
         int next, begin, end, target;
     } parts_of[SEATS];
     Part* const part = parts_of;
-    auto begin_of = [=](int p) { return Share::begin(begin, i1, p, parts); };
+    auto begin_of = [=](int p) { return Share::begin(members, begin, i1, p, parts); };
     auto known_before = [=](int pair) {
         const Key sought = (Key)(shape_a[pair] - first_shape) << SHIFT_A | (Key)(shape_b[pair] - first_shape)
                                                                                << SHIFT_B;

@@ -1,5 +1,5 @@
 // Rows of the contacts of world w, SIDE of a colour side by side; the sum of the squared impulses that would
-// stop each of them alone [(N s)^2], in the order of the contacts. Empty lanes of a colour's last block are zero and
+// stop each of them alone [(N s)^2], every LANES-th added up first. Empty lanes of a colour's last block are zero and
 // point at the padding body. What a row holds is said in solve/constraints/contact.py. Parameters: config, model,
 // state, motion, contacts, rows, w, padding_body, team. Macros: those of solve/row.h, BAUMGARTE, OPEN, COLORS. Stands
 // behind runtime/ranges.h, predicted.h, solve/bodies.h and side.h, and surface.h where SURFACES is 1.
@@ -178,7 +178,7 @@ if (!members || members->counted == 0) {
     // made by who sweeps most of them, and has them in its caches then
     const int parts = members->counted;
     const auto* const count = members->count;
-    auto begin_of = [=](int p) { return Share::begin(i0, i1, p, parts); };
+    auto begin_of = [=](int p) { return Share::begin(members, i0, i1, p, parts); };
     auto fill_share = [=](int p) {
         int next[COLORS] = {}, done[COLORS];  // blocks that the contacts of shares before are in
         for (int q = 0; q < p; ++q)
@@ -238,6 +238,14 @@ if (members) {
     }
 }
 #endif
-Real sum = 0;
-for (int c = i0; c < i1; ++c) sum += square[c];
+// every LANES-th, and then those sums: one after the other, each would wait for the one before
+Real sum = 0, sums[LANES] = {};
+int c = i0;
+#if !defined(__CUDA_ARCH__)
+Vector added = zero;
+for (; c + LANES <= i1; c += LANES) added = added + load(square + c);
+store(sums, added);
+#endif
+for (int lane = 0; c < i1; ++c, lane = (lane + 1) % LANES) sums[lane] += square[c];
+for (int lane = 0; lane < LANES; ++lane) sum += sums[lane];
 return sum;

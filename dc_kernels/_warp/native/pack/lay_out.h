@@ -25,8 +25,8 @@ if (i1 - i0 < SHARED || !is_helped(members)) {
     take_phases(members, phases, [=](int first, int last) {
         for (int p = first; p < last; ++p) {
             int found[2][COLORS] = {};
-            const int end = Share::begin(i0, i1, p + 1, parts);
-            for (int c = Share::begin(i0, i1, p, parts); c < end; ++c) ++found[c & 1][color[c]];
+            const int end = Share::begin(members, i0, i1, p + 1, parts);
+            for (int c = Share::begin(members, i0, i1, p, parts); c < end; ++c) ++found[c & 1][color[c]];
             for (int k = 0; k < COLORS; ++k) members->count[p][k] = found[0][k] + found[1][k];
         }
         return 0.0;

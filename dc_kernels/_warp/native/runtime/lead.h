@@ -36,7 +36,7 @@ struct Lead {
             !__atomic_compare_exchange_n(&seat.claimed, &latest, number, false, __ATOMIC_ACQ_REL, __ATOMIC_RELAXED))
             return false;
         const Phases& phases = job.phases;
-        const Share share(phases.first[k], phases.first[k + 1] - phases.first[k], phases.split[k], p,
+        const Share share(&team, phases.first[k], phases.first[k + 1] - phases.first[k], phases.split[k], p,
                           phases.parts[k + 1] - phases.parts[k]);
         double found = 0;
         for (int i = 0; i < 2; ++i) {
@@ -112,6 +112,11 @@ struct Lead {
             taken = 0;
             for (int i = 0, p = me % parts; i < parts; ++i, p = p + 1 < parts ? p + 1 : 0)
                 if (mine >> p & 1 && take_part(team, job, k, p, number)) taken |= 1ull << p;
+            // of those who are as many as the parts, each with its own, it is known how fast they are
+            if (parts == team.size && me < parts && taken == 1ull << me) {
+                team.seat[me].spent += now() - begun;
+                ++team.seat[me].phases;
+            }
             if (me && k + 1 == job.phases.count) return;
             for (int p = 0; p < parts; ++p)
                 if (!(taken >> p & 1) && wait(team, job, k, p, number, me == 0, begun)) taken |= 1ull << p;
@@ -180,9 +185,10 @@ struct Lead {
             const int blocks = ends[k + 1] - ends[k];
             if (blocks == 0) continue;
             const int fixed = team->split[k] < blocks ? team->split[k] : blocks;
-            for (int p = 1; p <= size; ++p) give(p - 1, Share::begin(ends[k], ends[k] + fixed, p, size) * per_block);
             for (int p = 1; p <= size; ++p)
-                give(p - 1, Share::begin(ends[k] + fixed, ends[k + 1], p, size) * per_block);
+                give(p - 1, Share::begin(team, ends[k], ends[k] + fixed, p, size) * per_block);
+            for (int p = 1; p <= size; ++p)
+                give(p - 1, Share::begin(team, ends[k] + fixed, ends[k + 1], p, size) * per_block);
         }
         made->count = end == behind ? give_turns(*made, count, size, (behind - begin) / (8 * size)) : 0;
     }
@@ -197,6 +203,7 @@ struct Lead {
         for (int k = 0; k < 3; ++k) take(team->sizes[k], sizes[k]);
         for (int k = 0; k <= colors; ++k) take(team->ends[k], ends[k]);
         for (int k = 0; k < colors; ++k) take(team->splits[k], team->split[k]);
+        for (int p = 1; p < team->size; ++p) take(team->begins[p], team->begin[p]);
         if (!same) make_plan(team, ends, colors, per_block, length, &team->made);
         return &team->made;
     }

@@ -40,7 +40,7 @@ auto add_range = [=](wp::uint64 address, int i0, int i1, int least, auto part) {
         phases.add(size, size, 1);
         take_phases(team, phases, [=](int first, int last) {
             for (int p = first; p < last; ++p)
-                to[p] = part(Share::begin(i0, i1, p, size), Share::begin(i0, i1, p + 1, size));
+                to[p] = part(Share::begin(team, i0, i1, p, size), Share::begin(team, i0, i1, p + 1, size));
             return 0.0;
         });
         for (int p = 1; p < size; ++p) sums[0] += sums[p];
@@ -67,7 +67,7 @@ auto count_blocks = [=](wp::uint64 address, const int* ends, auto part) -> long 
                 long long count = 0;
                 for (int k = 0; k < COLORS; ++k) {
                     if (ends[k] == ends[k + 1]) continue;
-                    const Share share(ends[k], ends[k + 1] - ends[k], team->split[k], p, size);
+                    const Share share(team, ends[k], ends[k + 1] - ends[k], team->split[k], p, size);
                     for (int i = 0; i < 2; ++i)
                         if (share.first[i] < share.last[i]) count += part(share.first[i], share.last[i]);
                 }

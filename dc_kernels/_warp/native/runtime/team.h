@@ -31,6 +31,9 @@ struct Team {
     int closed;  // not 0: no job is opened
     const Plan* (*plan)(Team*, const int*, int, int, int);
     char apart_of_host[8];
+    // of the host, changed between two launches: where the part of each thread but the first begins, in 65536ths of the
+    // items of a phase, as cores differ in speed
+    int begin[SEATS];
     // of the leader
     const void* phases;
     double (*part)(const void*, int, int);
@@ -50,6 +53,10 @@ struct Team {
         long long job;    // the latest of which `largest` is told
         double largest;   // of what these parts gave
         char apart_of_ended[40];
+        // of who takes the parts of this number: in so many phases in which it took no others, for so long
+        Ticks spent;
+        long long phases;
+        char apart_of_spent[48];
     } seat[SEATS];
     // of the leader: blocks of each colour before which bodies A do not move, or else do (pack/contacts.h): whom ground
     // and walls are in contact with is everywhere, so that threads share these blocks, and the others, each by place
@@ -57,20 +64,30 @@ struct Team {
     // contacts of each colour in each part of a world's contacts (pack/lay_out.h)
     int count[SEATS][MOST_PHASES];
     // of what the last plan was made, as those of the sweeps of a solve are one
-    int ends[MOST_PHASES + 1], splits[MOST_PHASES], sizes[3];
+    int ends[MOST_PHASES + 1], splits[MOST_PHASES], sizes[3], begins[SEATS];
     Plan made;
 };
 // What belongs to part p of so many parts of `items` from `begin` on, of which so many in front are of the first kind:
 // from first[i] to last[i] of either kind.
 struct Share {
     int first[2], last[2];
-    // Where part p of so many parts of the items from..to begins, whose kinds are all one.
-    static int begin(int from, int to, int p, int parts) { return from + (int)((long long)(to - from) * p / parts); }
-    Share(int begin, int items, int of_first_kind, int p, int parts) {
+    // Where part p of so many parts of the items from..to begins, whose kinds are all one: as fast as threads are where
+    // each has a part, and else as many for each.
+    static int begin(const Team* team, int from, int to, int p, int parts) {
+        const long long items = to - from;
+        if (parts == team->size && p > 0 && p < parts) return from + (int)(items * team->begin[p] >> 16);
+        return from + (int)(items * p / parts);
+    }
+    Share(const Team* team, int begin, int items, int of_first_kind, int p, int parts) {
+        if (items == parts) {  // one each, whose number tells what it is
+            first[0] = begin + p;
+            last[0] = first[1] = last[1] = begin + p + 1;
+            return;
+        }
         const int of[] = {of_first_kind < items ? of_first_kind : items, items};
         for (int i = 0, from = 0; i < 2; from = of[i++]) {
-            first[i] = Share::begin(begin + from, begin + of[i], p, parts);
-            last[i] = Share::begin(begin + from, begin + of[i], p + 1, parts);
+            first[i] = Share::begin(team, begin + from, begin + of[i], p, parts);
+            last[i] = Share::begin(team, begin + from, begin + of[i], p + 1, parts);
         }
     }
 };

@@ -1,10 +1,11 @@
-"""Public names of a package, imported when they are first used (PEP 562)."""
+"""Imports when they are needed: public names of a package on first use (PEP 562), and optional dependencies."""
 
 from __future__ import annotations
 
 import importlib
 import sys
 from collections.abc import Callable, Mapping
+from types import ModuleType
 from typing import Any
 
 
@@ -34,3 +35,16 @@ def lazy_names(
         return sorted({*vars(sys.modules[package]), *module_of})
 
     return get, listed
+
+
+def require(module: str, extra: str) -> ModuleType:
+    """Import an optional dependency, or say which extra installs it.
+
+    Raises:
+        ImportError: naming the extra, when the module is missing.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        name = module.split(".")[0]
+        raise ImportError(f"this needs {name}: install it with  pip install 'deep-contact[{extra}]'") from error
