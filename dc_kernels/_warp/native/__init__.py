@@ -36,20 +36,20 @@ def native_code(*names: str, dtype: str, **macros: object) -> str:
     return "\n".join(["", *define, *map(header, names), *undefine, ""])
 
 
-def in_parts(body: str, result: str, taken: str, arrays: Sequence[str], more: str = "") -> str:
+def in_parts(body: str, result: str, taken: str, arrays: Sequence[str], given: str = "int first, int last") -> str:
     """The body of a native function whose loop threads may share: ``part(first, last)`` is what it does to a range.
 
     It is compiled once, whoever calls it, and takes arrays by their addresses alone.
 
     Args:
-        body: what is done from ``first`` to ``last``, as ``native_code`` gives it.
+        body: what ``part`` does, as ``native_code`` gives it.
         result: what the body returns, in C++; 0 where it returns nothing.
         taken: how the parts are taken (``native/runtime/``), which returns what the function does.
         arrays: parameters that the body reads as ``name.data``; numbers are taken by themselves.
-        more: parameters of the body behind ``first`` and ``last``, in C++.
+        given: parameters of ``part``, in C++.
     """
     held = ", ".join(f"{name} = held({name}.data)" for name in arrays)
     return f"""
 auto held = [](auto* data) {{ struct {{ decltype(data) data; }} array = {{data}}; return array; }};
-auto part = [=, {held}](int first, int last{more}) __attribute__((noinline)) -> {result} {{{body}return 0;
+auto part = [=, {held}]({given}) __attribute__((noinline)) -> {result} {{{body}return 0;
 }};{taken}"""

@@ -6,9 +6,10 @@ fixed body is written back unchanged, so lanes never disturb each other; empty l
 padding body.
 
 The arithmetic is that of ``row``, operation by operation and without contraction, so both give the same bits; a test
-compares them. On one core with AVX-512 a contact and sweep take 3.3-5 ns for general rows and 2.7-4.2 ns for discs
-(``bench sweep``). Tried and left: 16 lanes gain under 5 % and pad small worlds more; sweeping two worlds at once gains
-3-7 %, for throughput and not latency is the limit; rows sorted by place gain nothing in worlds that fit the cache.
+compares them. Two blocks are solved side by side (``take_blocks.h``): on one core at 2.5 GHz with AVX-512 a contact and
+sweep take 5.2-8 ns for general rows and 4.4-6.3 ns for discs (``bench sweep``), where they took 6.6-9.8 and 5.6-7.9 ns
+one after the other. Tried and left: 16 lanes gain under 5 % and pad small worlds more; rows sorted by place gain
+nothing in worlds that fit the cache.
 """
 
 from functools import cache
@@ -57,7 +58,11 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
     def by_color(name: str, *arrays: str, **more: object) -> str:
         taken = native_code("runtime/team.h", "runtime/by_color.h", dtype=dtype, SEATS=SEATS, SERIAL=SERIAL_COLOR)
         return in_parts(
-            code("bodies", "row", name, **more), "double", taken, ("columns", "row_body", "bodies", *arrays)
+            code("bodies", "row", "take_blocks", name, **more),
+            "double",
+            taken,
+            ("columns", "row_body", "bodies", *arrays),
+            given="const int* ends, int colors",
         )
 
     @wp.func_native(by_color("sweep", "impulse", "change"))
@@ -177,7 +182,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         SCALARS[dtype],
         summed,
         ("columns", "row_body", "bodies", "impulse"),
-        more=f", {SCALARS[dtype]} sum",
+        given=f"int first, int last, {SCALARS[dtype]} sum",
     )
 
     @wp.func_native(mapped)

@@ -1,8 +1,10 @@
-// Impulses of the blocks first .. last moved on along their change, x <- clamp(x + alpha change); change is then what
-// they moved by, and where FOLLOW is 1 the velocities of the lanes' bodies follow it. Parameters: columns, row_body,
-// bodies, impulse, change, first, last, alpha. Stands behind prelude.h, bodies.h and row.h.
-for (int b = first; b < last; ++b) {
+// Impulses moved on along their change, x <- clamp(x + alpha change); change is then what they moved by. Where FOLLOW
+// is 1 these are the blocks of some colours, and the velocities of the lanes' bodies follow; else the blocks first ..
+// last. Parameters: columns, row_body, bodies, impulse, change, ends, colors, or first, last, alpha. Stands behind
+// prelude.h, bodies.h, row.h, take_blocks.h.
 #if defined(__CUDA_ARCH__)
+#if !FOLLOW
+for (int b = first; b < last; ++b) {
     for (int lane = 0; lane < LANES; ++lane) {
         const int n = b * 2 * LANES + lane, t = n + LANES;
         const Real* const block = columns.data + (size_t)b * COLUMNS * LANES + lane;
@@ -20,30 +22,38 @@ for (int b = first; b < last; ++b) {
         change.data[n] = yn - xn;
         change.data[t] = yt - xt;
     }
-#else
-    const Real* const block = columns.data + (size_t)b * COLUMNS * LANES;
-    Real* const x = impulse.data + (size_t)b * 2 * LANES;
-    Real* const d = change.data + (size_t)b * 2 * LANES;
-    const Vector low = JOINTS ? load(block + AT_lo) : zero;
-    const Vector xn = load(x), xt = load(x + LANES);
-    Vector yn = larger(xn + alpha * load(d), low);
-#if OWN
-    yn = smaller(yn, load(block + AT_hi));
-#endif
-    const Vector yt = clamp(xt + alpha * load(d + LANES), load(block + AT_mu) * yn);
-    store(x, yn);
-    store(x + LANES, yt);
-    const Vector dn = yn - xn, dt = yt - xt;
-    store(d, dn);
-    store(d + LANES, dt);
-#if FOLLOW
-    const int* const index = row_body.data + (size_t)b * 2 * LANES;
-    Bodies A = load_bodies(index), B = load_bodies(index + LANES);
-    const Row row = load_row(block);
-    apply_normal(row, A, B, dn);
-    apply_tangent(row, A, B, dt);
-    store_bodies(index, A);
-    store_bodies(index + LANES, B);
-#endif
-#endif
 }
+#endif
+#else
+auto move = [&](const Real* column, size_t at, Vector& ln, Vector& lt, Vector& dn, Vector& dt) {
+    const Vector ln0 = load(impulse.data + at), lt0 = load(impulse.data + at + LANES);
+    ln = larger(ln0 + alpha * load(change.data + at), JOINTS ? load(column + AT_lo) : zero);
+#if OWN
+    ln = smaller(ln, load(column + AT_hi));
+#endif
+    lt = clamp(lt0 + alpha * load(change.data + at + LANES), load(column + AT_mu) * ln);
+    dn = ln - ln0;
+    dt = lt - lt0;
+};
+auto keep = [&](size_t at, Vector ln, Vector lt, Vector dn, Vector dt) {
+    store(impulse.data + at, ln);
+    store(impulse.data + at + LANES, lt);
+    store(change.data + at, dn);
+    store(change.data + at + LANES, dt);
+};
+#if FOLLOW
+take_blocks(ends, colors, [&](auto& some) {
+    EACH_BLOCK move(of.column, of.at, of.ln, of.lt, of.dn, of.dt);
+    EACH_BLOCK apply_normal(of.row, of.A, of.B, of.dn);
+    EACH_BLOCK apply_tangent(of.row, of.A, of.B, of.dt);
+    EACH_BLOCK keep(of.at, of.ln, of.lt, of.dn, of.dt);
+});
+#else
+for (int b = first; b < last; ++b) {
+    const size_t at = (size_t)b * 2 * LANES;
+    Vector ln, lt, dn, dt;
+    move(columns.data + (size_t)b * COLUMNS * LANES, at, ln, lt, dn, dt);
+    keep(at, ln, lt, dn, dt);
+}
+#endif
+#endif
