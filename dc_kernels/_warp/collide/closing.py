@@ -14,6 +14,8 @@ import warp as wp
 
 from dc_kernels._warp.collide.manifold import manifold_functions
 from dc_kernels._warp.common import kernel_module, rotate, scalar_types
+from dc_kernels._warp.native import native_code
+from dc_kernels.model.shapes import MAX_VERTICES
 
 FAST = wp.constant(0.1)  # way in a step over the distance of two discs, below which an arc is its tangent to 0.5 %
 HORIZON = 1.25  # steps to look ahead: what forces accelerate closes before its velocity says
@@ -136,6 +138,18 @@ def closing_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         later.beside = True
         return later
 
+    @wp.func_native(native_code("prelude.h", "collide/hull.h", "collide/closing.h", dtype=dtype, LANES=MAX_VERTICES))
+    def closing_time(
+        a: Hull,
+        b: Hull,
+        frame: Frame,
+        velocity: vec2,
+        overlap: real,
+        horizon: real,
+        vertices: wp.array(dtype=vec2),
+        normals: wp.array(dtype=vec2),
+    ) -> real: ...
+
     @wp.func(module=module)
     def hull_hull_moving(
         a: Hull,
@@ -157,20 +171,7 @@ def closing_functions(dtype: str, only_discs: bool) -> SimpleNamespace:
         s = frame.s
         radii = a.radius + b.radius
         horizon = real(HORIZON) * dt
-        time = real(0.0)
-        for i in range(a.first, a.first + a.count):
-            normal = vertex_normals[i]
-            gap = real(1e30)
-            for j in range(b.first, b.first + b.count):
-                gap = wp.min(gap, wp.dot(normal, rotate(c, s, vertices[j]) + frame.x - vertices[i]))
-            time = later_of(time, gap - radii, wp.dot(normal, w), overlap, horizon)
-        for j in range(b.first, b.first + b.count):
-            normal = rotate(c, s, vertex_normals[j])
-            at = rotate(c, s, vertices[j]) + frame.x
-            gap = real(1e30)
-            for i in range(a.first, a.first + a.count):
-                gap = wp.min(gap, wp.dot(normal, vertices[i] - at))
-            time = later_of(time, gap - radii, -wp.dot(normal, w), overlap, horizon)
+        time = closing_time(a, b, frame, w, overlap, horizon, vertices, vertex_normals)
         if time == real(0.0) and not m.corner:
             return m
         far = real(1e30)

@@ -52,6 +52,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     support = support_functions(dtype, only_discs)
     closes, list_static, supported = support.closes, support.list_static, support.supported
 
+    FAR = real(1e30)
     find_disc_contacts, share_disc_contacts = disc_contacts(dtype)
     again = recycling(dtype)
     carry, meet_again, take_met, keep = again.carry, again.meet_again, again.take_met, again.keep
@@ -270,11 +271,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     m = hull_hull(
                         hull_a, hull_b, frame, within, slack, toward.overlap, model.vertices, model.vertex_normals
                     )
-                    if recycles == 1 and kind_a == POLYGON and kind_b == POLYGON and place[pair - first_met] == -1:
-                        speed = wp.length(drift) + wp.abs(va[2]) * wp.length(frame.x)
-                        sizes = vec2(bound_a, bound_b)
-                        moves = vec2(speed * dt, wp.abs(vb[2] - va[2]) * dt)
-                        keep(w, pair, hull_a, hull_b, frame, sizes, moves, model.vertices, model.vertex_normals, pairs)
+                    way = wp.length(drift) + wp.abs(va[2]) * wp.length(frame.x)
+                    moves = vec2(way * dt, wp.abs(vb[2] - va[2]) * dt)
                     if m.count > 0 and m.beside:
                         arm_b = rotate(cb, sb, center_b)
                         drift = velocity_at(ba, bb, rotate(ca, sa, center_a), arm_b, state)
@@ -282,6 +280,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                         now = m
                         asked = model.body_type[ba] != STATIC
                         again = bool(wp.length_sq(drift) * dt * dt > slack * slack)
+                        if again:
+                            moves = vec2(FAR, FAR)  # most likely it will be tested in full again
                         while again:
                             again = False
                             toward.velocity = rotate_back(ca, sa, drift)
@@ -296,6 +296,9 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                                 left = supported(pair, drift, dt, slack, toward.overlap, model, state, pairs)
                                 again = left[0] != drift[0] or left[1] != drift[1]
                                 drift = left
+                    if recycles == 1 and kind_a == POLYGON and kind_b == POLYGON and place[pair - first_met] == -1:
+                        sizes = vec2(bound_a, bound_b)
+                        keep(w, pair, hull_a, hull_b, frame, sizes, moves, model.vertices, model.vertex_normals, pairs)
                     m.normal = rotate(ca, sa, m.normal)
                     m.point0 = rotate(ca, sa, m.point0) + xa
                     m.point1 = rotate(ca, sa, m.point1) + xa
