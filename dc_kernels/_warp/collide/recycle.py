@@ -47,7 +47,7 @@ from dc_kernels.model.enums import ShapeType
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
 from dc_kernels.solve.rows import LANES
 
-CHUNK = 32  # pairs looked at before their contacts are stored
+CHUNK = 64  # pairs looked at before their contacts are stored
 FIELDS = 14  # numbers of a manifold
 FEW = 3  # pairs of a disc and a hull that are not worth lanes
 ROUNDING = {"float32": 32 * 2.0**-24, "float64": 32 * 2.0**-53}  # see above
