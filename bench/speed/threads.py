@@ -1,10 +1,11 @@
-"""One world on one thread and on more: whole steps of settled piles, and what busy neighbours cost a team."""
+"""One world on one thread and on two, beside two worlds on a thread each: settled piles, and with busy neighbours."""
 
 from __future__ import annotations
 
 import multiprocessing
 import statistics
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from bench import timing
@@ -15,7 +16,9 @@ THREADS = 2
 
 SIZES = {1_000: 1, 2_000: 2, 5_000: 5, 10_000: 10, 100_000: 100}  # piles of 1 000 side by side
 SETTINGS = {"default": None, "sweeps_10": 10}  # most sweeps of a step
-ROUNDS, ROUNDS_QUICK = 7, 3
+OTHER = 0  # key of the second world on one thread
+ROUNDS, ROUNDS_QUICK = 21, 3
+BUSY_ROUNDS = 7
 WORK, WORK_QUICK = 400_000, 100_000  # bodies times steps of a round
 
 
@@ -26,7 +29,7 @@ def _spin() -> None:
 
 
 def _piles(quick: bool) -> dict[tuple[int, str], dict[int, Any]]:
-    """Simulations of the same pile by size and setting, on one thread and on two."""
+    """Simulations of the same pile by size and setting: two on one thread, one on two."""
     import dc_kernels as dc
     from bench import cases
     from dc_kernels.runtime.stepping import AT_ONCE, MORE
@@ -41,10 +44,10 @@ def _piles(quick: bool) -> dict[tuple[int, str], dict[int, Any]]:
         for name, sweeps in SETTINGS.items():
             config = dc.SolverConfig() if sweeps is None else dc.SolverConfig(max_sweeps=sweeps)
             sims = {}
-            for threads in (1, THREADS):
-                sims[threads] = dc.Simulation(sim.model.copy(), sim.state.copy(), config=config, threads=threads)
+            for key, threads in ((1, 1), (THREADS, THREADS), (OTHER, 1)):
+                sims[key] = dc.Simulation(sim.model.copy(), sim.state.copy(), config=config, threads=threads)
                 # until it has its way
-                sims[threads].run(4 * FIRST_TRIES * max(MORE * AT_ONCE // bodies, 1), cases.DT)
+                sims[key].run(4 * FIRST_TRIES * max(MORE * AT_ONCE // bodies, 1), cases.DT)
             found[bodies, name] = sims
     return found
 
@@ -61,32 +64,38 @@ def _runner(sim: Any, steps: int) -> Callable[[], None]:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Medians of the ratios of each round; of each size the setting in which two threads gain less.
+    """Medians over rounds that take one pile after the other; of each size the setting in which two threads gain less.
 
     The way that a simulation has found to be the faster one is measured, with helpers or without, not how it finds it.
+    Two worlds on a thread each, at once, take as many steps as the two cores can at that time: ``worth`` is how many
+    times those of the one, and ``gained`` what part of it two threads within one world reach.
     """
     from bench.round_trip import round_trip_ns
 
-    rounds = ROUNDS_QUICK if quick else ROUNDS
     piles = _piles(quick)
-    values: dict[str, Any] = {"ratio_100000": None}
-    equal, trips = [], []
-    for (bodies, name), sims in piles.items():
-        timing.progress(f"{bodies} discs, {name}")
-        steps = _steps(bodies, quick)
-        trips.append(round_trip_ns())
-        times = timing.interleave({str(threads): _runner(sim, steps) for threads, sim in sims.items()}, rounds)
-        trips.append(round_trip_ns())
-        values[f"round_trip_ns_{bodies}_{name}"] = statistics.mean(trips[-2:])
-        ratio = statistics.median(a / b for a, b in zip(times["1"], times[str(THREADS)], strict=True))
-        values[f"ms_{bodies}_{name}"] = 1e3 * statistics.median(times["1"]) / steps
+    # all have taken as many steps by now
+    states = ([sim.state.numpy("position").tobytes() for sim in sims.values()] for sims in piles.values())
+    equal = float(all(len(set(positions)) == 1 for positions in states))
+    found: dict[tuple[int, str], list[tuple[float, ...]]] = {pile: [] for pile in piles}
+    trips = []
+    with ThreadPoolExecutor(2) as pool:
+        for number in range(ROUNDS_QUICK if quick else ROUNDS):
+            timing.progress(f"round {number + 1}")
+            trips.append(round_trip_ns())
+            for (bodies, name), sims in piles.items():
+                runners = {key: _runner(sim, _steps(bodies, quick)) for key, sim in sims.items()}
+                one, two = (timing.seconds(runners[key]) for key in (1, THREADS))
+                both = list(pool.map(timing.seconds, (runners[1], runners[OTHER])))
+                found[bodies, name].append((one, two, *both))
+    values: dict[str, Any] = {"ratio_100000": None, "round_trip_ns": statistics.median(trips), "bits_equal": equal}
+    for (bodies, name), times in found.items():
+        values[f"ms_{bodies}_{name}"] = 1e3 * statistics.median(one for one, *_ in times) / _steps(bodies, quick)
+        values[f"worth_{bodies}_{name}"] = statistics.median(one / a + one / b for one, _, a, b in times)
+        values[f"gained_{bodies}_{name}"] = statistics.median(1 / (two / a + two / b) for _, two, a, b in times)
+        ratio = statistics.median(one / two for one, two, *_ in times)
         values[f"ratio_{bodies}_{name}"] = ratio
         values[f"ratio_{bodies}"] = min(ratio, values.get(f"ratio_{bodies}") or ratio)
-        values[f"threads_{bodies}"] = sims[THREADS].threads
-        first, second = (sim.state.numpy("position").tobytes() for sim in sims.values())
-        equal.append(first == second)
-    values["bits_equal"] = float(all(equal))
-    values["round_trip_ns"] = statistics.median(trips)
+        values[f"threads_{bodies}"] = piles[bodies, name][THREADS].threads
 
     timing.progress("with every core busy")
     sims, steps = piles[10_000, "sweeps_10"], _steps(10_000, quick)
@@ -95,7 +104,7 @@ def measure(quick: bool) -> dict[str, Any]:
     try:
         for one in busy:
             one.start()
-        times = timing.interleave({str(threads): _runner(sim, steps) for threads, sim in sims.items()}, rounds)
+        times = timing.interleave({str(key): _runner(sims[key], steps) for key in (1, THREADS)}, BUSY_ROUNDS)
     finally:
         for one in busy:
             one.terminate()
@@ -111,16 +120,18 @@ def report(values: dict[str, Any]) -> str:
         (
             bodies,
             values[f"threads_{bodies}"],
-            *(values[f"{what}_{bodies}_{name}"] for name in SETTINGS for what in ("ms", "ratio", "round_trip_ns")),
+            *(values[f"{what}_{bodies}_{name}"] for name in SETTINGS for what in ("ms", "ratio", "worth", "gained")),
         )
         for bodies in SIZES
         if f"ratio_{bodies}_default" in values
     ]
-    columns = (f"{name} {what}" for name in SETTINGS for what in ("[ms]", "ratio", "round trip [ns]"))
+    columns = (f"{name} {what}" for name in SETTINGS for what in ("[ms]", "ratio", "two worlds", "gained"))
     header = ("discs", "threads used", *columns)
     return "\n".join(
         [
             timing.table(header, rows),
-            f"every core busy, 10 000 discs: two threads take {values['oversubscribed_slowdown']:.2f} of one's time",
+            "ratio: steps of one world on two threads over one; two worlds: steps of two at once, a thread each, over one",
+            f"every core busy, 10 000 discs: two threads take {values['oversubscribed_slowdown']:.2f} of one's time; "
+            f"a line of a cache takes {values['round_trip_ns']:.0f} ns to the other core and back",
         ]
     )
