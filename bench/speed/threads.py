@@ -130,7 +130,7 @@ def report(values: dict[str, Any]) -> str:
     return "\n".join(
         [
             timing.table(header, rows),
-            "ratio: steps of one world on two threads over one; two worlds: steps of two at once, a thread each, over one",
+            "ratio: one world on two threads over one thread; two worlds: two at once, a thread each, over one",
             f"every core busy, 10 000 discs: two threads take {values['oversubscribed_slowdown']:.2f} of one's time; "
             f"a line of a cache takes {values['round_trip_ns']:.0f} ns to the other core and back",
         ]

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from dc_kernels._warp.collide.manifold import manifold_functions
-from dc_kernels._warp.common import kernel_module, rotate, scalar_types
+from dc_kernels._warp.common import kernel_module, scalar_types
 from dc_kernels._warp.native import native_code
 from dc_kernels.model.shapes import MAX_VERTICES
 
