@@ -102,14 +102,14 @@ def measure(quick: bool) -> dict[str, Any]:
     context = multiprocessing.get_context("spawn")
     busy = [context.Process(target=_spin, daemon=True) for _ in range(timing.machine(THREADS)["cores"])]
     try:
-        for one in busy:
-            one.start()
-        times = timing.interleave({str(key): _runner(sims[key], steps) for key in (1, THREADS)}, BUSY_ROUNDS)
+        for process in busy:
+            process.start()
+        spent = timing.interleave({str(key): _runner(sims[key], steps) for key in (1, THREADS)}, BUSY_ROUNDS)
     finally:
-        for one in busy:
-            one.terminate()
-            one.join()
-    slower = [b / a for a, b in zip(times["1"], times[str(THREADS)], strict=True)]
+        for process in busy:
+            process.terminate()
+            process.join()
+    slower = [b / a for a, b in zip(spent["1"], spent[str(THREADS)], strict=True)]
     values["oversubscribed_slowdown"] = statistics.median(slower)
     return values
 
