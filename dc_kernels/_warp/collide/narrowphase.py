@@ -52,11 +52,11 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
     support = support_functions(dtype, only_discs)
     closes, list_static, supported = support.closes, support.list_static, support.supported
 
-    FAR = real(1e30)
     find_disc_contacts, share_disc_contacts = disc_contacts(dtype)
     again = recycling(dtype)
     carry, meet_again, take_met, keep = again.carry, again.meet_again, again.take_met, again.keep
     meet_discs, Lengths = again.meet_discs, again.Lengths
+    endless = real(1e30)
 
     @wp.func_native(native_code("collide/store_contact.h", dtype=dtype))
     def store_contact(contacts: t.Contacts, i: wp.int32, contact: Contact): ...
@@ -281,7 +281,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                         asked = model.body_type[ba] != STATIC
                         again = bool(wp.length_sq(drift) * dt * dt > slack * slack)
                         if again:
-                            moves = vec2(FAR, FAR)  # most likely it will be tested in full again
+                            moves = vec2(endless, endless)  # keep nothing: it will most likely be tested in full again
                         while again:
                             again = False
                             toward.velocity = rotate_back(ca, sa, drift)

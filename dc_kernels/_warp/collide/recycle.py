@@ -16,7 +16,8 @@ bits of a contact do not tell which of both made it. It asks for the full test w
 - What depends on signs is computed and not bounded: which hull has the reference edge, whether the pair is out of
   reach, where ends are clipped, whether two faces are of one axis. So no setting is in what is kept.
 - A pair that moves is tested in full where its motion may decide where it meets (``closing.py``), as another axis may
-  part it beside the normal: ``kept_bound`` has the best of the edges that come second, which grows by D at most.
+  part it beside the normal: ``kept_bound`` has the best of the edges that come second, which grows by D at most. Such a
+  pair keeps nothing, as it will most likely be tested in full in the next step, too.
 - So is what meets by two corners, and every pair with a segment of a chain.
 
 Of a polygon and a centred disc nothing is kept: ``meet_discs`` looks at all edges, LANES pairs side by side, where the
