@@ -109,7 +109,7 @@ def world_functions(dtype: str, variant: str) -> SimpleNamespace:
                 moved = jacobi_row(k // LANES, k % LANES, rows, motion.solved, motion.summed, omega)
                 change = ti.max(change, moved)
         else:
-            change = sweep_lanes(rows, motion.solved, first, span.serial, omega, unknown_floor(config))
+            change = sweep_lanes(rows, motion.solved, span.world * ENDS, omega, unknown_floor(config))
             for k in range(span.serial * LANES, span.last * LANES):
                 change = ti.max(change, sweep_row(k // LANES, k % LANES, rows, motion.solved, omega))
         return change
