@@ -39,6 +39,7 @@ def kernels(dtype: str) -> dict[str, Any]:
             if apart == 0:
                 pairs.shape_a[last] = pairs.shape_a[p]
                 pairs.shape_b[last] = pairs.shape_b[p]
+                pairs.temp_b[last] = pairs.temp_b[p]  # its near pair, whose place has what recycle.py keeps
                 last += 1
         pairs.count[w] = last - first
 
