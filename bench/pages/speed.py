@@ -67,33 +67,24 @@ def scaling(record: Record) -> str:
 
 def threads(record: Record) -> str:
     """Show what two threads gain within one world, and what two worlds do."""
-    whats = ("ms", "ratio", "worth", "gained") if "worth_10000_default" in record else ("ms", "ratio")
+    names = {"ms": "[ms a step]", "ratio": "one over two", "worth": "two worlds", "gained": "gained"}
     rows = [
         (
             bodies,
             record[f"threads_{bodies}"],
-            *(record[f"{what}_{bodies}_{name}"] for name in SETTINGS for what in whats),
+            *(record[f"{what}_{bodies}_{name}"] for name in SETTINGS for what in names),
         )
         for bodies in PILES
         if f"ratio_{bodies}_default" in record
     ]
-    names = {"ms": "[ms a step]", "ratio": "one over two", "worth": "two worlds", "gained": "gained"}
-    columns = (f"{setting}: {names[what]}" for setting in ("default", "10 sweeps") for what in whats)
-    trip = ""
-    if "round_trip_ns" in record:
-        trip = f" A line of a cache took {record['round_trip_ns']:.0f} ns from one core to the other and back."
-    told = ""
-    if "worth" in whats:
-        told = (
-            ' "Two worlds": steps of two such worlds at once, on a thread each, over those of one: what two cores are '
-            'worth; "gained": what part of that two threads within one world reach.'
-        )
+    columns = (f"{setting}: {name}" for setting in ("default", "10 sweeps") for name in names.values())
     return paragraphs(
         "Whole steps of one world, settled piles side by side, on one thread and with `threads=2`; small worlds take "
-        "one by themselves." + told,
+        'one by themselves. "Two worlds": steps of two such worlds at once, on a thread each, over those of one: what '
+        'two cores are worth; "gained": what part of that two threads within one world reach.',
         table(("discs", "threads used", *columns), rows),
         f"With every core kept busy by others, two threads take {record['oversubscribed_slowdown']:.2f} times as "
-        "long as one." + trip,
+        f"long as one. A line of a cache took {record['round_trip_ns']:.0f} ns from one core to the other and back.",
     )
 
 
