@@ -10,12 +10,12 @@ typedef Real Quad __attribute__((ext_vector_type(4), aligned(4)));
 const Vector zero = (Real)0;
 auto load = [&](const Real* p) { return *(const Vector*)p; };
 auto store = [&](Real* p, Vector v) { *(Vector*)p = v; };
-auto larger = [&](Vector a, Vector b) { return __builtin_elementwise_max(a, b); };
-auto smaller = [&](Vector a, Vector b) { return __builtin_elementwise_min(a, b); };
+// The second of both where either is NaN: one instruction of x86, where to ignore NaN takes three (4 to 12 % of a
+// sweep).
+auto larger = [&](Vector a, Vector b) { return a > b ? a : b; };
+auto smaller = [&](Vector a, Vector b) { return a < b ? a : b; };
 auto magnitude = [&](Vector a) { return __builtin_elementwise_abs(a); };
-auto clamp = [&](Vector v, Vector limit) {
-    return __builtin_elementwise_min(__builtin_elementwise_max(v, -limit), limit);
-};
+auto clamp = [&](Vector v, Vector limit) { return smaller(limit, larger(v, -limit)); };
 // Sum of the lanes, in a fixed order.
 auto total = [&](Vector v) { return ((v[0] + v[1]) + (v[2] + v[3])) + ((v[4] + v[5]) + (v[6] + v[7])); };
 // The largest lane that is above 0, else 0.

@@ -34,10 +34,10 @@ auto pairs_at = [&](const Real* from, const int* at, Vector& x, Vector& y) {
         const Pair p = *(const Pair*)(from + 2 * (size_t)at[i]), q = *(const Pair*)(from + 2 * (size_t)at[i + 1]);
         return __builtin_shufflevector(p, q, 0, 1, 2, 3);
     };
-    const Vector low = __builtin_shufflevector(two(0), two(2), 0, 1, 2, 3, 4, 5, 6, 7);
-    const Vector high = __builtin_shufflevector(two(4), two(6), 0, 1, 2, 3, 4, 5, 6, 7);
-    x = __builtin_shufflevector(low, high, 0, 2, 4, 6, 8, 10, 12, 14);
-    y = __builtin_shufflevector(low, high, 1, 3, 5, 7, 9, 11, 13, 15);
+    const Vector outer = __builtin_shufflevector(two(0), two(4), 0, 1, 2, 3, 4, 5, 6, 7);
+    const Vector inner = __builtin_shufflevector(two(2), two(6), 0, 1, 2, 3, 4, 5, 6, 7);
+    x = __builtin_shufflevector(outer, inner, 0, 2, 8, 10, 4, 6, 12, 14);
+    y = __builtin_shufflevector(outer, inner, 1, 3, 9, 11, 5, 7, 13, 15);
 };
 #endif
 auto pick = [&](auto mask, Number a, Number b) { return mask ? a : b; };

@@ -48,7 +48,7 @@ auto nearest_of = [&](const Points& normal, const Points& corner, const Core& ot
     Vector gap = (Real)1e30;
     for (int k = 0; k < other.count; ++k) {
         const Point q = place(other.corners[k]);
-        gap = smaller(gap, normal.x * (q.x - corner.x) + normal.y * (q.y - corner.y));
+        gap = smaller(normal.x * (q.x - corner.x) + normal.y * (q.y - corner.y), gap);
     }
     return gap;
 };

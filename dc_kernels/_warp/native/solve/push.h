@@ -20,7 +20,7 @@ take_blocks(ends, colors, [&](auto& some) {
 #else
         of.dn = larger(-(load(column + AT_en) * step), least(column));
 #endif
-        most = larger(most, magnitude(of.dn));
+        most = larger(magnitude(of.dn), most);
     }
     EACH_BLOCK apply_normal(of.row, of.A, of.B, of.dn);
 });

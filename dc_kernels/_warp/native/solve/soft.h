@@ -65,7 +65,7 @@ take_blocks(ends, colors, [&](auto& some) {
     EACH_BLOCK {
         store(impulse.data + of.at, of.ln);
         store(impulse.data + of.at + LANES, of.lt);
-        most = larger(most, larger(magnitude(of.dn), magnitude(of.dt)));
+        most = larger(magnitude(of.dn), larger(magnitude(of.dt), most));
     }
 });
 return largest(most);

@@ -21,7 +21,7 @@ take_blocks(ends, colors, [&](auto& some) {
             store(impulse.data + of.at, of.ln);
             store(change.data + of.at, of.dn);
             store(change.data + of.at + LANES, zero);
-            most = larger(most, magnitude(of.dn));
+            most = larger(magnitude(of.dn), most);
         }
         return;
     }
@@ -45,7 +45,7 @@ take_blocks(ends, colors, [&](auto& some) {
         store(impulse.data + of.at + LANES, of.lt);
         store(change.data + of.at, of.dn);
         store(change.data + of.at + LANES, of.dt);
-        most = larger(most, larger(magnitude(of.dn), magnitude(of.dt)));
+        most = larger(magnitude(of.dn), larger(magnitude(of.dt), most));
     }
 });
 return largest(most);

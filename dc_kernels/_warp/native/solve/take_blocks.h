@@ -32,10 +32,20 @@ auto take_blocks = [&](const int* ends, int colors, auto take) {
             store_bodies(of.index + LANES, of.B);
         }
     };
+    // where the processor's own prefetching begins anew, as each block is short: behind its first lines it follows by
+    // itself. Four blocks ahead a sweep of 100 000 discs takes 12 % less for it, and one of a tumbler 5 %; of bodies it
+    // would cost more than it gains
+    auto prefetch = [&](size_t b) {
+        __builtin_prefetch(row_body.data + b * 2 * LANES);
+        for (int line = 0; line < 3; ++line)
+            __builtin_prefetch((char*)(columns.data + b * COLUMNS * LANES) + 64 * line);
+    };
     for (int k = 0; k < colors && ends[k] < ends[colors]; ++k) {
         int b = ends[k];
         for (; b + 2 <= ends[k + 1]; b += 2) {
             Block two[2];
+            prefetch(b + 4);
+            prefetch(b + 5);
             take_some(two, b);
         }
         if (b < ends[k + 1]) {
