@@ -105,4 +105,7 @@ class Binding:
 
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any]) -> Launch:
         """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
-        return bind(self.kernels[name], count, self.launch_values(first, changed), self.model.device)
+        launch = bind(self.kernels[name], count, self.launch_values(first, changed), self.model.device)
+        if hasattr(launch, "kept"):
+            launch.kept = self._shards  # whose memory it has by address
+        return launch

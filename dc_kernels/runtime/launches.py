@@ -137,11 +137,15 @@ class Bound:
 
     Warp packs them anew at each launch, 4 us for twenty; with a version that is not in ``PACKED`` it still does. While
     the calling thread records a graph, a call becomes part of it.
+
+    Attributes:
+        kept: what must live as long as the launch, which has its memory by address alone.
     """
 
     def __init__(self, launch: Any) -> None:
         """``launch``: as ``record`` makes it, on the CPU."""
         self.launch, self.elements = launch, element_types(launch.kernel)
+        self.kept: Any = None
         self._index = {name: i for i, name in enumerate(self.elements)}
         self._shapes: dict[str, tuple[int, ...]] = {}
         self._apart: set[str] = set()  # arguments whose rows do not follow each other

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 import warp as wp
 
+import dc_kernels as dc
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.splat import points_group, stencil_group, transfer_kernels
 from dc_kernels.grid.stencil import BILINEAR
@@ -137,3 +141,20 @@ def test_further_launches_of_a_kernel_are_as_the_first_and_refuse_what_warp_refu
     ):
         with pytest.raises(RuntimeError, match=rf"Error launching kernel.*{name}"):
             command(kernel, 1, {**values, "world_offset": 0, name: wrong}, "cpu")
+
+
+def test_a_launch_keeps_what_it_has_by_address():
+    """A solve looks at the word that cuts it short by its address, also where its simulation is gone."""
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_disc(builder.add_body((0.0, 0.0)), 0.5, density=1.0)
+    sim = dc.Simulation(*builder.finalize())
+    launch = sim.bind("solve_world", 0, 1)
+    word = weakref.ref(sim._shards.cut_flag)
+    del sim
+    gc.collect()
+    assert word() is not None
+    launch()
+    del launch
+    gc.collect()
+    assert word() is None
