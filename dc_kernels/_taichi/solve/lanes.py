@@ -18,6 +18,7 @@ from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.lanes import MASK
 from dc_kernels._taichi.runtime.compiler import ti
 from dc_kernels._taichi.solve.bodies import body_functions, largest, magnitude, total
+from dc_kernels._taichi.solve.laws import clamped
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.solve.iteration import ALIKE, ASTRAY, FAR, MOVING, SCARCE
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, SERIAL_COLOR
@@ -158,7 +159,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         k, r, of_a, of_b, ln, dn, vt = block
         lt0 = rows.impulse[r + 1]
         limit = rows.column[k + MU] * ln
-        lt = ti.min(ti.max(lt0 - (omega * rows.column[k + ET]) * vt, limit * -1.0), limit)
+        lt = clamped(lt0 - (omega * rows.column[k + ET]) * vt, limit)
         dt = lt - lt0
         new_a, new_b = add_tangent(rows, k, of_a, of_b, dt)
         return r, new_a, new_b, ln, lt, dn, dt
@@ -252,7 +253,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             if ti.static(own):
                 yn = ti.min(yn, rows.column[k + HI])
             limit = mu * yn
-            yt = ti.min(ti.max(xt + alpha * dt, limit * -1.0), limit)
+            yt = clamped(xt + alpha * dt, limit)
             rows.impulse[r] = yn
             rows.impulse[r + 1] = yt
             rows.change[r] = yn - xn

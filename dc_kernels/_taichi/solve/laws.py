@@ -10,6 +10,13 @@ def linear_speed(d, va, vb):
 
 
 @ti.func
+def clamped(v, limit):
+    """V within limits, or the upper one where it is NaN: to ignore NaN takes three times as many instructions."""
+    low = ti.select(v < limit, v, limit)
+    return ti.select(limit * -1.0 > low, limit * -1.0, low)
+
+
+@ti.func
 def relative_speed(d, va, vb, ra, rb):
     """Speed of B against A at their contact along a direction, J V (Wu 2018, equations 2.21 and 2.22) [m/s].
 

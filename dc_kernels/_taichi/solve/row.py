@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 from dc_kernels._taichi.groups import group_types
 from dc_kernels._taichi.runtime.compiler import ti
-from dc_kernels._taichi.solve.laws import linear_speed, relative_speed
+from dc_kernels._taichi.solve.laws import clamped, linear_speed, relative_speed
 from dc_kernels.solve.rows import COLUMNS, JOINTED
 
 
@@ -146,7 +146,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         else:
             vt = tangent_speed(rows, k, lane, va, vb)
         limit = rows.column[k + MU][lane] * ln
-        lt = ti.min(ti.max(lt0 - (omega * rows.column[k + ET][lane]) * vt, 0.0 - limit), limit)
+        lt = clamped(lt0 - (omega * rows.column[k + ET][lane]) * vt, limit)
         dt = lt - lt0
         bodies[a] = tangent_change_a(rows, k, lane, va, dt)
         bodies[b] = tangent_change_b(rows, k, lane, vb, dt)
@@ -212,7 +212,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         limit = rows.column[k + MU][lane] * ln
         if mass_t > 0.0:
             vt = tangent_speed(rows, k, lane, va, vb) + mixed * dn
-            lt = ti.min(ti.max(lt0 - omega * vt / mass_t, 0.0 - limit), limit)
+            lt = clamped(lt0 - omega * vt / mass_t, limit)
         dt = lt - lt0
         summed[a] = tangent_change_a(rows, k, lane, normal_change_a(rows, k, lane, summed[a], dn), dt)
         summed[b] = tangent_change_b(rows, k, lane, normal_change_b(rows, k, lane, summed[b], dn), dt)

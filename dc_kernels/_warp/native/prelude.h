@@ -15,7 +15,7 @@ auto store = [&](Real* p, Vector v) { *(Vector*)p = v; };
 auto larger = [&](Vector a, Vector b) { return a > b ? a : b; };
 auto smaller = [&](Vector a, Vector b) { return a < b ? a : b; };
 auto magnitude = [&](Vector a) { return __builtin_elementwise_abs(a); };
-auto clamp = [&](Vector v, Vector limit) { return smaller(limit, larger(v, -limit)); };
+auto clamp = [&](Vector v, Vector limit) { return larger(-limit, smaller(v, limit)); };
 // Sum of the lanes, in a fixed order.
 auto total = [&](Vector v) { return ((v[0] + v[1]) + (v[2] + v[3])) + ((v[4] + v[5]) + (v[6] + v[7])); };
 // The largest lane that is above 0, else 0.

@@ -34,6 +34,18 @@ def inverse_or_zero(x: Any):
 
 
 @wp.func
+def clamped(v: Any, limit: Any):
+    """V within limits, or the upper one where it is NaN; signs of zeros are those of ``clamp`` in native/prelude.h."""
+    least = limit * type(limit)(-1.0)  # Warp's minus makes 0 of 0, not -0
+    low = limit
+    if v < limit:
+        low = v
+    if least > low:
+        low = least
+    return low
+
+
+@wp.func
 def stiffened(inverse: Any, added: Any):
     """The inverse of an inertia to which some is added [1/(kg m^2)]."""
     return inverse / (type(inverse)(1.0) + inverse * added)

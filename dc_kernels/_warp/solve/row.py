@@ -10,7 +10,7 @@ import warp as wp
 
 from dc_kernels._warp.common import kernel_module
 from dc_kernels._warp.groups import group_types
-from dc_kernels._warp.solve.laws import linear_speed, natural_map_squared, relative_speed
+from dc_kernels._warp.solve.laws import clamped, linear_speed, natural_map_squared, relative_speed
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.solve.iteration import ALIKE, ASTRAY, FAR, MOVING, SCARCE
 from dc_kernels.solve.rows import COLUMNS, JOINTED, LANES, OWN, SURFACED
@@ -157,7 +157,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         if wp.static(not discs):
             vt = tangent_speed(rows.column, r, va, vb)
         limit = rows.column[r + MU] * ln
-        lt = wp.min(wp.max(lt0 - (omega * rows.column[r + ET]) * vt, -limit), limit)
+        lt = clamped(lt0 - (omega * rows.column[r + ET]) * vt, limit)
         dt = lt - lt0
         bodies[a] = tangent_change(rows.column, r, va, 0, dt)
         bodies[b] = tangent_change(rows.column, r, vb, 1, dt)
@@ -222,7 +222,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         if mass_t > real(0.0):
             mixed = split_mass(rows.column, r, na, nb, va[3], vb[3], 2)
             vt = tangent_speed(rows.column, r, va, vb) + mixed * dn
-            lt = wp.min(wp.max(lt0 - omega * vt / mass_t, -limit), limit)
+            lt = clamped(lt0 - omega * vt / mass_t, limit)
         dt = lt - lt0
         sa = normal_change(rows.column, r, motion.summed[a], 0, dn)
         motion.summed[a] = tangent_change(rows.column, r, sa, 0, dt)

@@ -26,7 +26,7 @@ from dc_kernels._warp.common import cross, kernel_module, rotate
 from dc_kernels._warp.groups import contiguous_groups, group_types
 from dc_kernels._warp.solve.constraints.jacobian import moved_rows
 from dc_kernels._warp.solve.lanes import has_lanes, lane_functions
-from dc_kernels._warp.solve.laws import inverse_or_zero
+from dc_kernels._warp.solve.laws import clamped, inverse_or_zero
 from dc_kernels._warp.solve.row import row_functions
 from dc_kernels._warp.solve.world import ENDS, N_LANES, world_functions
 from dc_kernels.model.enums import BodyType
@@ -137,7 +137,7 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         vb = normal_change(rows.column, r, vb, 1, dn)
         vt = tangent_speed(rows.column, r, va, vb)
         limited = rows.column[r + MU] * ln
-        lt = wp.min(wp.max(lt0 - rows.column[r + ET] * vt, -limited), limited)
+        lt = clamped(lt0 - rows.column[r + ET] * vt, limited)
         dt = lt - lt0
         motion.solved[a] = tangent_change(rows.column, r, va, 0, dt)
         motion.solved[b] = tangent_change(rows.column, r, vb, 1, dt)
