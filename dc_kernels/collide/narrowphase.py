@@ -24,9 +24,9 @@ from dc_kernels.runtime.inputs import (
     MAX_INDEX,
     check_array,
     check_count,
-    check_finite,
     check_index,
     check_layout,
+    check_not_negative,
     check_slots,
     check_start,
 )
@@ -96,7 +96,7 @@ class Narrowphase(InPlace):
                 of each world from ``pair_start`` on.
             pair_start: first row of each world and the number of rows, (W + 1,); None for one world.
             pair_count: number of pairs of each world, (W,) int32; None: all rows.
-            reach: largest gap of a contact [m]; it must be at least the approach of two shapes in a step.
+            reach: largest gap of a contact, >= 0 [m]; it must be at least the approach of two shapes in a step.
             max_contacts: capacity for contacts of each world, a number or (W,), beyond which an error is raised; None:
                 the capacity grows.
             threads: number of threads that share the worlds; the contacts do not depend on it.
@@ -115,7 +115,7 @@ class Narrowphase(InPlace):
         self._state = self.shapes.state(position, angle, flags=self._flags)
         self.flags = self._state.flags
         self.threads = check_count("threads", threads)
-        self.reach = check_finite("reach", reach)
+        self.reach = check_not_negative("reach", reach)
         self._take(pairs, pair_start, pair_count)
         bodies = np.diff(self.shapes.arrays["body_start"]).astype(np.int64)
         self.fixed = max_contacts is not None

@@ -11,7 +11,7 @@ import numpy as np
 from dc_kernels.model.arrays import ArrayGroup
 from dc_kernels.model.dtypes import numpy_spec
 from dc_kernels.model.fields import field_table
-from dc_kernels.model.rules import UNIT_TOLERANCE, refuse
+from dc_kernels.model.rules import UNIT_TOLERANCE, Number, Rule, refuse
 from dc_kernels.model.settings import WrongType, numeric, shown
 from dc_kernels.runtime.backends import kernel_file, on_numpy
 from dc_kernels.runtime.building import start_warp
@@ -176,8 +176,7 @@ def share_all(
         if array is None:
             continue
         if isinstance(array, Real) and name in numbers:
-            # at whose range the kernels look
-            group.numpy(name)[...] = array if name in BOUNDS else check_finite(name, array)
+            group.numpy(name)[...] = _number(name, array, group.table[name].rule)
             continue
         views[name] = view = view_of(group, name, array, writes=name in writes)
         if on_numpy(group.backend):
@@ -191,6 +190,20 @@ def share_all(
         shape = view.shape[: len(field.axes)]
         group.share(name, wp.array(view, dtype=element, shape=shape, device="cpu", copy=False))
     return views
+
+
+def _number(name: str, value: Any, rule: Rule | None) -> Any:
+    """Return the number of all elements of a field; the bounds of rows, which may be infinite, are seen by kernels.
+
+    Raises:
+        ValueError: naming it and its limits.
+    """
+    if name in BOUNDS:
+        return value
+    number = check_finite(name, value)
+    if isinstance(rule, Number) and not rule.low <= number <= rule.high:
+        raise ValueError(f"{name} is {shown(value)}; it must be {rule.limits}")
+    return number
 
 
 def refuse_incomplete(given: Container[str], arrays: Mapping[str, np.ndarray]) -> None:

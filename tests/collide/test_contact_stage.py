@@ -289,6 +289,7 @@ def test_bad_input_is_named():
         ((model, position, angle, rows), {}, r"pair_start has 1 worlds; the shapes have 2"),
         ((model, position, angle, rows), {"pair_start": [0, 2, 3]}, r"pairs\[2\] is \[0, 2\]; pairs\[2, 0\] must lie"),
         ((model, position, angle, rows), {"reach": np.inf}, r"reach is inf; it must be finite"),
+        ((model, position, angle, rows), {"reach": -1.0}, r"reach is -1.0; it must be finite and >= 0"),
         ((model, position, angle, rows), {"backend": "jax"}, r"backend is 'jax'"),
         (changed(shape_type=kinds), {}, r"shape_type\[4\] is 7; it must lie in \[0, 2\]"),
         (changed(shape_type=segment), {}, r"shape 5, a SEGMENT, has 1 vertices; it must have 4 to 4"),

@@ -623,6 +623,8 @@ def test_a_disc_has_no_normal_arm():
         ({"backend": "cuda"}, "backend is 'cuda'"),
         ({"threads": 0}, "threads is 0"),
         ({"friction": "high"}, "friction"),
+        ({"friction": -1.0}, "^friction is -1.0; it must be finite and >= 0"),
+        ({"restitution": 1.5, "gravity": 9.8}, r"^restitution is 1.5; it must be in \[0, 1\]"),
         ({"joints": {"joint_body_a": np.zeros(1, np.int32)}}, "joints need position and angle"),
         ({"joints": {"spring": 1}, "angle": np.zeros(2)}, "spring is unknown; joints have joint_body_a, .* as rows"),
         ({"joints": {"joint_frequency": np.ones(1)}, "angle": np.zeros(2)}, "joint_frequency is unknown; joints have"),
