@@ -13,7 +13,7 @@ from dc_kernels.collide.broadphase import Pairs
 from dc_kernels.collide.contacts import Cache
 from dc_kernels.collide.switches import Switches
 from dc_kernels.driving.between import Stepper, check_between, run_between
-from dc_kernels.driving.driven import Driven
+from dc_kernels.driving.driven import Driven, options_of_model
 from dc_kernels.events.lists import Overlaps, Touches
 from dc_kernels.explain import describe, explain
 from dc_kernels.model.arrays import Contacts, Model, State
@@ -84,6 +84,7 @@ class Simulation(Driven):
     switches: Switches
     calls: OneCaller
 
+    @options_of_model
     def __init__(
         self,
         model: Model,
@@ -120,9 +121,8 @@ class Simulation(Driven):
         options = SimulationOptions(
             config, threads, schedule, on_overflow, specialize, pairs_per_shape, contacts_per_body
         )
-        state, self.joints, facts = check_scene(model, state, joints)
-        joints = self.joints
-        self.model, self.state, self.built = model, state, state.copy()
+        state, joints, facts = check_scene(model, state, joints)
+        self.model, self.state, self.joints, self.built = model, state, joints, state.copy()
         self._segments = WorldSegments(model.memory, joints.memory("joint_row_start"))
         self.dtype, self.device, self.backend = model.dtype, model.device, model.backend
         self.schedule, self.on_overflow = options.schedule, options.on_overflow

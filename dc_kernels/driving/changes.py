@@ -8,7 +8,6 @@ touch keeps its bits: other worlds, and the contacts with their impulses.
 from __future__ import annotations
 
 import contextlib
-import difflib
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +33,7 @@ from dc_kernels.model.fields import (
 from dc_kernels.model.joints.groups import Joints
 from dc_kernels.model.room import rows_of
 from dc_kernels.model.rules import Number
-from dc_kernels.model.settings import UnknownName, numeric
+from dc_kernels.model.settings import UnknownName, meant, numeric
 from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.model.validate.scene import check_joints, check_model
 from dc_kernels.runtime.interop import host_view
@@ -108,12 +107,11 @@ def _given(name: str, values: Any, model: Model, joints: Joints) -> np.ndarray:
         changeable = (*model.changeable, *joints.changeable)
         why = "cannot be changed in a simulation; make a new one"
         if name not in {**MODEL, **JOINTS}:
-            meant = [other for other in changeable if name in other] or difflib.get_close_matches(name, changeable)
             why = "is no field of a model or of joints"
             if name in STATE:
                 why += f', but of the state, which is written at any time: sim.state.assign("{name}", values)'
-            elif meant:
-                why += f" (did you mean {' or '.join(meant)}?)"
+            else:
+                why += meant(name, changeable)
         raise UnknownName(f"{name} {why}. It may be one of {', '.join(changeable)}")
     field = group.table[name]
     if field.per in TRAITS and not group.sizes[field.per] and group.sizes[axis := TRAITS[field.per]]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import copy
+import functools
 import os
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, BinaryIO
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, BinaryIO, ParamSpec
 
 import numpy as np
 
@@ -27,19 +28,23 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 
-CHOSEN = ("threads", "schedule", "specialize", "dtype", "device", "backend")
+Arguments = ParamSpec("Arguments")
+CHOSEN = ("threads", "schedule", "specialize")
 """What is chosen when a simulation is made."""
+OF_MODEL = ("dtype", "device", "backend")
+"""What is chosen when its model is made."""
 HELD = {
     "model": "sim.change_model(NAME=values) changes a field of it; or make a new simulation",
     "joints": "sim.change_model(NAME=values) changes a field of it; or make a new simulation",
     "state": 'sim.state.assign("NAME", values) writes a field of it, and sim.reset(None, state) all',
     "built": 'sim.built.assign("NAME", values) writes a field of it',
+    **{name: f"make another one of ModelBuilder.finalize({name}=...)" for name in OF_MODEL},
     **dict.fromkeys(
         ("motion", "pairs", "contacts", "cache", "rows", "stats", "sleepers", "overlaps", "touches", "switches"),
         "it is written by the steps, and by restore_contacts and change_contacts",
     ),
 }
-"""Groups whose memory kernels hold, and how they are written."""
+"""What kernels hold, and how it is changed instead."""
 PARTS = frozenset((*CHOSEN, *HELD))
 RESERVED = frozenset((*PARTS, *STATE, *MODEL, *JOINTS))
 
@@ -53,6 +58,23 @@ def _instead(name: str) -> str:
         return f"is a field of the {group}; sim.change_model({name}=values) changes it"
     way = HELD.get(name, f"make another one: dc.Simulation(..., {name}=...)")
     return f"is that of this simulation, whose kernels go by it; {way}"
+
+
+def options_of_model(make: Callable[Arguments, None]) -> Callable[Arguments, None]:
+    """Let a constructor that is given what its model determines say where that is chosen.
+
+    Raises:
+        TypeError: naming it.
+    """
+
+    @functools.wraps(make)
+    def named(*arguments: Arguments.args, **options: Arguments.kwargs) -> None:
+        for name in OF_MODEL:
+            if name in options:
+                raise TypeError(f"a simulation takes no {name}: ModelBuilder.finalize({name}=...) does")
+        make(*arguments, **options)
+
+    return named
 
 
 class Driven(Populated):
@@ -304,5 +326,16 @@ class Driven(Populated):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str] | BinaryIO, **options: Any) -> Self:
-        """Return a simulation from a snapshot; options as for the constructor (see ``snapshot.load``)."""
+        """Return the simulation of a snapshot, a path or a binary file; it continues with the same bits.
+
+        Args:
+            path: of the file, or an open binary file.
+            **options: ``threads``, ``device`` and ``backend``, and those of the constructor; each is as it was saved
+                where it is not given, ``threads`` at most the number of cores.
+
+        Raises:
+            ValueError: the file is no snapshot, or is damaged; the error names file and dataset.
+            OSError: the file does not exist, or must not be read.
+            ImportError: h5py is not installed.
+        """
         return snapshot.load(cls, path, **options)  # type: ignore[type-var]

@@ -19,6 +19,7 @@ from dc_kernels.model.settings import (
     check_choice,
     checker,
     field_types,
+    meant,
     plain_type,
     required,
 )
@@ -196,7 +197,12 @@ class SolverConfig(Settings):
 
         Raises:
             ValueError: the name is unknown, or ``min_sweeps`` exceeds the sweeps that the preset allows.
+            TypeError: there is no setting of a name in ``changed``.
         """
+        known = [f.name for f in fields(cls)]
+        for setting in changed:
+            if setting not in known:
+                raise TypeError(f"SolverConfig has no setting {setting!r}{meant(setting, known)}")
         config = cls(**{**PRESETS[check_choice("preset", name, PRESETS)], **changed})
         if "min_sweeps" in changed and "max_sweeps" not in changed and config.min_sweeps > config.max_sweeps:
             raise ValueError(

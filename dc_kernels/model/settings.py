@@ -14,6 +14,7 @@ then, whatever kind of scalar was given. A function checks an argument by the sa
 
 from __future__ import annotations
 
+import difflib
 import functools
 import inspect
 import math
@@ -209,6 +210,12 @@ def counted(number: int, name: str) -> str:
     return f"{number} {name}s"
 
 
+def meant(name: str, known: Sequence[str]) -> str:
+    """Ask for the known names that a wrong one may stand for; empty where none is near."""
+    near = [other for other in known if name in other] or difflib.get_close_matches(name, known)
+    return f" (did you mean {' or '.join(near)}?)" if near else ""
+
+
 def numeric(name: str, values: Any, wanted: str = "numbers", kinds: str = "iuf") -> np.ndarray:
     """Return numbers of any shape as an array: what is one, or a nested list, and no text, set, mapping or object.
 
@@ -220,6 +227,7 @@ def numeric(name: str, values: Any, wanted: str = "numbers", kinds: str = "iuf")
 
     Raises:
         TypeError: naming it, for anything else.
+        ValueError: for a tensor that requires a gradient, which would be lost.
     """
     array = None
     if not isinstance(values, str | bytes | bytearray | Set | Mapping | np.ma.MaskedArray):  # whose mask would be lost
@@ -229,6 +237,8 @@ def numeric(name: str, values: Any, wanted: str = "numbers", kinds: str = "iuf")
             array = None
         if array is not None and not array.size and isinstance(values, list | tuple):
             array = array.astype(np.intp if "i" in kinds else bool)  # an empty list holds nothing of another kind
+    if array is None and getattr(values, "requires_grad", False):
+        raise ValueError(f"{name} requires a gradient, which would be lost; give {name}.detach()")
     if array is None or array.dtype.kind not in kinds:
         found = f"has dtype {values.dtype}" if isinstance(values, np.ndarray) else f"is {shown(values)}"
         raise WrongType(f"{name} {found}; it must be {wanted}") from None

@@ -47,4 +47,4 @@ def require(module: str, extra: str) -> ModuleType:
         return importlib.import_module(module)
     except ImportError as error:
         name = module.split(".")[0]
-        raise ImportError(f"this needs {name}: install it with  pip install 'deep-contact[{extra}]'") from error
+        raise ImportError(f"this needs {name}: in a clone of deep-contact, pip install -e '.[{extra}]'") from error

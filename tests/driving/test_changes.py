@@ -464,6 +464,7 @@ def test_reset_leaves_a_body_at_rest_that_has_become_static():
         ("model", r"sim\.model is that of this simulation, .* sim\.change_model\(NAME=values\)"),
         ("contacts", r"sim\.contacts is that of .* written by the steps, and by restore_contacts"),
         ("threads", r"sim\.threads is .*; make another one: dc\.Simulation\(\.\.\., threads=\.\.\.\)"),
+        ("dtype", r"sim\.dtype is .*; make another one of ModelBuilder\.finalize\(dtype=\.\.\.\)"),
         ("gravity", r"sim\.gravity is a field of the model; sim\.change_model\(gravity=values\) changes it"),
         ("joint_length", r"sim\.joint_length is a field of the joints; sim\.change_model"),
         ("velocity", r'sim\.velocity is a field of the state; sim\.state\.assign\("velocity", values\)'),
@@ -475,5 +476,7 @@ def test_parts_and_fields_are_no_attributes_to_set(name, message):
         setattr(sim, name, 3)
     with pytest.raises(AttributeError, match="state has no velocities; it has position, angle, velocity, "):
         sim.state.velocities = 3
+    with pytest.raises(TypeError, match=r"takes no dtype: ModelBuilder\.finalize\(dtype=\.\.\.\) does"):
+        dc.Simulation(sim.model, dtype="float64")
     sim.note = "what a caller keeps"
     sim.note = "goes by any other name"

@@ -24,6 +24,8 @@ def test_numpy_and_torch_see_the_same_memory(backend, dtype):
     assert address % 64 == 0  # for SIMD loads
     assert tensor.shape == view.shape == (5, 2)
     assert tensor.dtype == getattr(torch, dtype)
+    with pytest.raises(ValueError, match=r"position requires a gradient, which would be lost; give position\.detach"):
+        state.assign("position", tensor.clone().requires_grad_())
     tensor[3, 1] = 2.5
     assert view[3, 1] == 2.5
     view[0, 0] = -1.0

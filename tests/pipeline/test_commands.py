@@ -173,7 +173,7 @@ def test_missing_dependency_names_the_extra(monkeypatch, capsys):
     with pytest.raises(SystemExit) as caught:
         main(["explain", "stack"])
     assert caught.value.code == 2
-    assert "this needs tyro: install it with pip install 'deep-contact[pipeline]'" in capsys.readouterr().err
+    assert "this needs tyro: in a clone of deep-contact, pip install -e '.[pipeline]'" in capsys.readouterr().err
 
 
 def test_help_names_units_and_defaults():

@@ -200,6 +200,6 @@ def test_zstd_without_its_plugin_is_an_error_that_says_what_to_install(tmp_path,
     path = tmp_path / "file.h5"
     path.write_bytes(image(filtered(**hdf5plugin.Zstd())))
     monkeypatch.setitem(sys.modules, "hdf5plugin", None)
-    wanted = r"hdf5plugin: install it with  pip install 'deep-contact\[pipeline\]'"
+    wanted = r"hdf5plugin: in a clone of deep-contact, pip install -e '\.\[pipeline\]'"
     with pytest.raises(ImportError, match=wanted), reading(path):
         pass

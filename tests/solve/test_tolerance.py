@@ -232,6 +232,8 @@ def test_what_ends_a_solve_is_what_was_asked_for():
 
 def test_presets():
     assert dc.SolverConfig.preset("default") == dc.SolverConfig()
+    with pytest.raises(TypeError, match=r"no setting 'maxsweeps' \(did you mean max_sweeps"):
+        dc.SolverConfig.preset("fast", maxsweeps=3)
     assert dc.SolverConfig.preset("strict") == dc.SolverConfig(motion_mean=0.0)
     assert dc.SolverConfig.preset("accurate").ends_at[0] == "change"
     assert dc.SolverConfig.preset("fast", min_sweeps=3) == dc.SolverConfig(max_sweeps=10, min_sweeps=3)

@@ -30,7 +30,7 @@ def package() -> str:
             return name
     name = wanted or PACKAGES[0]
     raise ImportError(
-        f"the backend 'taichi' needs the package {name}; install it with: pip install deep-contact[{name}]"
+        f"the backend 'taichi' needs the package {name}: in a clone of deep-contact, pip install -e '.[{name}]'"
     )
 
 
