@@ -88,6 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     import warp as wp
 
+    from dc_kernels.model.settings import UnknownName
+
     wp.config.log_level = wp.LOG_WARNING  # its lines on loading modules would stand between ours
     bench = load(options.name)
     takes = getattr(bench, "TAKES", "")
@@ -100,7 +102,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"bench {options.name} takes no --config", file=sys.stderr)
         return 2
     print(timing.machine_line(timing.machine(bench.THREADS)))
-    values = bench.measure(options.quick, *options.more, **given)
+    try:
+        values = bench.measure(options.quick, *options.more, **given)
+    except UnknownName as error:
+        if not options.more and not given:  # no word of the user's
+            raise
+        print(error, file=sys.stderr)
+        return 2
     print(bench.report(values), flush=True)
     if options.json:
         print(timing.json_line(options.name, values, bench.KEYS, quick=options.quick, threads=bench.THREADS))

@@ -49,6 +49,8 @@ COMMANDS: dict[str, type] = {
     re.sub(r"(?<=[a-z])(?=[A-Z])", "-", command.__name__).lower(): command for command in get_args(Command)
 }
 """The commands by the words that choose them."""
+PYTHONS_WORDS = {"invalid literal for int() with base 10: ": "integer", "could not convert string to float: ": "number"}
+"""What Python says of a text that is no number, and what was wanted."""
 
 
 def parse(arguments: Sequence[str] | None = None) -> Any:
@@ -97,6 +99,9 @@ def _refused(stop: SystemExit) -> str:
         help_text = argument.field.helptext
         meaning = (help_text() if callable(help_text) else help_text) or ""
         message = f"{given} is not of the form {wanted}. {meaning}"
+    for words, kind in PYTHONS_WORDS.items():
+        if message.startswith(words):
+            message = f"{message.removeprefix(words)} is no {kind}"
     return f"{', '.join(flag)}: {message}" if flag else message
 
 

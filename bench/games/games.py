@@ -24,6 +24,7 @@ from bench.games.rows import ROWS, Row, hand_over
 from bench.peers.gauge import Gauge
 from dc_kernels.model.config import PRESETS
 from dc_kernels.model.enums import BodyType
+from dc_kernels.model.settings import UnknownName
 
 SUMMARY = "steps of piles, impacts, pyramids, a tumbler and small worlds, beside pymunk, pybox2d and a program of yours"
 KEYS = ("scenes", "configs", "engines")
@@ -50,13 +51,13 @@ def measure(quick: bool, *names: str, config: str = "default,sweeps_10") -> dict
         config: keys of ``CONFIGS`` with commas between; the values of a scene are of the first.
 
     Raises:
-        ValueError: for an unknown name.
+        UnknownName: for what is no scene or no config.
     """
     configs = config.split(",")
     for what, given, known in (("scene", names, ROWS), ("config", configs, CONFIGS)):
         for name in given:
             if name not in known:
-                raise ValueError(f"{what} is {name!r}; it must be one of {', '.join(known)}")
+                raise UnknownName(f"there is no {what} {name!r}; there are: {', '.join(known)}")
     chosen = names or [name for name, row in ROWS.items() if not (quick and row.large)]
     words = program.command()
     peer = program.Program(words) if words else None

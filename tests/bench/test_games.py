@@ -212,9 +212,19 @@ def test_a_scene_is_measured(monkeypatch, falling, tmp_path):
     assert fallen["drift_mm"] == pytest.approx(1e3 * 9.8 * DT**2 * 45, rel=0.3)  # nine steps of free fall
     table = games.report(values)
     assert "rest, falling bodies" in table and "created, deep-contact, default: " in table
-    for wrong, text in ((("pyramids",), {}), ((), {"config": "quickest"})):
-        with pytest.raises(ValueError, match="must be one of"):
-            games.measure(True, *wrong, **text)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["pyramids"], "there is no scene 'pyramids'; there are: thesis_64, "),
+        (["--config", "default,quickest"], "there is no config 'quickest'; there are: default, "),
+    ],
+)
+def test_an_unknown_scene_or_config_is_one_line(arguments, message, capsys):
+    assert command.main(["games", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(message) and len(error.splitlines()) == 1
 
 
 def test_scenes_may_be_named_behind_the_options(monkeypatch, capsys):

@@ -298,6 +298,8 @@ def refused(capsys, *arguments: object) -> str:
         ("fclib export stack --bodis 3", r"--bodis is no option of .* fclib export stack \(did you mean --bodies\?\)"),
         ("explain stack --quite=3", r"--quite is no option of deep-contact explain stack; deep"),
         ("generate stack --ranges friction 0.2", r"--ranges: \['friction', '0.2'\] is not of .*: name, low, high"),
+        ("simulate stack --bodies 20.5", "--bodies: '20.5' is no integer$"),
+        ("simulate stack --dt x", "--dt: 'x' is no number$"),
         ("generate --out=", "--out is empty"),
         (
             "simulate --stepper a.safetensors",
