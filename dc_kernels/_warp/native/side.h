@@ -24,6 +24,11 @@ auto pairs_at = [&](const Real* from, const int* at, Number& x, Number& y) {
 typedef Vector Number;
 const int SIDE = LANES;
 auto any = [&](auto mask) { return __builtin_reduce_or(mask) != 0; };
+// An index by which LANES loads stay loads: LLVM would make gathers of them, which take longer (a tenth of meet_again).
+auto alone = [](int index) {
+    asm("" : "+r"(index));
+    return index;
+};
 auto values_at = [&](const Real* from, const int* at) {
     return Vector{from[at[0]], from[at[1]], from[at[2]], from[at[3]],
                   from[at[4]], from[at[5]], from[at[6]], from[at[7]]};

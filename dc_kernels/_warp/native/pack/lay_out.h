@@ -52,12 +52,16 @@ const int colors = used;
 for (int c = i0; c < i1 && rows.roll_slot.shape[0] > 0; ++c)
     if (resistance_of(c) > 0) ++of[0][used <= ROLLING_COLOR ? color[c] + ROLLING_COLOR : COLORS - 1];
 #endif
-for (int k = 0; k < COLORS; ++k) {
+for (int k = 0; k < COLORS; ++k) used = of[0][k] + of[1][k] > 0 ? k + 1 : used;
+for (int k = 0; k < used; ++k) {
     const int count = of[0][k] + of[1][k];
     fill[k] = count;
     ends[k] = block;
     block += (unsigned)(count + LANES - 1) / LANES;
-    used = count > 0 ? k + 1 : used;
+}
+for (int k = used; k < COLORS; ++k) {
+    fill[k] = 0;
+    ends[k] = block;
 }
 ends[COLORS] = block;
 rows.block_needed.data[w] = block - first;

@@ -34,7 +34,7 @@ for (int begin = 0; begin < lists; begin += LANES) {
     int a1[LANES], a2[LANES], b1[LANES], b2[LANES], other_a1[LANES], other_a2[LANES], other_b1[LANES], other_b2[LANES];
     Real segments[LANES], edges[LANES];
     for (int l = 0; l < LANES; ++l) {
-        const int pair = first + listed[begin + l];
+        const int pair = alone(first + listed[begin + l]);
         a[l] = shape_a[pair];
         b[l] = shape_b[pair];
         of_a[l] = body_of[a[l]];
