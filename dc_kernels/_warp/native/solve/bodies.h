@@ -30,25 +30,22 @@ auto load_from = [&](const Real* all, const int* index) {
 auto load_bodies = [=](const int* index) { return load_from(velocity, index); };
 // Keeps LLVM from taking apart the shuffles that made a vector: it would put its halves together by twice as many, for
 // which processors have one port (4 % of a sweep with AVX-512).
-auto hold = [](auto& v) {
+auto intact = [](auto v) {
 #if defined(__AVX__)
     if constexpr (sizeof(v) == 32) asm("" : "+x"(v));
 #endif
+    return v;
 };
 auto store_bodies = [&](const int* index, Bodies v) {
     transpose(v.x, v.y, v.w, v.m);
-    hold(v.x);
-    hold(v.y);
-    hold(v.w);
-    hold(v.m);
     auto pair = [&](int i, Vector both) {
         *(Quad*)(velocity + 4 * (size_t)index[i]) = __builtin_shufflevector(both, both, 0, 1, 2, 3);
         *(Quad*)(velocity + 4 * (size_t)index[i + 4]) = __builtin_shufflevector(both, both, 4, 5, 6, 7);
     };
-    pair(0, v.x);
-    pair(1, v.y);
-    pair(2, v.w);
-    pair(3, v.m);
+    pair(0, intact(v.x));
+    pair(1, intact(v.y));
+    pair(2, intact(v.w));
+    pair(3, intact(v.m));
 };
 #undef LOW_HALVES
 #undef HIGH_HALVES
