@@ -29,7 +29,6 @@ from dc_kernels.runtime.backends import Launch
 from dc_kernels.runtime.capture import refuse_hosted, refuse_recording
 from dc_kernels.runtime.inputs import check_whole
 from dc_kernels.runtime.sequences import Needing, Rounds, Watch
-from dc_kernels.runtime.shards import shards_of
 from dc_kernels.runtime.threads import GPU_CALLS, OneCaller, uninterrupted
 from dc_kernels.sleep.sleepers import Sleepers
 from dc_kernels.solve import schedules
@@ -127,18 +126,11 @@ class Simulation(Driven):
         self.dtype, self.device, self.backend = model.dtype, model.device, model.backend
         self.schedule, self.on_overflow = options.schedule, options.on_overflow
         threads = options.threads if self.device == "cpu" else 1
-        teams, tiles = schedule == "world", schedule == "world" and self.device == "cpu"
-        sizes = model.world_count, model.body_count
-        self._shards = shards_of(self.backend, *sizes, threads, teams=teams, tiles=tiles)
-        self.threads = self._shards.over_worlds + self._shards.helpers
+        at_once = self._divide(threads)
         self.specialize = options.specialize
         self._config = options.config or DEFAULT
         schedules.check_schedule(self._config, self.schedule)
         self._choose_kernels(self._config, facts)
-        # on a CPU a shard of the host solves world after world; threads of the backend's own share one shard
-        shards = self._shards.parts
-        self._in_turn = schedule == "world" and self.device == "cpu" and shards == len(self._shards.ranges)
-        at_once = shards if self._in_turn else model.world_count
         self.storage = Storage(
             model,
             joints,
@@ -146,7 +138,7 @@ class Simulation(Driven):
             variant=self.variant,
             pairs=options.pairs_per_shape,
             contacts=options.contacts_per_body,
-            shards=shards,
+            shards=self._shards.parts,
             at_once=at_once,
             facts=facts,
         )

@@ -20,6 +20,7 @@ from dc_kernels.model.worlds import Segments, WorldSegments
 from dc_kernels.phases import Phases
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.inputs import check_whole
+from dc_kernels.runtime.shards import shards_of
 from dc_kernels.runtime.threads import OneCaller
 from dc_kernels.storage import Moves, Storage
 
@@ -31,10 +32,14 @@ class Populated(Phases):
 
     model: Model
     joints: Joints
+    backend: str
+    schedule: str
+    threads: int
     calls: OneCaller
     variant: str
     kernels: dict[str, Any]
     _binding: Binding
+    _in_turn: bool
     _segments: WorldSegments
     _reset: Reset | None
     given_ids: Ids | None = None
@@ -47,6 +52,17 @@ class Populated(Phases):
     def adapt_to_model(self, stale: bool) -> None:
         """Take the kernels and the coefficients of a model that has changed; ``stale``: graphs are to be made anew."""
         raise NotImplementedError
+
+    def _divide(self, threads: int) -> int:
+        """Divide the worlds into shards, for so many threads; how many solves may then be in flight together."""
+        model, by_world = self.model, self.schedule == "world"
+        tiles = by_world and self.device == "cpu"
+        sizes = model.world_count, model.body_count
+        self._shards = shards_of(self.backend, *sizes, threads, teams=by_world, tiles=tiles)
+        self.threads = self._shards.over_worlds + self._shards.helpers
+        # on a CPU a shard of the host solves world after world; threads of the backend's own share one shard
+        self._in_turn = tiles and self._shards.parts == len(self._shards.ranges)
+        return self._shards.parts if self._in_turn else model.world_count
 
     def additions(self, world: int | None = None) -> Additions:
         """Collect bodies, shapes and joints for ``add``.
@@ -181,7 +197,9 @@ class Populated(Phases):
         """Go on with groups that were laid out anew; other stages are made for them."""
         self._segments = WorldSegments(self.model.memory, self.joints.memory("joint_row_start"))
         self._choose_kernels(self._config)
-        before = self.storage
+        before, peak = self.storage, self._shards.peak.max(axis=0)
+        at_once = self._divide(self.threads)  # as that of a copy, whose shards go by the bodies that there are by then
+        self._shards.peak[-1] = peak
         self.storage = Storage(
             self.model,
             self.joints,
@@ -190,11 +208,11 @@ class Populated(Phases):
             pairs=PAIRS,
             contacts=CONTACTS,
             shards=self._shards.parts,
-            at_once=before.solver.at_once,
+            at_once=at_once,
         )
         self.storage.take_over(before, moves, self._config)
         self.storage.pass_over_empty({"body": self.ids.numpy("body_id"), "shape": self.ids.numpy("shape_id")})
-        self._binding.kernels = self.kernels
+        self._binding = Binding(self.kernels, self.model, self._shards)
         self._bind_all()
 
     def take_joints(self, moves: Moves) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 import dc_kernels as dc
 from dc_kernels.model.fields import PER_CONTACT
+from dc_kernels.runtime import stepping
 from tests.driving.scenes import DT, bits, scene, simulation
 
 
@@ -111,6 +112,19 @@ def test_a_copy_after_growth_has_the_room_that_there_is():
     sim.run(30, DT)
     other.run(30, DT)
     assert bits(other) == bits(sim)
+
+
+def test_a_copy_of_small_worlds_is_cut_into_as_many_tiles_after_they_got_more_room(monkeypatch):
+    monkeypatch.setattr(stepping, "TILE", 20)
+    sim = simulation()
+    sim.run(5, DT)
+    most = {name: room["peak_of_a_world"] for name, room in sim.capacity().items()}
+    sim.reserve(bodies=40)
+    assert {name: room["peak_of_a_world"] for name, room in sim.capacity().items()} == most
+    other = sim.clone()
+    for one in (sim, other):
+        one.run(5, DT)
+    assert len(sim.peak) == len(other.peak) and bits(sim) == bits(other)
 
 
 def test_what_is_copied_together_belongs_together():
