@@ -73,7 +73,7 @@ def error_time(record: Record) -> str:
     )
     return paragraphs(
         "Steps recorded from impact to rest, solved by every setting, against float64 references solved to 1e-12; "
-        "piles at rest in closed loop, and motions with a closed form, beside the peers.",
+        "piles at rest in closed loop, and motions with a closed form, beside pymunk and pybox2d.",
         "![300 mixed bodies: natural map, velocity, impulse, change, penetration, drift over wall time]"
         "(../bench/results/error_time_mixed.png)",
         "Milliseconds to a relative natural map of 1e-4; in brackets the states in which a setting does not get "
@@ -81,8 +81,8 @@ def error_time(record: Record) -> str:
         table(("scene", "states", "`adaptive` (default)", "fastest setting", "plain Gauss-Seidel"), solves),
         "Time to that level over the fastest setting's in the same state, over the scenes:",
         table(("setting", "times the fastest"), fronts),
-        "Seconds per simulated second of a pile at rest. The peers' columns hold their fastest setting that keeps "
-        "overlaps below 1 mm in the mean, with its iterations and dt:",
+        "Seconds per simulated second of a pile at rest. The columns of pymunk and pybox2d hold their fastest setting "
+        "that keeps overlaps below 1 mm in the mean, with its iterations and dt:",
         table(("scene", "default", "our fastest", "pymunk", "pybox2d"), piles),
         "Seconds per simulated second to an error [m] of one moving body at 1.6 s:",
         table(("motion", "error", *next(iter(record["motions"].values()))), motions),
@@ -98,6 +98,7 @@ def fc2d(record: Record) -> str:
     total = len({row["file"] for row in record["rows"]}) + record["states"]
     counts = record["solved"]
     largest = max(record["rows"], key=lambda row: row["contacts"])["file"]
+    files = dict.fromkeys(row["file"] for row in record["rows"])
     rows = [row for row in record["rows"] if row["file"] == largest]
     cells = [
         (
@@ -117,6 +118,8 @@ def fc2d(record: Record) -> str:
         f"{total} problems in Delassus form, {total - record['states']} of other simulators and {record['states']} "
         "states of our scenes, from zero to a relative natural map. The columns to the right are of the largest of "
         f"the others' problems, {largest} with {figure(rows[0]['contacts'])} contacts.",
+        f"The problems of others are the files {', '.join(files)} from the test data of the Siconos project, in the "
+        "layout of FCLIB, its collection of contact problems.",
         table(header, cells),
         f"To 1e-8 `auto` solves {counts['1e8']['auto']} of {total}, Newton's method {counts['1e8']['newton']}, "
         f"first-order methods {min(first_order)} to {max(first_order)}.",

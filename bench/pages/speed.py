@@ -21,7 +21,7 @@ def worlds(record: Record) -> str:
     header = ("engine", "worlds/s", "ours over it", "mean overlap after the run [mm]", "largest [mm]")
     return paragraphs(
         "100 discs fall into a box, 250 steps of 0.01 s, 64 worlds, creation included. Each of our steps is solved to "
-        "1e-4 N s from the cached impulses; a peer takes the iterations that its row says.",
+        "1e-4 N s from the cached impulses; another engine takes the iterations that its row says.",
         table(header, rows),
         f"Two threads take {record['threads_ratio']:.2f} times as many worlds per second as one. A step takes "
         f"{record['mean_sweeps']:.0f} sweeps in the mean; {record['share_capped']:.1%} of the steps end at the cap of "

@@ -73,13 +73,16 @@ def test_a_bench_without_a_section_shows_its_keys(records):
 def test_scenes_of_games_are_shown(records):
     values = {"ms": 0.5, "overlap_mean_mm": 0.25, "overlap_max_mm": 1.0, "over_peer": 0.75, "shares": {"predict": 1.0}}
     engines = {"default": values, "peer": {"ms": 2.0, "overlap_mean_mm": 4.0, "overlap_max_mm": 8.0, "shares": {}}}
+    engines["peer"]["drift_mm"] = 2e4
     record = {
         "scenes": {"tumbler_2000": {**values, "engines": engines}},
         "configs": ["default"],
-        "engines": {"default": "deep-contact, default", "peer": "another engine"},
+        "engines": {"default": "deep-contact, default", "peer": "Box2D 3, 4 substeps"},
     }
     text = page.section({"bench": "games", "quick": True, "machine": records["worlds"]["machine"], **record})
-    assert "of deep-contact, default; another engine." in text.replace("\n", " ")
+    assert "of deep-contact, default; Box2D 3, 4 substeps." in text.replace("\n", " ")
+    assert "| scene | default [ms] | Box2D 3 [ms] | default over Box2D 3 |" in text
+    assert "Bodies fell off the floor, as their drift below tells, in: 2 000 boxes in a drum in Box2D 3 (20 m)." in text
     assert "| 2 000 boxes in a drum | 0.5 | 2 | 0.75 |" in text
     assert "| 2 000 boxes in a drum: mean overlap [mm] | 0.25 | 4 |" in text and "creep [mm/s] |" not in text
     assert "| 2 000 boxes in a drum | `predict` 100% |" in text
