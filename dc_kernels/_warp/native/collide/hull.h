@@ -90,7 +90,7 @@ auto separation = [&](const Core& one, const Core& two, const Pose& pose, REAL e
     for (int j = 0; j < two.count; ++j) {
         const Point point = two.corners[j];
         const Vector distance = x * point.x + y * point.y;
-        low = distance < low ? distance : low;
+        low = smaller(distance, low);
     }
     const Vector own = normal.x * (corner.x - pose.at.x) + normal.y * (corner.y - pose.at.y);
     return best_lane(low - own, one.count, enough);
@@ -129,7 +129,7 @@ auto quad_separations = [&](const Core& one, const Core& two, const Pose& there,
     const Vector s = halves(there.s, back.s), x = there.c * nx + s * ny, y = there.c * ny - s * nx;
     auto along = [&](Vector px, Vector py) { return x * px + y * py; };
     Vector low = along(BOTH(twos, ones, 0), BOTH(twos, ones, 1));
-    auto lower = [&](Vector distance) { low = distance < low ? distance : low; };
+    auto lower = [&](Vector distance) { low = smaller(distance, low); };
     lower(along(BOTH(twos, ones, 2), BOTH(twos, ones, 3)));
     lower(along(BOTH(twos, ones, 4), BOTH(twos, ones, 5)));
     lower(along(BOTH(twos, ones, 6), BOTH(twos, ones, 7)));

@@ -46,13 +46,16 @@ int* const fill = rows.color_fill.data + (size_t)w * COLORS;
 int* const ends = rows.color_block.data + (size_t)w * (COLORS + 1);
 const int first = rows.block_start.data[w];
 int block = first, used = 0;
+auto find_used = [&]() {
+    for (int k = 0; k < COLORS; ++k) used = of[0][k] + of[1][k] > 0 ? k + 1 : used;
+};
 #if SURFACES
-for (int k = 0; k < COLORS; ++k) used = of[0][k] + of[1][k] > 0 ? k + 1 : used;
+find_used();
 const int colors = used;
 for (int c = i0; c < i1 && rows.roll_slot.shape[0] > 0; ++c)
     if (resistance_of(c) > 0) ++of[0][used <= ROLLING_COLOR ? color[c] + ROLLING_COLOR : COLORS - 1];
 #endif
-for (int k = 0; k < COLORS; ++k) used = of[0][k] + of[1][k] > 0 ? k + 1 : used;
+find_used();
 for (int k = 0; k < used; ++k) {
     const int count = of[0][k] + of[1][k];
     fill[k] = count;

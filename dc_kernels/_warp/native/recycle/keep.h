@@ -23,11 +23,11 @@ const Core core_b = {points_of(vertices, b.first, b.count, copy[2]), points_of(n
 const Vector lane = {0, 1, 2, 3, 4, 5, 6, 7}, far_off = (Real)1e30;
 auto least_of = [&](Vector v) {
     Vector other = __builtin_shufflevector(v, v, 4, 5, 6, 7, 0, 1, 2, 3);
-    v = v < other ? v : other;
+    v = smaller(v, other);
     other = __builtin_shufflevector(v, v, 2, 3, 0, 1, 6, 7, 4, 5);
-    v = v < other ? v : other;
+    v = smaller(v, other);
     other = __builtin_shufflevector(v, v, 1, 0, 3, 2, 5, 4, 7, 6);
-    v = v < other ? v : other;
+    v = smaller(v, other);
     return v[0];
 };
 struct Side {
@@ -41,7 +41,7 @@ auto side_of = [&](const Core& one, const Core& two, const Pose& pose) {
     Vector low = far_off;
     for (int j = 0; j < two.count; ++j) {
         const Vector distance = dx * two.corners[j].x + dy * two.corners[j].y;
-        low = distance < low ? distance : low;
+        low = smaller(distance, low);
     }
     const Vector own = normal.x * (corner.x - pose.at.x) + normal.y * (corner.y - pose.at.y);
     Vector value = low - own;

@@ -90,13 +90,13 @@ for (int begin = 0; begin < lists; begin += LANES) {
     const Side normal_a = side_at(model.vertex_normals, a1), normal_b = side_at(model.vertex_normals, other_b1);
     auto separation_of = [&](Side normal, Side begin, Vector s, Side at, Side p, Side q) {
         const Side direction = turned_back(c, s, normal);
-        return least(dot(direction, q), dot(direction, p)) - dot(normal, minus(begin, at));
+        return smaller(dot(direction, q), dot(direction, p)) - dot(normal, minus(begin, at));
     };
     const Vector value_a = separation_of(normal_a, corner_a1, s, x, corner_b1, corner_b2);
     const Vector value_b = separation_of(normal_b, far_b1, -s, x_back, far_a1, far_a2);
     const Vector radius_a = values_at(model.shape_radius.data, a), radius_b = values_at(model.shape_radius.data, b);
     const Vector radii = radius_a + radius_b, touching = radii - overlap;
-    near = near & ~(most(value_a, value_b) > within + radii);
+    near = near & ~(larger(value_a, value_b) > within + radii);
     // the reference edge, of b where ``flip``, and the edge that faces it
     const auto flip = value_b > value_a + slack;
     const Vector separation = pick(flip, value_b, value_a), sine = pick(flip, -s, s);
@@ -109,15 +109,15 @@ for (int begin = 0; begin < lists; begin += LANES) {
     const Vector length = length_of(along);
     along = {along.x / length, along.y / length};
     const Vector u1 = dot(minus(q1, p1), along), u2 = dot(minus(q2, p1), along);
-    const Vector w1 = least(most(u1, zero), length), w2 = least(most(u2, zero), length), span = u2 - u1;
+    const Vector w1 = smaller(larger(u1, zero), length), w2 = smaller(larger(u2, zero), length), span = u2 - u1;
     const auto upright = ~(magnitude(span) > (Real)EPSILON * length);
     Side k1 = choose(upright, q1, plus(q1, times(minus(q2, q1), (w1 - u1) / span)));
     Side k2 = choose(upright, q2, plus(q1, times(minus(q2, q1), (w2 - u1) / span)));
     Vector g1 = dot(normal, minus(k1, p1)), g2 = dot(normal, minus(k2, p1));
-    const auto outside = (most(u1, u2) < zero) | (least(u1, u2) > length), apart = separation > zero + slack;
+    const auto outside = (larger(u1, u2) < zero) | (smaller(u1, u2) > length), apart = separation > zero + slack;
     // two corners are closest
     full = full |
-           (near & ((outside & (apart | (load(segments) > zero))) | (apart & (least(g1, g2) > separation + slack))));
+           (near & ((outside & (apart | (load(segments) > zero))) | (apart & (smaller(g1, g2) > separation + slack))));
     if (any(outside)) {
         k1 = choose(outside, q1, k1);
         k2 = choose(outside, q2, k2);

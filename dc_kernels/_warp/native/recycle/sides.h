@@ -13,8 +13,6 @@ auto times = [](Side p, Vector factor) { return Side{p.x * factor, p.y * factor}
 auto turned = [](Vector c, Vector s, Side p) { return Side{c * p.x - s * p.y, s * p.x + c * p.y}; };
 auto turned_back = [](Vector c, Vector s, Side p) { return Side{c * p.x + s * p.y, c * p.y - s * p.x}; };
 auto length_of = [&](Side p) { return root(dot(p, p)); };
-auto least = [](Vector p, Vector q) { return p < q ? p : q; };
-auto most = [](Vector p, Vector q) { return p > q ? p : q; };
 auto choose = [&](auto mask, Side p, Side q) { return Side{pick(mask, p.x, q.x), pick(mask, p.y, q.y)}; };
 auto store_points = [&](Real* to, Side p) {
     store(to, __builtin_shufflevector(p.x, p.y, 0, 8, 1, 9, 2, 10, 3, 11));
