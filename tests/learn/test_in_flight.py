@@ -186,7 +186,7 @@ def test_the_oracle_reads_and_corrects_by_itself():
     made = {}
     for backend in ("warp", "numpy"):
         sim = colliding(
-            Settled(bodies=8), steps=1, worlds=2, run={"backend": backend}, acceleration="none", max_sweeps=30
+            Settled(bodies=8), steps=2, worlds=2, run={"backend": backend}, acceleration="none", max_sweeps=30
         )
         reader = reader_of(sim)
         rows = []

@@ -114,27 +114,30 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         return (ax, ay, aw, am), (bx, by, bw, bm)
 
     @ti.func
-    def add_tangent(rows: t.Rows, k, of_a, of_b, dt):
-        """The bodies after an impulse along the tangent."""
+    def add_both(rows: t.Rows, k, of_a, of_b, dn, dt):
+        """The bodies after an impulse along the normal and one along the tangent."""
         ax, ay, aw, am = of_a
         bx, by, bw, bm = of_b
         qx = rows.column[k + NY] * dt
         qy = rows.column[k + NX] * dt
-        ax = ax - am * qx
-        ay = ay + am * qy
-        bx = bx + bm * qx
-        by = by - bm * qy
+        ax = ax - am * (rows.column[k + AX] * dn + qx)
+        ay = ay - am * (rows.column[k + AY] * dn - qy)
+        bx = bx + bm * (rows.column[k + NX] * dn + qx)
+        by = by + bm * (rows.column[k + NY] * dn - qy)
         if ti.static(discs):
             aw = aw + rows.column[k + WA] * dt
             bw = bw + rows.column[k + WB] * dt
         else:
-            aw = aw - rows.column[k + WA] * (rows.column[k + RAT] * dt)
-            bw = bw + rows.column[k + WB] * (rows.column[k + RBT] * dt)
+            aw = aw - rows.column[k + WA] * (rows.column[k + RAN] * dn + rows.column[k + RAT] * dt)
+            bw = bw + rows.column[k + WB] * (rows.column[k + RBN] * dn + rows.column[k + RBT] * dt)
         return (ax, ay, aw, am), (bx, by, bw, bm)
 
     @ti.func
     def swept_normal(rows: t.Rows, block, omega):
-        """A block after the normal impulses of a sweep, these, their change, and the speeds along the tangent."""
+        """A block, its normal impulses after a sweep, their change, and the speeds along the tangent after it.
+
+        The latter follow from what they were: nothing waits for the bodies' new velocities.
+        """
         k, r, of_a, of_b = block
         ln0 = rows.impulse[r]
         bias = rows.column[k + BIAS]
@@ -145,23 +148,22 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
         if ti.static(own):
             ln = ti.min(ln, rows.column[k + HI])
         dn = ln - ln0
-        new_a, new_b = add_normal(rows, k, of_a, of_b, dn)
-        vt = vec8(0.0)
-        if ti.static(discs):  # a disc's normal impulse has no tangential effect: its tangent need not wait for it
-            vt = tangent_speed(rows, k, of_a, of_b)
-        else:
-            vt = tangent_speed(rows, k, new_a, new_b)
-        return k, r, new_a, new_b, ln, dn, vt
+        vt = tangent_speed(rows, k, of_a, of_b)
+        if ti.static(not discs):  # a disc's normal impulse has no tangential effect
+            wa = rows.column[k + WA] * rows.column[k + RAN] * rows.column[k + RAT]
+            wb = rows.column[k + WB] * rows.column[k + RBN] * rows.column[k + RBT]
+            vt = vt + (wa + wb) * dn
+        return k, r, of_a, of_b, ln, dn, vt
 
     @ti.func
     def swept_tangent(rows: t.Rows, block, omega):
-        """A block after the tangential impulses of a sweep, and impulses and changes along both."""
+        """A block after the impulses of a sweep, and these and their changes along both."""
         k, r, of_a, of_b, ln, dn, vt = block
         lt0 = rows.impulse[r + 1]
         limit = rows.column[k + MU] * ln
         lt = clamped(lt0 - (omega * rows.column[k + ET]) * vt, limit)
         dt = lt - lt0
-        new_a, new_b = add_tangent(rows, k, of_a, of_b, dt)
+        new_a, new_b = add_both(rows, k, of_a, of_b, dn, dt)
         return r, new_a, new_b, ln, lt, dn, dt
 
     @ti.func
@@ -215,8 +217,7 @@ def lane_functions(dtype: str, variant: str) -> SimpleNamespace:
             if anew == 1:
                 dn = rows.impulse[r]
                 dt = rows.impulse[r + 1]
-            half_a, half_b = add_normal(rows, k, of_a, of_b, dn)
-            new_a, new_b = add_tangent(rows, k, half_a, half_b, dt)
+            new_a, new_b = add_both(rows, k, of_a, of_b, dn, dt)
             store_block(rows, bodies, r, new_a, new_b, floor)
 
     @ti.func

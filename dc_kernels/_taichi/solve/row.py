@@ -56,6 +56,16 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         return speed
 
     @ti.func
+    def mixed(rows: t.Rows, k, lane, na, nb):
+        """Tangential speed that a unit of normal impulse gives, by shares of each body's mass [1/kg]: 0 of discs."""
+        speed = real(0.0)
+        if ti.static(not discs):
+            wa = rows.column[k + IA][lane] * rows.column[k + RAN][lane] * rows.column[k + RAT][lane]
+            wb = rows.column[k + IB][lane] * rows.column[k + RBN][lane] * rows.column[k + RBT][lane]
+            speed = na * wa + nb * wb
+        return speed
+
+    @ti.func
     def normal_change_a(rows: t.Rows, k, lane, v, dn):
         """Velocity of body A after a normal impulse."""
         px = rows.column[k + (AX if own else NX)][lane] * dn
@@ -76,28 +86,30 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         return vec4(v[0] + v[3] * px, v[1] + v[3] * py, spin, v[3])
 
     @ti.func
-    def tangent_change_a(rows: t.Rows, k, lane, v, dt):
-        """Velocity of body A after a tangential impulse."""
-        qx = rows.column[k + NY][lane] * dt
-        qy = rows.column[k + NX][lane] * dt
+    def changed_a(rows: t.Rows, k, lane, v, dn, dt):
+        """Velocity of body A after an impulse along the normal and one along the tangent."""
+        px = rows.column[k + (AX if own else NX)][lane] * dn + rows.column[k + NY][lane] * dt
+        py = rows.column[k + (AY if own else NY)][lane] * dn - rows.column[k + NX][lane] * dt
         spin = v[2]
         if ti.static(discs):
             spin = spin + rows.column[k + KA][lane] * dt
         else:
-            spin = spin - rows.column[k + IA][lane] * (rows.column[k + RAT][lane] * dt)
-        return vec4(v[0] - v[3] * qx, v[1] + v[3] * qy, spin, v[3])
+            turn = rows.column[k + RAN][lane] * dn + rows.column[k + RAT][lane] * dt
+            spin = spin - rows.column[k + IA][lane] * turn
+        return vec4(v[0] - v[3] * px, v[1] - v[3] * py, spin, v[3])
 
     @ti.func
-    def tangent_change_b(rows: t.Rows, k, lane, v, dt):
-        """Velocity of body B after a tangential impulse."""
-        qx = rows.column[k + NY][lane] * dt
-        qy = rows.column[k + NX][lane] * dt
+    def changed_b(rows: t.Rows, k, lane, v, dn, dt):
+        """Velocity of body B after an impulse along the normal and one along the tangent."""
+        px = rows.column[k + NX][lane] * dn + rows.column[k + NY][lane] * dt
+        py = rows.column[k + NY][lane] * dn - rows.column[k + NX][lane] * dt
         spin = v[2]
         if ti.static(discs):
             spin = spin + rows.column[k + KB][lane] * dt
         else:
-            spin = spin + rows.column[k + IB][lane] * (rows.column[k + RBT][lane] * dt)
-        return vec4(v[0] + v[3] * qx, v[1] - v[3] * qy, spin, v[3])
+            turn = rows.column[k + RBN][lane] * dn + rows.column[k + RBT][lane] * dt
+            spin = spin + rows.column[k + IB][lane] * turn
+        return vec4(v[0] + v[3] * px, v[1] + v[3] * py, spin, v[3])
 
     @ti.func
     def least_normal(rows: t.Rows, k, lane):
@@ -137,19 +149,14 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         step = (omega * rows.column[k + EN][lane]) * (vn + bias_of(rows, k, lane, ln0))
         ln = within(rows, k, lane, ln0 - step)
         dn = ln - ln0
-        # a disc's normal impulse has no tangential effect: its tangent is that of before
-        va = normal_change_a(rows, k, lane, va, dn)
-        vb = normal_change_b(rows, k, lane, vb, dn)
-        vt = real(0.0)
-        if ti.static(discs):
-            vt = tangent_speed(rows, k, lane, bodies[a], bodies[b])
-        else:
-            vt = tangent_speed(rows, k, lane, va, vb)
+        vt = tangent_speed(rows, k, lane, va, vb)
+        if ti.static(not discs):
+            vt = vt + mixed(rows, k, lane, 1.0, 1.0) * dn
         limit = rows.column[k + MU][lane] * ln
         lt = clamped(lt0 - (omega * rows.column[k + ET][lane]) * vt, limit)
         dt = lt - lt0
-        bodies[a] = tangent_change_a(rows, k, lane, va, dt)
-        bodies[b] = tangent_change_b(rows, k, lane, vb, dt)
+        bodies[a] = changed_a(rows, k, lane, va, dn, dt)
+        bodies[b] = changed_b(rows, k, lane, vb, dn, dt)
         rows.impulse[2 * block][lane] = ln
         rows.impulse[2 * block + 1][lane] = lt
         rows.change[2 * block][lane] = dn
@@ -158,10 +165,9 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @ti.func
     def split_mass(rows: t.Rows, k, lane, na, nb, ma, mb):
-        """J M^-1 J^T with each body's mass shared among its rows, along (normal, tangent) and of both mixed."""
+        """J M^-1 J^T with each body's mass shared among its rows, along (normal, tangent)."""
         normal = real(0.0)
         along = real(0.0)
-        mixed = real(0.0)
         if ti.static(discs):
             normal = na * ma + nb * mb
             ka = rows.column[k + KA][lane] * rows.column[k + DA][lane]
@@ -184,8 +190,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
                 of_b = mb * (nx * nx + ny * ny) + ib * rbn * rbn
                 normal = na * of_a + nb * of_b + rows.column[k + SOFT][lane]
             along = na * (ma + ia * rat * rat) + nb * (mb + ib * rbt * rbt)
-            mixed = na * (ia * ran * rat) + nb * (ib * rbn * rbt)
-        return normal, along, mixed
+        return normal, along
 
     @ti.func
     def jacobi_row(block, lane, rows: t.Rows, solved: ti.template(), summed: ti.template(), omega):
@@ -203,7 +208,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         ln0 = rows.impulse[2 * block][lane]
         lt0 = rows.impulse[2 * block + 1][lane]
         ln = ln0
-        mass_n, mass_t, mixed = split_mass(rows, k, lane, na, nb, va[3], vb[3])
+        mass_n, mass_t = split_mass(rows, k, lane, na, nb, va[3], vb[3])
         if mass_n > 0.0:
             speed = normal_speed(rows, k, lane, va, vb) + bias_of(rows, k, lane, ln0)
             ln = within(rows, k, lane, ln0 - omega * speed / mass_n)
@@ -211,11 +216,11 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         lt = lt0
         limit = rows.column[k + MU][lane] * ln
         if mass_t > 0.0:
-            vt = tangent_speed(rows, k, lane, va, vb) + mixed * dn
+            vt = tangent_speed(rows, k, lane, va, vb) + mixed(rows, k, lane, na, nb) * dn
             lt = clamped(lt0 - omega * vt / mass_t, limit)
         dt = lt - lt0
-        summed[a] = tangent_change_a(rows, k, lane, normal_change_a(rows, k, lane, summed[a], dn), dt)
-        summed[b] = tangent_change_b(rows, k, lane, normal_change_b(rows, k, lane, summed[b], dn), dt)
+        summed[a] = changed_a(rows, k, lane, summed[a], dn, dt)
+        summed[b] = changed_b(rows, k, lane, summed[b], dn, dt)
         rows.impulse[2 * block][lane] = ln
         rows.impulse[2 * block + 1][lane] = lt
         rows.change[2 * block][lane] = dn
@@ -233,8 +238,8 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         if anew == 1:
             dn = rows.impulse[2 * block][lane]
             dt = rows.impulse[2 * block + 1][lane]
-        va = tangent_change_a(rows, k, lane, normal_change_a(rows, k, lane, bodies[a], dn), dt)
-        vb = tangent_change_b(rows, k, lane, normal_change_b(rows, k, lane, bodies[b], dn), dt)
+        va = changed_a(rows, k, lane, bodies[a], dn, dt)
+        vb = changed_b(rows, k, lane, bodies[b], dn, dt)
         bodies[a] = va
         bodies[b] = vb
 

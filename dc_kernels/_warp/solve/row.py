@@ -42,6 +42,7 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
     DA, DB, KA, KB, LO = (at.get(c, 0) for c in ("dA", "dB", "kA", "kB", "lo"))
     HI, AX, AY, SOFT, HELD, SLIP, ROLL = (at.get(c, 0) for c in ("hi", "ax", "ay", "soft", "held", "slip", "roll"))
     infinity = real(float("inf"))
+    one = real(1.0)
     bounded = real(UNBOUNDED)
 
     @wp.func(module=module)
@@ -64,6 +65,24 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
             return relative_speed(tangent, va, vb, column[r + RAT], column[r + RBT]) + column[r + SLIP]
         else:
             return relative_speed(tangent, va, vb, column[r + RAT], column[r + RBT])
+
+    @wp.func(module=module)
+    def mixed(column: wp.array(dtype=real), r: int, na: real, nb: real):
+        """Tangential speed that a unit of normal impulse gives, by shares of each body's mass [1/kg]: 0 of discs."""
+        if wp.static(discs):
+            return real(0.0)
+        else:
+            wa = column[r + IA] * column[r + RAN] * column[r + RAT]
+            wb = column[r + IB] * column[r + RBN] * column[r + RBT]
+            return na * wa + nb * wb
+
+    @wp.func(module=module)
+    def tangent_speed_after(column: wp.array(dtype=real), r: int, va: vec4, vb: vec4, dn: real):
+        """What the tangential speed is after a normal impulse, from the velocities before it."""
+        speed = tangent_speed(column, r, va, vb)
+        if wp.static(not discs):
+            speed = speed + mixed(column, r, one, one) * dn
+        return speed
 
     @wp.func(module=module)
     def normal_change(column: wp.array(dtype=real), r: int, v: vec4, side: int, dn: real):
@@ -89,27 +108,32 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         return vec4(x, y, spin, v[3])
 
     @wp.func(module=module)
-    def tangent_change(column: wp.array(dtype=real), r: int, v: vec4, side: int, dt: real):
-        """Velocity of body A (side 0) or B (side 1) after a tangential impulse."""
+    def changed(column: wp.array(dtype=real), r: int, v: vec4, side: int, dn: real, dt: real):
+        """Velocity of body A (side 0) or B (side 1) after an impulse along the normal and one along the tangent."""
         qx = column[r + NY] * dt
         qy = column[r + NX] * dt
+        px = column[r + NX] * dn + qx
+        py = column[r + NY] * dn - qy
         x = v[0]
         y = v[1]
         spin = v[2]
         if side == 0:
-            x = x - v[3] * qx
-            y = y + v[3] * qy
+            if wp.static(own):
+                px = column[r + AX] * dn + qx
+                py = column[r + AY] * dn - qy
+            x = x - v[3] * px
+            y = y - v[3] * py
             if wp.static(discs):
                 spin = spin + column[r + KA] * dt
             else:
-                spin = spin - column[r + IA] * (column[r + RAT] * dt)
+                spin = spin - column[r + IA] * (column[r + RAN] * dn + column[r + RAT] * dt)
         else:
-            x = x + v[3] * qx
-            y = y - v[3] * qy
+            x = x + v[3] * px
+            y = y + v[3] * py
             if wp.static(discs):
                 spin = spin + column[r + KB] * dt
             else:
-                spin = spin + column[r + IB] * (column[r + RBT] * dt)
+                spin = spin + column[r + IB] * (column[r + RBN] * dn + column[r + RBT] * dt)
         return vec4(x, y, spin, v[3])
 
     @wp.func(module=module)
@@ -150,17 +174,12 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         speed = normal_speed(rows.column, r, va, vb)
         ln = within(rows.column, r, ln0 - (omega * rows.column[r + EN]) * (speed + bias_of(rows.column, r, ln0)))
         dn = ln - ln0
-        # a disc's normal impulse has no tangential effect: its tangent need not wait for it
-        vt = tangent_speed(rows.column, r, va, vb)
-        va = normal_change(rows.column, r, va, 0, dn)
-        vb = normal_change(rows.column, r, vb, 1, dn)
-        if wp.static(not discs):
-            vt = tangent_speed(rows.column, r, va, vb)
+        vt = tangent_speed_after(rows.column, r, va, vb, dn)
         limit = rows.column[r + MU] * ln
         lt = clamped(lt0 - (omega * rows.column[r + ET]) * vt, limit)
         dt = lt - lt0
-        bodies[a] = tangent_change(rows.column, r, va, 0, dt)
-        bodies[b] = tangent_change(rows.column, r, vb, 1, dt)
+        bodies[a] = changed(rows.column, r, va, 0, dn, dt)
+        bodies[b] = changed(rows.column, r, vb, 1, dn, dt)
         rows.impulse[i] = ln
         rows.impulse[i + N_LANES] = lt
         rows.change[i] = dn
@@ -169,13 +188,11 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     @wp.func(module=module)
     def split_mass(column: wp.array(dtype=real), r: int, na: real, nb: real, ma: real, mb: real, direction: int):
-        """J M^-1 J^T with each body's mass shared among its rows (direction 0 normal, 1 tangent, 2 mixed)."""
+        """J M^-1 J^T with each body's mass shared among its rows (direction 0 normal, 1 tangent)."""
         if wp.static(discs):
             if direction == 0:
                 return na * ma + nb * mb
-            if direction == 1:
-                return na * (ma + column[r + KA] * column[r + DA]) + nb * (mb + column[r + KB] * column[r + DB])
-            return real(0.0)
+            return na * (ma + column[r + KA] * column[r + DA]) + nb * (mb + column[r + KB] * column[r + DB])
         else:
             if direction == 0:
                 wa = column[r + IA] * column[r + RAN] * column[r + RAN]
@@ -185,13 +202,9 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
                     lb = column[r + NX] * column[r + NX] + column[r + NY] * column[r + NY]
                     return na * (ma * la + wa) + nb * (mb * lb + wb) + column[r + SOFT]
                 return na * (ma + wa) + nb * (mb + wb)
-            if direction == 1:
-                wa = column[r + IA] * column[r + RAT] * column[r + RAT]
-                wb = column[r + IB] * column[r + RBT] * column[r + RBT]
-                return na * (ma + wa) + nb * (mb + wb)
-            wa = column[r + IA] * column[r + RAN] * column[r + RAT]
-            wb = column[r + IB] * column[r + RBN] * column[r + RBT]
-            return na * wa + nb * wb
+            wa = column[r + IA] * column[r + RAT] * column[r + RAT]
+            wb = column[r + IB] * column[r + RBT] * column[r + RBT]
+            return na * (ma + wa) + nb * (mb + wb)
 
     @wp.func(module=module)
     def jacobi_row(block: int, lane: int, rows: t.Rows, motion: t.Motion, omega: real):
@@ -220,14 +233,11 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         mass_t = split_mass(rows.column, r, na, nb, va[3], vb[3], 1)
         limit = rows.column[r + MU] * ln
         if mass_t > real(0.0):
-            mixed = split_mass(rows.column, r, na, nb, va[3], vb[3], 2)
-            vt = tangent_speed(rows.column, r, va, vb) + mixed * dn
+            vt = tangent_speed(rows.column, r, va, vb) + mixed(rows.column, r, na, nb) * dn
             lt = clamped(lt0 - omega * vt / mass_t, limit)
         dt = lt - lt0
-        sa = normal_change(rows.column, r, motion.summed[a], 0, dn)
-        motion.summed[a] = tangent_change(rows.column, r, sa, 0, dt)
-        sb = normal_change(rows.column, r, motion.summed[b], 1, dn)
-        motion.summed[b] = tangent_change(rows.column, r, sb, 1, dt)
+        motion.summed[a] = changed(rows.column, r, motion.summed[a], 0, dn, dt)
+        motion.summed[b] = changed(rows.column, r, motion.summed[b], 1, dn, dt)
         rows.impulse[i] = ln
         rows.impulse[i + N_LANES] = lt
         rows.change[i] = dn
@@ -243,8 +253,8 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
         b = rows.body[i + N_LANES]
         dn = delta[i]
         dt = delta[i + N_LANES]
-        va = tangent_change(rows.column, r, normal_change(rows.column, r, bodies[a], 0, dn), 0, dt)
-        vb = tangent_change(rows.column, r, normal_change(rows.column, r, bodies[b], 1, dn), 1, dt)
+        va = changed(rows.column, r, bodies[a], 0, dn, dt)
+        vb = changed(rows.column, r, bodies[b], 1, dn, dt)
         bodies[a] = va
         bodies[b] = vb
 
@@ -338,9 +348,9 @@ def row_functions(dtype: str, variant: str) -> SimpleNamespace:
 
     return SimpleNamespace(
         normal_speed=normal_speed,
-        tangent_speed=tangent_speed,
+        tangent_speed_after=tangent_speed_after,
         normal_change=normal_change,
-        tangent_change=tangent_change,
+        changed=changed,
         least_normal=least_normal,
         within=within,
         sweep_row=sweep_row,

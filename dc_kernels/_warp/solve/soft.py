@@ -54,8 +54,8 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
     world, row = world_functions(dtype, variant), row_functions(dtype, variant)
     span_of, load_impulses, apply, bound_rolling = world.span_of, world.load_impulses, world.apply, world.bound_rolling
     sweep_lanes = lane_functions(dtype, variant).sweep_soft
-    normal_speed, tangent_speed, within = row.normal_speed, row.tangent_speed, row.within
-    normal_change, tangent_change, least_normal = row.normal_change, row.tangent_change, row.least_normal
+    normal_speed, tangent_speed_after, within = row.normal_speed, row.tangent_speed_after, row.within
+    normal_change, changed, least_normal = row.normal_change, row.changed, row.least_normal
     move_rows = moved_rows(dtype, variant) if variant in OWN else None
     columns = COLUMNS[variant]
     jointed, own, surfaced = variant in JOINTED, variant in OWN, variant in SURFACED
@@ -133,14 +133,12 @@ def kernels(dtype: str, variant: str) -> dict[str, Any]:
         vn = normal_speed(rows.column, r, va, vb)
         ln = within(rows.column, r, ln0 - ((rows.column[r + EN] * mass) * (vn + bias) + give * ln0))
         dn = ln - ln0
-        va = normal_change(rows.column, r, va, 0, dn)
-        vb = normal_change(rows.column, r, vb, 1, dn)
-        vt = tangent_speed(rows.column, r, va, vb)
+        vt = tangent_speed_after(rows.column, r, va, vb, dn)
         limited = rows.column[r + MU] * ln
         lt = clamped(lt0 - rows.column[r + ET] * vt, limited)
         dt = lt - lt0
-        motion.solved[a] = tangent_change(rows.column, r, va, 0, dt)
-        motion.solved[b] = tangent_change(rows.column, r, vb, 1, dt)
+        motion.solved[a] = changed(rows.column, r, va, 0, dn, dt)
+        motion.solved[b] = changed(rows.column, r, vb, 1, dn, dt)
         rows.impulse[i] = ln
         rows.impulse[i + N_LANES] = lt
         return wp.max(wp.abs(dn), wp.abs(dt))

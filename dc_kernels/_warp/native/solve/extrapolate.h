@@ -44,8 +44,7 @@ auto keep = [&](size_t at, Vector ln, Vector lt, Vector dn, Vector dt) {
 #if FOLLOW
 take_blocks(ends, colors, [&](auto& some) {
     EACH_BLOCK move(of.column, of.at, of.ln, of.lt, of.dn, of.dt);
-    EACH_BLOCK apply_normal(of.row, of.A, of.B, of.dn);
-    EACH_BLOCK apply_tangent(of.row, of.A, of.B, of.dt);
+    EACH_BLOCK apply_both(of.row, of.A, of.B, of.dn, of.dt);
     EACH_BLOCK keep(of.at, of.ln, of.lt, of.dn, of.dt);
 });
 #else

@@ -62,6 +62,16 @@ auto tangent_speed = [&](const Row& row, const Bodies& a, const Bodies& b) {
     return speed + (row.rBt * b.w - row.rAt * a.w);
 #endif
 };
+// What it is after a normal impulse, from what it was: nothing waits for the bodies' new velocities, which is 10 % of a
+// small world's sweep. A disc's normal impulse has no tangential effect.
+auto tangent_speed_after = [&](const Row& row, const Bodies& a, const Bodies& b, Vector normal) {
+#if DISCS
+    return tangent_speed(row, a, b);
+#else
+    const Vector mixed = row.iA * row.rAn * row.rAt + row.iB * row.rBn * row.rBt;  // along t by a unit along n [1/kg]
+    return tangent_speed(row, a, b) + mixed * normal;
+#endif
+};
 auto apply_normal = [&](const Row& row, Bodies& a, Bodies& b, Vector impulse) {
     const Vector px = row.nx * impulse, py = row.ny * impulse;
 #if OWN
@@ -78,18 +88,25 @@ auto apply_normal = [&](const Row& row, Bodies& a, Bodies& b, Vector impulse) {
     b.w += row.iB * (row.rBn * impulse);
 #endif
 };
-auto apply_tangent = [&](const Row& row, Bodies& a, Bodies& b, Vector impulse) {
-    const Vector qx = row.ny * impulse, qy = row.nx * impulse;
-    a.x -= a.m * qx;
-    a.y += a.m * qy;
-    b.x += b.m * qx;
-    b.y -= b.m * qy;
-#if DISCS
-    a.w += row.kA * impulse;
-    b.w += row.kB * impulse;
+// An impulse along the normal and one along the tangent: 8 operations fewer than one after the other, 4 % of a sweep.
+auto apply_both = [&](const Row& row, Bodies& a, Bodies& b, Vector normal, Vector tangent) {
+    const Vector qx = row.ny * tangent, qy = row.nx * tangent;
+    const Vector px = row.nx * normal + qx, py = row.ny * normal - qy;
+#if OWN
+    a.x -= a.m * (row.ax * normal + qx);
+    a.y -= a.m * (row.ay * normal - qy);
 #else
-    a.w -= row.iA * (row.rAt * impulse);
-    b.w += row.iB * (row.rBt * impulse);
+    a.x -= a.m * px;
+    a.y -= a.m * py;
+#endif
+    b.x += b.m * px;
+    b.y += b.m * py;
+#if DISCS
+    a.w += row.kA * tangent;
+    b.w += row.kB * tangent;
+#else
+    a.w -= row.iA * (row.rAn * normal + row.rAt * tangent);
+    b.w += row.iB * (row.rBn * normal + row.rBt * tangent);
 #endif
 };
 // The least normal impulse: 0 of a contact, minus infinity of a joint.

@@ -55,13 +55,13 @@ take_blocks(ends, colors, [&](auto& some) {
         of.ln = within(block, ln0 - ((load(block + AT_en) * mass) * (vn + bias) + give * ln0));
         of.dn = of.ln - ln0;
     }
-    EACH_BLOCK apply_normal(of.row, of.A, of.B, of.dn);
     EACH_BLOCK {
-        const Vector lt0 = load(impulse.data + of.at + LANES), vt = tangent_speed(of.row, of.A, of.B);
+        const Vector lt0 = load(impulse.data + of.at + LANES);
+        const Vector vt = tangent_speed_after(of.row, of.A, of.B, of.dn);
         of.lt = clamp(lt0 - load(of.column + AT_et) * vt, load(of.column + AT_mu) * of.ln);
         of.dt = of.lt - lt0;
     }
-    EACH_BLOCK apply_tangent(of.row, of.A, of.B, of.dt);
+    EACH_BLOCK apply_both(of.row, of.A, of.B, of.dn, of.dt);
     EACH_BLOCK {
         store(impulse.data + of.at, of.ln);
         store(impulse.data + of.at + LANES, of.lt);

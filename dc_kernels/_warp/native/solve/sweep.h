@@ -26,20 +26,13 @@ take_blocks(ends, colors, [&](auto& some) {
         return;
     }
 #endif
-#if DISCS
-    // a disc's normal impulse has no tangential effect: its tangent need not wait for it (8 % of a small world's sweep)
-    EACH_BLOCK of.vt = tangent_speed(of.row, of.A, of.B);
-    EACH_BLOCK apply_normal(of.row, of.A, of.B, of.dn);
-#else
-    EACH_BLOCK apply_normal(of.row, of.A, of.B, of.dn);
-    EACH_BLOCK of.vt = tangent_speed(of.row, of.A, of.B);
-#endif
+    EACH_BLOCK of.vt = tangent_speed_after(of.row, of.A, of.B, of.dn);
     EACH_BLOCK {
         const Vector lt0 = load(impulse.data + of.at + LANES), et = omega * load(of.column + AT_et);
         of.lt = clamp(lt0 - et * of.vt, load(of.column + AT_mu) * of.ln);
         of.dt = of.lt - lt0;
     }
-    EACH_BLOCK apply_tangent(of.row, of.A, of.B, of.dt);
+    EACH_BLOCK apply_both(of.row, of.A, of.B, of.dn, of.dt);
     EACH_BLOCK {
         store(impulse.data + of.at, of.ln);
         store(impulse.data + of.at + LANES, of.lt);
