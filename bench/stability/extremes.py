@@ -306,8 +306,9 @@ def tumbler(quick: bool) -> Iterator[Check]:
 
     Only the drive does work, at most what lifts all to the top: no sample of the energy exceeds that of the start by
     more than the weight times the half diagonal h, the mean of the last third exceeds that of the first (the fall
-    excluded) by less than 1 % of it, and no disc is faster than a fall over 2 h. dt is 0.02 s and the cap 50 sweeps,
-    which makes the hour a matter of minutes; the default cap keeps overlaps of these falls smaller.
+    excluded) by less than 1 % of it (quick: 5 %, as in a minute both vary by 1 %), and no disc is faster than a fall
+    over 2 h. dt is 0.02 s and the cap 50 sweeps, which makes the hour a matter of minutes; the default cap keeps
+    overlaps of these falls smaller.
     """
     count, seconds, dt, rate = (200, 60.0, 0.02, 0.5) if quick else (1000, 3600.0, 0.02, 0.5)
     radius = 0.25
@@ -328,7 +329,8 @@ def tumbler(quick: bool) -> Iterator[Check]:
     growth = float(rows[-third:, 0].mean() - rows[min(10, third) : third, 0].mean())
     what = f"{count} discs, {seconds:g} s"
     yield Check(f"{what}: energy above the start's over weight x h", float(rows[:, 0].max() - start) / lift, 1.0, sim)
-    yield Check(f"{what}: growth from first to last third over weight x h", growth / lift, 0.01, sim)
+    most = 0.05 if quick else 0.01
+    yield Check(f"{what}: growth from first to last third over weight x h", growth / lift, most, sim)
     yield Check(
         f"{what}: speed over that of a fall", rows[:, 1].max() / math.sqrt(4 * math.sqrt(2) * G * half), 1.0, sim
     )

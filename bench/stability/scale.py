@@ -128,7 +128,7 @@ def sizes_same_settings(quick: bool) -> Iterator[Check]:
     sizes = (1e-3, 1e-2, 1e3) if quick else (1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)
     settings = (
         ("residual 1e-6", dc.SolverConfig(stop="residual", tolerance=1e-6), sizes),
-        ("relative 1e-5", dc.SolverConfig(relative_tolerance=1e-5), sizes),
+        ("relative 5e-6", dc.SolverConfig(relative_tolerance=5e-6), sizes),
         ("defaults", None, (1.0, 1e3) if quick else (1.0, 1e1, 1e2, 1e3)),
     )
     for dtype in DTYPES:

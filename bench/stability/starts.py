@@ -92,7 +92,7 @@ def solutions_with_friction(quick: bool) -> Iterator[Check]:
     """
     for name in ("mixed", "thesis"):
         sim = simulate(scenes.scene(name, friction=0.5).build(), "float64", **EXACTLY)
-        sim.run(99, DT)
+        sim.run(98, DT)
         apart, rows = [], []
         for _ in range(11):
             sim.run(9, DT)

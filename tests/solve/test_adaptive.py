@@ -175,28 +175,29 @@ def test_no_energy_comes_from_sweeps_that_circle(acceleration):
 
 
 @pytest.mark.parametrize("backend", ["warp", "numpy"])
-@pytest.mark.parametrize(
-    ("x", "y", "angle", "speed", "bound"),
-    [
-        (-5.546689294038405, -0.3143702183382114, 5.712495303330157, 400.0, 1.0),
-        (-6.953551463002734, -0.15573227782171592, 0.5772321166084086, 1000.0, 0.5),
-    ],
-)
-def test_it_leaves_a_method_that_grows_without_end(x, y, angle, speed, bound, backend):
-    """A hexagon that hits a wall of tiles from afar: rows differ by 1e-3 of their arms, and float32 resolves 1e-7."""
-    builder = dc.ModelBuilder()
-    builder.add_world(gravity=(0, 0))
-    wall = builder.add_body(type=dc.BodyType.STATIC)
-    for k in range(-12, 13):
-        builder.add_box(wall, 0.01, 0.25, center=(0.0, 0.5 * k))
-    hexagon = builder.add_body((x, y), angle=angle, velocity=(speed, 0.0))
+def test_it_leaves_a_method_that_grows_without_end(backend):
+    """A hexagon that hits a wall of tiles from afar: rows differ by 1e-3 of their arms, and float32 resolves 1e-7.
+
+    In one throw of five a method leads so far astray that it is left.
+    """
+    draw = np.random.default_rng(1)
     turns = np.arange(6) * np.pi / 3
-    builder.add_polygon(hexagon, 0.3 * np.stack((np.cos(turns), np.sin(turns)), axis=1))
     config = replace(dc.SolverConfig.preset("accurate"), history=True)
-    sim = dc.Simulation(*builder.finalize(backend=backend), config=config)
-    sim.run(1, 1 / 60)
-    it = sim.stats.numpy("iteration")
-    assert (it["rate"] <= -1e9).any()  # one was left
-    assert sim.stats.numpy("history").max() < 1e4 * speed
-    assert np.hypot(*sim.state.numpy("velocity")[hexagon]) <= bound * speed * (1 + 1e-4)
-    assert sim.stats.numpy("residual")[0] < 0.1
+    left = 0
+    for _ in range(12):
+        place, angle = draw.uniform((-8.0, -0.4), (-4.0, 0.4)), float(draw.uniform(0.0, 2.0 * np.pi))
+        speed = float(draw.choice([400.0, 1000.0]))
+        builder = dc.ModelBuilder()
+        builder.add_world(gravity=(0, 0))
+        wall = builder.add_body(type=dc.BodyType.STATIC)
+        for k in range(-12, 13):
+            builder.add_box(wall, 0.01, 0.25, center=(0.0, 0.5 * k))
+        hexagon = builder.add_body(place, angle=angle, velocity=(speed, 0.0))
+        builder.add_polygon(hexagon, 0.3 * np.stack((np.cos(turns), np.sin(turns)), axis=1))
+        sim = dc.Simulation(*builder.finalize(backend=backend), config=config)
+        sim.run(1, 1 / 60)
+        left += int((sim.stats.numpy("iteration")["rate"] <= -1e9).any())
+        assert sim.stats.numpy("history").max() < 1e4 * speed
+        assert np.hypot(*sim.state.numpy("velocity")[hexagon]) <= speed * (1 + 1e-4)
+        assert sim.stats.numpy("residual")[0] < 0.1
+    assert left > 0

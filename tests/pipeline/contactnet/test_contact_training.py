@@ -52,7 +52,7 @@ def one_thread(monkeypatch):
 def recorded(acceleration: str = "none", begin: bool = False):
     """A paused solve of three worlds with what the network reads, and the same as a batch."""
     sim = RunOptions(worlds=3, seed=3).simulation(Thesis(bodies=40), dc.SolverConfig(acceleration=acceleration))
-    sim.run(110, 0.01)
+    sim.run(112, 0.01)
     sim.collide(0.01)
     solve = LearnedSolve(sim, EvenShare(), CallOptions(every=12, begin=True))
     recorder = Recorder(solve, np.random.default_rng(0))
@@ -75,7 +75,7 @@ def recorded(acceleration: str = "none", begin: bool = False):
 def test_a_correction_is_that_of_the_kernel(begin):
     """The kernel's impulses after an arbitrary answer, against those of training."""
     sim = RunOptions(worlds=3, seed=3).simulation(Thesis(bodies=40), dc.SolverConfig(acceleration="none"))
-    sim.run(110, 0.01)
+    sim.run(112, 0.01)
     sim.collide(0.01)
 
     class Drawn(EvenShare):
@@ -209,7 +209,7 @@ def test_the_network_in_bfloat16_answers_nearly_the_same():
         sim = RunOptions(worlds=3, seed=3).simulation(
             Thesis(bodies=40), dc.SolverConfig.preset("accurate", acceleration="aitken")
         )
-        sim.run(110, 0.01)
+        sim.run(112, 0.01)
         sim.collide(0.01)
         solve = LearnedSolve(sim, model, bfloat16=bfloat16)
         solve.solve()
