@@ -9,9 +9,9 @@ import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.config import CONFIG, SolverConfig
-from dc_kernels.model.dtypes import float_name
-from dc_kernels.model.fields import LAUNCH
-from dc_kernels.runtime.backends import Launch, bind, kernel_file, on_numpy
+from dc_kernels.model.dtypes import aligned_zeros, float_name
+from dc_kernels.model.fields import LAUNCH, SCRATCH
+from dc_kernels.runtime.backends import BACKENDS, Launch, bind, kernel_file, on_numpy
 from dc_kernels.runtime.stepping import Shards
 from dc_kernels.solve.integrate import PADDING
 from dc_kernels.solve.iteration import NEVER
@@ -105,7 +105,11 @@ class Binding:
 
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any]) -> Launch:
         """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
+        scratch = None
+        if name == "narrowphase" and self.model.device == "cpu" and BACKENDS[self.model.backend].teams:
+            scratch = aligned_zeros((SCRATCH,), np.dtype(np.uint8))  # its own, as launches of a shard may run at once
+            changed = {"scratch": scratch.ctypes.data, **changed}
         launch = bind(self.kernels[name], count, self.launch_values(first, changed), self.model.device)
         if hasattr(launch, "kept"):
-            launch.kept = self._shards  # whose memory it has by address
+            launch.kept = (self._shards, scratch)  # whose memory it has by address
         return launch

@@ -8,7 +8,7 @@ import warp as wp
 from dc_kernels._warp.collide.closing import HORIZON, closing_functions
 from dc_kernels._warp.collide.discs import disc_contacts
 from dc_kernels._warp.collide.manifold import manifold_functions
-from dc_kernels._warp.collide.recycle import CHUNK, FIELDS, recycling
+from dc_kernels._warp.collide.recycle import recycling
 from dc_kernels._warp.collide.support import support_functions
 from dc_kernels._warp.common import cross, from_start, kernel_module, rotate, rotate_back
 from dc_kernels._warp.groups import contiguous_groups, group_types
@@ -17,7 +17,6 @@ from dc_kernels._warp.solve.lanes import has_lanes
 from dc_kernels._warp.solve.laws import inverse_or_zero, linear_speed, relative_speed
 from dc_kernels.model.enums import BodyType, Flag, ShapeType
 from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
-from dc_kernels.solve.rows import LANES
 
 DISC = wp.constant(int(ShapeType.DISC))
 POLYGON = wp.constant(int(ShapeType.POLYGON))
@@ -54,7 +53,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
 
     find_disc_contacts, share_disc_contacts = disc_contacts(dtype)
     again = recycling(dtype)
-    carry, meet_again, take_met, keep = again.carry, again.meet_again, again.take_met, again.keep
+    carry, meet_again, take_met = again.carry, again.meet_again, again.take_met
+    keeps, keep = again.keeps, again.keep
     meet_discs, Lengths = again.meet_discs, again.Lengths
     endless = real(1e30)
 
@@ -122,11 +122,10 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
         pair = first_pair - 1
         recycles = int(0)
         first_met = first_pair
+        scratch = launch.scratch
         looked = first_pair
         if wp.static(not only_discs):
-            met = wp.zeros(shape=wp.static((CHUNK + LANES) * FIELDS), dtype=real)
-            place = wp.zeros(shape=wp.static(CHUNK + 1), dtype=wp.int32)
-            if has_lanes() == 1 and pairs.kept_frame.shape[0] > 0:
+            if has_lanes() == 1 and pairs.kept_frame.shape[0] > 0 and scratch != wp.uint64(0):
                 recycles = 1
                 if pairs.kept_rebuilds[w] != pairs.rebuilds[w]:
                     carry(w, pairs)
@@ -138,11 +137,11 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                         first_met = pair
                         ends = wp.vec2i(pair, last_pair)
                         lengths = Lengths(slack, toward.overlap, speculative)
-                        looked = meet_again(w, ends, lengths, model, state, motion, pairs, met, place)
+                        looked = meet_again(w, ends, lengths, model, state, motion, pairs, scratch)
                         ends = wp.vec2i(pair, looked)
-                        meet_discs(w, ends, lengths, model, state, motion, pairs, met, place)
+                        meet_discs(w, ends, lengths, model, state, motion, pairs, scratch)
                     span = wp.vec3i(first_met, pair, looked)
-                    ahead = take_met(w, span, n, config, model, pairs, contacts, met, place)
+                    ahead = take_met(w, span, n, config, model, pairs, contacts, scratch)
                     pair = ahead[0]
                     n = ahead[1]
                     if pair == looked:
@@ -296,7 +295,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                                 left = supported(pair, drift, dt, slack, toward.overlap, model, state, pairs)
                                 again = left[0] != drift[0] or left[1] != drift[1]
                                 drift = left
-                    if recycles == 1 and kind_a == POLYGON and kind_b == POLYGON and place[pair - first_met] == -1:
+                    recycled = recycles == 1 and kind_a == POLYGON and kind_b == POLYGON
+                    if recycled and keeps(pair - first_met, scratch) == 1:
                         sizes = vec2(bound_a, bound_b)
                         keep(w, pair, hull_a, hull_b, frame, sizes, moves, model.vertices, model.vertex_normals, pairs)
                     m.normal = rotate(ca, sa, m.normal)

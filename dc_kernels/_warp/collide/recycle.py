@@ -45,7 +45,7 @@ from dc_kernels._warp.collide.manifold import EPSILON, PARALLEL, manifold_functi
 from dc_kernels._warp.groups import group_types
 from dc_kernels._warp.native import native_code
 from dc_kernels.model.enums import ShapeType
-from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS
+from dc_kernels.model.fields import KEY_FEATURE_BITS, KEY_SHAPE_BITS, SCRATCH
 from dc_kernels.solve.rows import LANES
 
 CHUNK = 64  # pairs looked at before their contacts are stored
@@ -63,8 +63,8 @@ def recycling(dtype: str) -> SimpleNamespace:
     Hull, Frame = shapes.Hull, shapes.Frame
     Lengths = wp.types.vector(3, real)
     macros = {"LANES": LANES, "EPSILON": EPSILON[dtype], "PARALLEL": PARALLEL}
-    macros |= {"CHUNK": CHUNK, "FIELDS": FIELDS, "POLYGON": int(ShapeType.POLYGON)}
-    around = ("prelude.h", "predicted.h", "solve/bodies.h", "side.h", "recycle/sides.h")
+    macros |= {"CHUNK": CHUNK, "FIELDS": FIELDS, "SCRATCH": SCRATCH, "POLYGON": int(ShapeType.POLYGON)}
+    around = ("prelude.h", "predicted.h", "solve/bodies.h", "side.h", "recycle/sides.h", "recycle/scratch.h")
 
     @wp.func_native(native_code("recycle/carry.h", dtype=dtype, LANES=LANES))
     def carry(w: wp.int32, pairs: t.Pairs): ...
@@ -78,8 +78,7 @@ def recycling(dtype: str) -> SimpleNamespace:
         state: t.State,
         motion: t.Motion,
         pairs: t.Pairs,
-        met: wp.array(dtype=real),
-        place: wp.array(dtype=wp.int32),
+        scratch: wp.uint64,
     ) -> wp.int32: ...
 
     @wp.func_native(
@@ -95,18 +94,17 @@ def recycling(dtype: str) -> SimpleNamespace:
         state: t.State,
         motion: t.Motion,
         pairs: t.Pairs,
-        met: wp.array(dtype=real),
-        place: wp.array(dtype=wp.int32),
+        scratch: wp.uint64,
     ): ...
 
     @wp.func_native(
         native_code(
+            "recycle/scratch.h",
             "recycle/take_met.h",
             dtype=dtype,
             SHIFT_A=KEY_SHAPE_BITS + KEY_FEATURE_BITS,
             SHIFT_B=KEY_FEATURE_BITS,
-            FIELDS=FIELDS,
-            LANES=LANES,
+            **macros,
         )
     )
     def take_met(
@@ -117,8 +115,7 @@ def recycling(dtype: str) -> SimpleNamespace:
         model: t.Model,
         pairs: t.Pairs,
         contacts: t.Contacts,
-        met: wp.array(dtype=real),
-        place: wp.array(dtype=wp.int32),
+        scratch: wp.uint64,
     ) -> wp.vec2i: ...
 
     @wp.func_native(
@@ -137,6 +134,15 @@ def recycling(dtype: str) -> SimpleNamespace:
         pairs: t.Pairs,
     ): ...
 
+    @wp.func_native(native_code("recycle/scratch.h", "recycle/keeps.h", dtype=dtype, **macros))
+    def keeps(i: wp.int32, scratch: wp.uint64) -> wp.int32: ...
+
     return SimpleNamespace(
-        Lengths=Lengths, carry=carry, meet_again=meet_again, take_met=take_met, keep=keep, meet_discs=meet_discs
+        Lengths=Lengths,
+        carry=carry,
+        meet_again=meet_again,
+        meet_discs=meet_discs,
+        take_met=take_met,
+        keeps=keeps,
+        keep=keep,
     )

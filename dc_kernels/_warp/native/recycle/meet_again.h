@@ -3,9 +3,9 @@
 // ``place`` each pair has a slot of ``met`` (FIELDS numbers, LANES slots side by side), or -2 where it has no contact,
 // or -1 where it has to be looked at in full, or
 // -3 where that costs less. The arithmetic is that of narrowphase.py and hull_hull.h, operation by
-// operation. Parameters: w, ends, lengths (slack, overlap, speculative), model, state, motion, pairs, met, place.
+// operation. Parameters: w, ends, lengths (slack, overlap, speculative), model, state, motion, pairs.
 // Macros: POLYGON, EPSILON, PARALLEL, CHUNK, FIELDS. Stands behind prelude.h, predicted.h, solve/bodies.h, side.h and
-// recycle/sides.h.
+// recycle/sides.h and scratch.h.
 #if defined(__CUDA_ARCH__)
 return ends[0];  // a GPU takes pair after pair
 #else
@@ -23,11 +23,11 @@ const int count = last - first < CHUNK ? last - first : CHUNK;
 int listed[CHUNK + LANES], lists = 0;
 for (int i = 0; i < count; ++i) {
     const int a = shape_a[first + i], b = shape_b[first + i];
-    place.data[i] = -1;
+    place[i] = -1;
     listed[lists] = i;
     lists += (kind[a] == POLYGON) & (kind[b] == POLYGON) && kept_bound[kept + near_of[first + i]][1] >= 0;
 }
-if (lists % LANES == 1) place.data[listed[--lists]] = -3;  // a full test costs half of what LANES of them cost here
+if (lists % LANES == 1) place[listed[--lists]] = -3;  // a full test costs half of what LANES of them cost here
 for (int i = lists; lists > 0 && i < lists + LANES - 1; ++i) listed[i] = listed[lists - 1];
 for (int begin = 0; begin < lists; begin += LANES) {
     int a[LANES], b[LANES], of_a[LANES], of_b[LANES], from[LANES];
@@ -162,7 +162,7 @@ for (int begin = 0; begin < lists; begin += LANES) {
     const auto first_near = is_near(arm_a0, arm_b0, gap0), second_near = ~single & is_near(arm_a1, arm_b1, gap1);
     auto bit = [&](auto mask, int value) { return pick(mask, zero + (Real)value, zero); };
     const int slot = begin / LANES * LANES;
-    Real* const to = met.data + slot * FIELDS;
+    Real* const to = met + slot * FIELDS;
     store_points(to, normal);
     store_points(to + 2 * LANES, arm_a0);
     store_points(to + 4 * LANES, arm_b0);
@@ -174,8 +174,8 @@ for (int begin = 0; begin < lists; begin += LANES) {
     store(to + 13 * LANES, load(edges));
     const auto found = first_near | second_near;
     for (int l = 0; l < LANES && begin + l < lists; ++l)
-        place.data[listed[begin + l]] = full[l] ? -1 : found[l] ? slot + l : -2;
+        place[listed[begin + l]] = full[l] ? -1 : found[l] ? slot + l : -2;
 }
-place.data[CHUNK] = (lists + LANES - 1) / LANES * LANES;
+place[CHUNK] = (lists + LANES - 1) / LANES * LANES;
 return first + count;
 #endif

@@ -2,8 +2,8 @@
 // that meet_again.h has looked at, ``ends``: they are put behind its slots, of which ``place[CHUNK]`` are
 // used. A pair that moves is left to be looked at in full, as closing.py may meet it elsewhere. The arithmetic is that
 // of narrowphase.py and of ``hull_disc`` in manifold.py, operation by operation. Parameters: w, ends, lengths (slack,
-// overlap, speculative), model, state, motion, pairs, met, place. Macros: DISC, POLYGON, EPSILON, HORIZON, CHUNK,
-// FIELDS. Stands behind prelude.h, predicted.h, solve/bodies.h, side.h and recycle/sides.h.
+// overlap, speculative), model, state, motion, pairs. Macros: DISC, POLYGON, EPSILON, HORIZON, CHUNK,
+// FIELDS. Stands behind prelude.h, predicted.h, solve/bodies.h, side.h, recycle/sides.h and scratch.h.
 #if !defined(__CUDA_ARCH__)
 const int first = ends[0], last = ends[1];
 const Real slack = lengths[0], speculative = lengths[2];
@@ -12,7 +12,7 @@ const int* const vertex_start = model.vertex_start.data;
 const int *const shape_a = pairs.shape_a.data, *const shape_b = pairs.shape_b.data;
 const Real* const centers = (const Real*)model.shape_center.data;
 const Real step = motion.step_dt.data[w];
-const int count = last - first, used = place.data[CHUNK];
+const int count = last - first, used = place[CHUNK];
 int listed[CHUNK + LANES], lists = 0;
 for (int i = 0; i < count; ++i) {
     const int a = shape_a[first + i], b = shape_b[first + i];
@@ -62,7 +62,7 @@ for (int begin = 0; begin < lists; begin += LANES) {
     const Vector far = bound_a + bound_b + speculative + step * way;
     near = near & ~(dot(d, d) > far * far);
     if (!any(near)) {
-        for (int l = 0; l < LANES && begin + l < lists; ++l) place.data[listed[begin + l]] = -2;
+        for (int l = 0; l < LANES && begin + l < lists; ++l) place[listed[begin + l]] = -2;
         continue;
     }
     const Side turn = side_at(pairs.turn, of_hull);
@@ -120,7 +120,7 @@ for (int begin = 0; begin < lists; begin += LANES) {
         normal.x * drift.x + normal.y * drift.y + (cross(arm_b, normal) * B.w - cross(arm_a, normal) * A.w);
     const auto found = near & (gap <= speculative + larger(-speed * step, zero));
     const int slot = used + begin;
-    Real* const to = met.data + slot * FIELDS;
+    Real* const to = met + slot * FIELDS;
     store_points(to, normal);
     store_points(to + 2 * LANES, arm_a);
     store_points(to + 4 * LANES, arm_b);
@@ -128,6 +128,6 @@ for (int begin = 0; begin < lists; begin += LANES) {
     store(to + 12 * LANES, zero + (Real)1);
     store(to + 13 * LANES, zero);
     for (int l = 0; l < LANES && begin + l < lists; ++l)
-        place.data[listed[begin + l]] = full[l] ? -1 : found[l] ? slot + l : -2;
+        place[listed[begin + l]] = full[l] ? -1 : found[l] ? slot + l : -2;
 }
 #endif

@@ -1,7 +1,7 @@
 // Stores the contacts of the pairs from ``pair`` to ``looked`` of world w that meet_again.h has looked at, behind those
 // ``found``, up to the first that is to be looked at in full: that pair, or ``looked``, and the contacts found by then.
 // The first pair that it looked at is ``first``. Parameters: w, span (first, pair, looked), found, config, model,
-// pairs, contacts, met, place. Macros: SHIFT_A, SHIFT_B, FIELDS, LANES.
+// pairs, contacts. Macros: SHIFT_A, SHIFT_B, FIELDS, LANES. Stands behind recycle/scratch.h.
 #if defined(__CUDA_ARCH__)
 return wp::vec_t<2, int>(span[1], found);
 #else
@@ -14,10 +14,10 @@ const bool slips = config.uniform_friction < 0, bounces = config.uniform_restitu
 const int first = span[0], looked = span[2];
 int next = span[1];
 for (; next < looked; ++next) {
-    const int slot = place.data[next - first];
+    const int slot = place[next - first];
     if (slot == -1 || slot == -3) break;
     if (slot < 0) continue;
-    const Real* const of = met.data + slot / LANES * (LANES * FIELDS);
+    const Real* const of = met + slot / LANES * (LANES * FIELDS);
     const int lane = slot % LANES, bits = (int)of[12 * LANES + lane];
     auto point_at = [&](int field) { return ((const Point*)(of + field * LANES))[lane]; };
     const int one = pairs.shape_a.data[next], other = pairs.shape_b.data[next];
