@@ -134,8 +134,10 @@ auto sum_range = [=](wp::uint64 address, int i0, int i1, int numbers, auto part)
 // there at 5 to 20 ns a line, and would have to go back with the next sweep.
 auto sum_rows = [=](wp::uint64 address, const int* ends, int colors, int per_block, int numbers, auto none, auto part) {
     auto sum_up = [=]() __attribute__((noinline)) {
-        const Pieces pieces(ends[0] * per_block, ends[colors] * per_block, numbers);
-        if (pieces.count <= 1) return part(pieces.i0, pieces.i1, none);
+        const int i0 = ends[0] * per_block, i1 = ends[colors] * per_block;
+        if ((long long)(i1 - i0) * numbers <= SUMMED) return part(i0, i1, none);  // one piece, without its divisions
+        const Pieces pieces(i0, i1, numbers);
+        if (pieces.count <= 1) return part(i0, i1, none);
         auto share = [=]() __attribute__((noinline)) {
             Team* const team = (Team*)address;
             decltype(none) sums[MOST_SUMS];
