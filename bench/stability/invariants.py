@@ -263,7 +263,8 @@ def step_faults(sim: dc.Simulation, start: Array) -> list[str]:
     push, friction = table["impulse"], table["friction"]
     if (push[:, 0] < 0).any():
         faults.append(f"a normal impulse is {push[:, 0].min():g} N s")
-    beyond = np.abs(push[:, 1]) - friction * push[:, 0] * (1 + 4 * np.finfo(sim.dtype).eps)
+    unit = np.finfo(sim.dtype)
+    beyond = np.abs(push[:, 1]) - friction * push[:, 0] * (1 + 4 * unit.eps) - unit.smallest_subnormal
     if (beyond > 0).any():
         faults.append(f"friction exceeds its limit by {beyond.max():g} N s")
     expected, size = apply_impulses(sim, table, predicted)
