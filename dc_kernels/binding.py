@@ -50,6 +50,7 @@ class Binding:
         self.values: dict[str, Any] = {}
         self._settings: dict[str, Any] = {}
         self._past = (0, False)
+        self._scratch: dict[int, np.ndarray] = {}
 
     def renew(self, config: SolverConfig, groups: Mapping[str, ArrayGroup], past_width: int, in_turn: bool) -> None:
         """Take settings and arrays anew.
@@ -107,7 +108,8 @@ class Binding:
         """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
         scratch = None
         if name == "narrowphase" and self.model.device == "cpu" and BACKENDS[self.model.backend].teams:
-            scratch = aligned_zeros((SCRATCH,), np.dtype(np.uint8))  # its own, as launches of a shard may run at once
+            # of a shard, as others run at once; a graph has its address longer than settings keep its launches
+            scratch = self._scratch.setdefault(first, aligned_zeros((SCRATCH,), np.dtype(np.uint8)))
             changed = {"scratch": scratch.ctypes.data, **changed}
         launch = bind(self.kernels[name], count, self.launch_values(first, changed), self.model.device)
         if hasattr(launch, "kept"):

@@ -396,7 +396,7 @@ LAUNCH = field_table(
     ("pause", "launch", "int32", "1", "sweeps until a pause; parts of a solve by substeps"),
     ("cut", "launch", "uint64", "1", "address of an int32: not 0 ends all sweeping; 0 for none"),
     ("team", "launch", "uint64", "1", "address of the threads that share a world's loops; 0 for none"),
-    ("scratch", "launch", "uint64", "1", "address of SCRATCH bytes of its own, for manifolds; 0: none are recycled"),
+    ("scratch", "launch", "uint64", "1", "address of SCRATCH bytes of its shard, for manifolds; 0: none are recycled"),
 )
 SCRATCH = 8448  # bytes: manifolds of 72 pairs in float64, and where each pair has its own
 

@@ -12,6 +12,7 @@ import warp as wp
 import dc_kernels as dc
 from dc_kernels import delassus
 from dc_kernels.grid import splat as splats
+from dc_kernels.model.fields import SCRATCH
 
 DT = 0.01
 STATE = ("position", "angle", "velocity", "angular_velocity", "time")
@@ -84,6 +85,22 @@ def test_phases_become_part_of_the_graph():
         alone.collide(DT)
         alone.solve(config)
         alone.advance()
+    assert_same(sim, alone)
+
+
+def test_a_graph_goes_on_with_memory_of_its_own_after_a_change_of_settings():
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    for i in range(8):  # pairs of boxes are recycled
+        builder.add_box(builder.add_body((0.0, 1.05 * i), type=dc.BodyType(2 * (i > 0))), 0.5 + 2.0 * (i == 0), 0.5)
+    sim, alone = (dc.Simulation(*builder.finalize()) for _ in range(2))
+    graph = record(lambda: sim.step(DT))
+    version, sim.config = sim.layout_version, replace(sim.config, max_sweeps=7)
+    gc.collect()
+    others = [np.zeros(SCRATCH + 64 * k, np.uint8) for k in range(3) for _ in range(300)]
+    replay(graph, 20)
+    assert sim.layout_version == version and not any(other.any() for other in others)
+    alone.run(20, DT)
     assert_same(sim, alone)
 
 
