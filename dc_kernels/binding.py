@@ -96,6 +96,7 @@ class Binding:
             "pause": NEVER,
             "cut": self._shards.cut_flag if on_numpy(self.model.backend) else self._cut_address,
             "team": self._shards.teams[shard] if self.model.device == "cpu" else 0,
+            "scratch": self._scratch_address(first),
             **{name: value for name, value in changed.items() if name in LAUNCH},
         }
         values = {**self.values, "launch": self._scalars("launch", launch)}
@@ -104,14 +105,17 @@ class Binding:
             values["config"] = self._scalars("config", {**self._settings, **settings})
         return values
 
+    def _scratch_address(self, first: int) -> int:
+        """Memory of a shard, as others run at once; a recorded graph has it longer than settings keep its launches."""
+        if self.model.device != "cpu" or not BACKENDS[self.model.backend].teams:
+            return 0
+        if first not in self._scratch:
+            self._scratch[first] = aligned_zeros((SCRATCH,), np.dtype(np.uint8))
+        return int(self._scratch[first].ctypes.data)
+
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any]) -> Launch:
         """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
-        scratch = None
-        if name == "narrowphase" and self.model.device == "cpu" and BACKENDS[self.model.backend].teams:
-            # of a shard, as others run at once; a graph has its address longer than settings keep its launches
-            scratch = self._scratch.setdefault(first, aligned_zeros((SCRATCH,), np.dtype(np.uint8)))
-            changed = {"scratch": scratch.ctypes.data, **changed}
         launch = bind(self.kernels[name], count, self.launch_values(first, changed), self.model.device)
         if hasattr(launch, "kept"):
-            launch.kept = (self._shards, scratch)  # whose memory it has by address
+            launch.kept = (self._shards, self._scratch)  # whose memory it has by address
         return launch
