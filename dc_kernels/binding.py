@@ -11,7 +11,9 @@ from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.config import CONFIG, SolverConfig
 from dc_kernels.model.dtypes import aligned_zeros, float_name
 from dc_kernels.model.fields import LAUNCH, SCRATCH
+from dc_kernels.model.settings import check_choice
 from dc_kernels.runtime.backends import BACKENDS, Launch, bind, kernel_file, on_numpy
+from dc_kernels.runtime.inputs import check_whole
 from dc_kernels.runtime.stepping import Shards
 from dc_kernels.solve.integrate import PADDING
 from dc_kernels.solve.iteration import NEVER
@@ -114,7 +116,17 @@ class Binding:
         return int(self._scratch[first].ctypes.data)
 
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any]) -> Launch:
-        """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
+        """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments.
+
+        Raises:
+            TypeError, ValueError: for another kernel, worlds that are not there, or something else to change.
+        """
+        check_choice("name", name, self.kernels)
+        first, count, worlds = check_whole("first", first), check_whole("count", count), self.model.world_count
+        if first + count > worlds:
+            raise ValueError(f"first is {first} and count is {count}; their sum must be at most {worlds}, all worlds")
+        for key in changed:
+            check_choice("a key of changed", key, (*CONFIG, *LAUNCH))
         launch = bind(self.kernels[name], count, self.launch_values(first, changed), self.model.device)
         if hasattr(launch, "kept"):
             launch.kept = (self._shards, self._scratch)  # whose memory it has by address

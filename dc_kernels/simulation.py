@@ -223,7 +223,13 @@ class Simulation(Driven):
         return [Needing(launch, need) for launch, need in zip(launches, needs_of(names))] if config.sleep else launches
 
     def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any] | None = None) -> Launch:
-        """Return a launch of a kernel over the worlds first .. first + count, one thread each."""
+        """Return a launch of a kernel (``stages.STEP``) over the worlds first .. first + count, one thread each.
+
+        ``changed`` are settings of ``config``, or numbers of the launch (``model.fields.LAUNCH``), that it has instead.
+
+        Raises:
+            TypeError, ValueError: naming what is not there.
+        """
         return self._binding.bind(name, first, count, changed or {})
 
     def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:

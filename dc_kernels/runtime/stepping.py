@@ -158,7 +158,8 @@ class Shards:
             one.halt[0] = 0
         self._calm()
         try:
-            ahead = CHUNK if self.threads == 1 < len(self.ranges) and longest > 1 else 1  # of a shard to the next
+            tiled = self.threads == 1 < len(self.ranges) and longest > 1 and not self._is_idle()
+            ahead = CHUNK if tiled else 1  # of a shard to the next
             self._apart = self.bodies * whole.sweeps * ahead > SWEPT and whole.compiled and in_main_thread()
             # to start a thread takes longer than an idle step
             if self._apart and not (longest == 1 and self._is_idle()):
@@ -250,11 +251,12 @@ class Shards:
     def _take_rounds(self, rounds: Sequence[Rounds], longest: int, teams: Teams | None = None) -> None:
         shards, whole = rounds[: len(self.ranges)], rounds[-1]
         whole.wanted += longest
-        tiled = len(shards) > 1 and longest > 1 and whole.wanted >= WORTH_TILES and not self._is_idle()
-        if (self.threads > 1 or tiled) and self.bodies * longest >= WORTH_THREADS:
+        shared, idle = self._is_shared(whole, longest), self._is_idle()
+        if shared and not idle:
             self._share(shards, whole)
         elif longest == min(self.left):
-            at_once, n = 1 if longest == 1 else self._at_once(whole), len(self.left)
+            # the first round sees what was written between two calls, and may wake some: it takes 100 ns a world
+            at_once, n = 1 if longest == 1 or shared else self._at_once(whole), len(self.left)
             tried = teams if longest > 1 and len(rounds) == 1 else None
             while longest and not (whole.halt[0] or self._stop):
                 begun = time.perf_counter()
@@ -270,14 +272,22 @@ class Shards:
                 at_once = self._at_once(whole, spent)
                 self.left = [longest] * n
                 if self._is_idle():
-                    # what is written between two calls was seen in the first round, which takes 100 ns a world
                     at_once = max(at_once, IDLE_AT_ONCE // self._worlds)
+                elif shared and longest and not (whole.halt[0] or self._stop):
+                    self._share(shards, whole)
+                    self.halted = any(shard.halt[0] for shard in shards)
+                    return
             self.halted = bool(whole.halt[0])
             return
         else:
             for i in range(len(shards)):
                 self._take_one(rounds, i, 0)
         self.halted = any(shard.halt[0] for shard in shards)
+
+    def _is_shared(self, whole: Rounds, longest: int) -> bool:
+        """Whether so many rounds of worlds that are awake gain by threads, or by tiles."""
+        tiled = len(self.ranges) > 1 and longest > 1 and whole.wanted >= WORTH_TILES
+        return (self.threads > 1 or tiled) and self.bodies * longest >= WORTH_THREADS
 
     def level(self, rounds: Sequence[Rounds]) -> bool:
         """Take compiled rounds until each shard has as few ``left`` as any, or one halts; whether one did."""
@@ -306,6 +316,7 @@ class Shards:
         at_once = min(CHUNK, self._at_once(shards[0]))
         spent = [LEVELED] * len(shards)  # by a round of each, as far as is known [s]
         apart = max(APART * self._at_once(whole), at_once)
+        seen = [False] * len(shards)  # whether a shard has looked for what was written between two calls
 
         def stop() -> None:
             self._stop = self.disturbed = True
@@ -315,10 +326,13 @@ class Shards:
         def work() -> None:
             try:
                 while (i := self._next(shards, apart)) is not None:
-                    chunk = min(self.left[i], max(min(at_once, int(LEVELED / sum(spent))), 1))
+                    chunk = max(min(at_once, int(LEVELED / sum(spent))), 1)
+                    if seen[i] and self._is_idle():
+                        chunk = max(chunk, IDLE_AT_ONCE // self._worlds)
+                    chunk = min(self.left[i], chunk)
                     begun = time.perf_counter()
                     shards[i].take(chunk)
-                    spent[i] = (time.perf_counter() - begun) / chunk
+                    spent[i], seen[i] = (time.perf_counter() - begun) / chunk, True
                     with self._turn:
                         self.left[i] -= shards[i].count()
                         self._busy.discard(i)

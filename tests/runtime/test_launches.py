@@ -158,3 +158,24 @@ def test_a_launch_keeps_what_it_has_by_address():
     del launch
     gc.collect()
     assert word() is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        (("nosuch", 0, 1), ValueError, "name is 'nosuch'"),
+        (("predict", -1, 1), ValueError, "first is -1"),
+        (("predict", 0.5, 1), TypeError, "first is 0.5"),
+        (("predict", 0, -1), ValueError, "count is -1"),
+        (("predict", 1, 2), ValueError, "first is 1 and count is 2; their sum must be at most 2"),
+        (("solve_world", 0, 2, {"max_sweps": 3}), ValueError, "'max_sweps'"),
+    ],
+)
+def test_a_launch_of_worlds_or_settings_that_are_not_there(arguments, error, words):
+    builder = dc.ModelBuilder()
+    for _ in range(2):
+        builder.add_world()
+        builder.add_disc(builder.add_body((0.0, 0.0)), 0.5, density=1.0)
+    sim = dc.Simulation(*builder.finalize())
+    with pytest.raises(error, match=words):
+        sim.bind(*arguments)

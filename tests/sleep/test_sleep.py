@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import dc_kernels as dc
+from dc_kernels.runtime.sequences import Rounds
 from dc_kernels.stages import SLEEP, of_phase
 from tests.parity.test_parity import Pair
 
@@ -345,6 +346,29 @@ def test_sleepers_of_a_file_are_held_to_their_rules(at_rest):
         broken.seek(0)
         with pytest.raises(ValueError, match=rf"dataset sleepers/{name}.*{wrong}"):
             dc.Simulation.load(broken)
+
+
+def test_steps_asleep_are_taken_at_once_by_one_thread_until_a_write_wakes_a_world(monkeypatch):
+    """Worlds asleep would be taken a few steps at a time by all threads: 80 times as long."""
+    builder = dc.ModelBuilder()
+    for _ in range(40):
+        yard(builder)
+    sims = [dc.Simulation(*builder.finalize(), config=SLEEP_CONFIG, threads=threads) for threads in (1, 2)]
+    for sim in sims:
+        sim.run(100, DT)
+        assert sim.sleepers.numpy("dormant").all()
+    taken = []
+    take = Rounds.take
+    monkeypatch.setattr(Rounds, "take", lambda rounds, count: (taken.append(count), take(rounds, count))[1])
+    for sim in sims:
+        taken.clear()
+        sim.run(1000, DT)
+        assert len(taken) <= 2
+        sim.state.numpy("velocity")[ON_SHELF[1]] = (0.5, 2.0)
+        taken.clear()
+        sim.run(40, DT)
+        assert (sum(taken) > 40) == (sim is sims[1])  # shared, shard by shard, from the second step on
+    assert state_bits(sims[0]) == state_bits(sims[1])
 
 
 def test_worlds_sleep_for_themselves_whatever_the_threads():
