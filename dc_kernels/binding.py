@@ -11,7 +11,7 @@ from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.config import CONFIG, SolverConfig
 from dc_kernels.model.dtypes import aligned_zeros, float_name
 from dc_kernels.model.fields import LAUNCH, SCRATCH
-from dc_kernels.model.settings import check_choice
+from dc_kernels.model.settings import WrongType, check_choice, shown
 from dc_kernels.runtime.backends import BACKENDS, Launch, bind, kernel_file, on_numpy
 from dc_kernels.runtime.inputs import check_whole
 from dc_kernels.runtime.stepping import Shards
@@ -125,6 +125,8 @@ class Binding:
         first, count, worlds = check_whole("first", first), check_whole("count", count), self.model.world_count
         if first + count > worlds:
             raise ValueError(f"first is {first} and count is {count}; their sum must be at most {worlds}, all worlds")
+        if not isinstance(changed, Mapping):
+            raise WrongType(f"changed is {shown(changed)}; it must be a mapping of names to values")
         for key in changed:
             check_choice("a key of changed", key, (*CONFIG, *LAUNCH))
         launch = bind(self.kernels[name], count, self.launch_values(first, changed), self.model.device)

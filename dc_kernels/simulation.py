@@ -230,7 +230,7 @@ class Simulation(Driven):
         Raises:
             TypeError, ValueError: naming what is not there.
         """
-        return self._binding.bind(name, first, count, changed or {})
+        return self._binding.bind(name, first, count, {} if changed is None else changed)
 
     def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:
         """Return the kernel arguments for worlds from ``first`` on, with ``changed`` settings or launch numbers."""

@@ -149,6 +149,9 @@ def simulation_targets() -> Iterator[Target]:
         return made.resume
 
     yield Target("resume", paused, dict, solve)
+    stage = {"name": Given("nosuch", None, True, 2.0, 7), "changed": Given({"nosuch": 1}, {1: 1}, 7, "a", [1])}
+    some = {"name": "predict", "first": 0, "count": 1}
+    yield Target("bind", lambda: sim().bind, lambda: dict(some), {**stage, "first": Whole, "count": Whole})
 
     def setter() -> Callable[..., Any]:
         made = sim()
