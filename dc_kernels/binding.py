@@ -115,8 +115,8 @@ class Binding:
             self._scratch[first] = aligned_zeros((SCRATCH,), np.dtype(np.uint8))
         return int(self._scratch[first].ctypes.data)
 
-    def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any]) -> Launch:
-        """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments.
+    def bind_checked(self, name: Any, first: Any, count: Any, changed: Any) -> Launch:
+        """What ``bind`` returns, for arguments of a user: those of the many launches of a step need no checks.
 
         Raises:
             TypeError, ValueError: for another kernel, worlds that are not there, or something else to change.
@@ -129,6 +129,10 @@ class Binding:
             raise WrongType(f"changed is {shown(changed)}; it must be a mapping of names to values")
         for key in changed:
             check_choice("a key of changed", key, (*CONFIG, *LAUNCH))
+        return self.bind(name, first, count, changed)
+
+    def bind(self, name: str, first: int, count: int, changed: Mapping[str, Any]) -> Launch:
+        """A launch of a kernel over the worlds first .. first + count, one thread each; with ``changed`` arguments."""
         launch = bind(self.kernels[name], count, self.launch_values(first, changed), self.model.device)
         if hasattr(launch, "kept"):
             launch.kept = (self._shards, self._scratch)  # whose memory it has by address

@@ -214,7 +214,7 @@ class Simulation(Driven):
         config = self._config
         names = of_phase(phase, config.corrects_positions, config.sleep, self.added_kernels, config.soft)
         if phase != "solve":
-            launches = [self.bind(name, first, count) for name in names]
+            launches = [self._binding.bind(name, first, count, {}) for name in names]
         else:
             launches = schedules.SCHEDULES[self.schedule](self, first, count, changed or {})
             if config.sleep:
@@ -230,7 +230,7 @@ class Simulation(Driven):
         Raises:
             TypeError, ValueError: naming what is not there.
         """
-        return self._binding.bind(name, first, count, {} if changed is None else changed)
+        return self._binding.bind_checked(name, first, count, {} if changed is None else changed)
 
     def launch_values(self, first: int, changed: Mapping[str, Any]) -> dict[str, Any]:
         """Return the kernel arguments for worlds from ``first`` on, with ``changed`` settings or launch numbers."""
