@@ -269,11 +269,14 @@ def unit(name: str, value: Any, where: str) -> tuple[float, float]:
 def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype, *, finite: bool = True) -> np.ndarray:
     """Values as a contiguous array of the given shape and dtype.
 
+    Where these are integers, an array of floats that are whole is taken, as ``np.zeros`` makes one, and truth values.
+
     Raises:
+        TypeError: naming the field: what is no number; truth values, where these are floats.
         ValueError: naming field and first bad index: another shape, an integer that does not fit, and, where numbers
             must be ``finite``, NaN or inf.
     """
-    array = numeric(name, values, f"numbers of shape {shape}", "buif")
+    array = numeric(name, values, f"numbers of shape {shape}", "iuf" if dtype.kind == "f" else "buif")
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; it must be {shape}")
     bad = limit = None

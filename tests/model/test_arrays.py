@@ -60,6 +60,7 @@ def test_assign_copies_values_of_the_right_kind(backend):
         ("flags", [0.5, 0.0], r"flags\[0\] is 0.5; it must be a int32"),
         ("flags", [0, 2**40], r"flags\[1\] is 1099511627776; it must be a int32"),
         ("flags", [-1, 0], r"flags\[0\] is -1; it must be in \[0, 63\]"),  # no snapshot would bring it back
+        ("angle", [True] * 5, r"angle is .*; it must be numbers of shape \(5,\)"),
         ("angle", ["a"] * 5, r"angle is .*; it must be numbers of shape \(5,\)"),
     ):
         with pytest.raises(ValueError, match=message):
