@@ -126,6 +126,8 @@ def points(values: Any, where: str, low: int = 1, high: int | None = None) -> np
             NaN or inf.
     """
     array = numeric(where, values, "numbers of shape (n, 2)").astype(np.float64)
+    if array.shape == (0,):
+        array = array.reshape(0, 2)  # an empty list
     if array.ndim != 2 or array.shape[1] != 2:
         raise ValueError(f"{where}: has shape {array.shape}; it must be (n, 2)")
     if len(array) < low or (high is not None and len(array) > high):
