@@ -350,6 +350,8 @@ class Simulation(Driven):
     def solve(self, config: SolverConfig | None = None, *, pause: int | None = None) -> None:
         """Solve from ``contacts.impulse`` and the predicted velocities; the impulses then hold the solution.
 
+        A start impulse that is NaN or inf stops its world; ``check_start`` tells of which contact it is.
+
         Args:
             config: settings of this solve, which may differ from the simulation's in those of the iteration
                 (``solve.schedules.ITERATION``); None: the simulation's.

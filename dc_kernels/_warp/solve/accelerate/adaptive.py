@@ -22,7 +22,7 @@ to a natural map of 1e-4, geometric mean of the scenes' means, of which this tak
   while 1 000 discs hit each other these are 99 % of the blocks after 32 sweeps and 85 % after 96 (rows: 45 and 18 %),
   of 10 000 discs 98 % after 96. The rows of a block lie apart, and what moves is everywhere.
 - Plain sweeps, up to ``min_sweeps``, once a sweep changes no impulse by more than the tolerance: a step of ten boxes at
-  rest takes 6 % less, and they creep 13 times as fast, a pyramid of 1 275 boxes a thousand times (still below 0.1 mm/s).
+  rest takes 6 % less, and they creep 13 times as fast, a pyramid of 1 275 boxes a thousand times (0.06 mm/s at most).
 - Newton's method on the states that hit a cap: see ``delassus.newton``; worth its factorisations for 1e-6 and less.
 """
 
