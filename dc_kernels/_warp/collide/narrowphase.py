@@ -27,6 +27,7 @@ INVALID = wp.constant(int(Flag.INVALID))
 SHIFT_A = wp.constant(wp.int64(KEY_SHAPE_BITS + KEY_FEATURE_BITS))
 SLOPS = wp.constant(2.0)  # overlap up to which shapes touch: what rests a slop deep meets a tile a slop higher
 SHIFT_B = wp.constant(wp.int64(KEY_FEATURE_BITS))
+AHEAD = 8  # pairs
 
 
 @cache
@@ -60,6 +61,9 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
 
     @wp.func_native(native_code("collide/store_contact.h", dtype=dtype))
     def store_contact(contacts: t.Contacts, i: wp.int32, contact: Contact): ...
+
+    @wp.func_native(native_code("collide/look_ahead.h", dtype=dtype, AHEAD=AHEAD))
+    def look_ahead(i: wp.int32, end: wp.int32, model: t.Model, state: t.State, motion: t.Motion, pairs: t.Pairs): ...
 
     @wp.func(module=module)
     def magnitude(v: vec2):
@@ -148,7 +152,10 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                         pair -= 1
                         continue
             if wp.static(only_discs):
-                if has_lanes() == 1:
+                of_discs = (
+                    model.shape_type[pairs.shape_a[pair]] == DISC and model.shape_type[pairs.shape_b[pair]] == DISC
+                )
+                if has_lanes() == 1 and of_discs:
                     ahead = wp.vec2i(0, 0)
                     if launch.team == wp.uint64(0):
                         ahead = find_disc_contacts(w, pair, last_pair, n, config, model, state, motion, pairs, contacts)
@@ -161,6 +168,8 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                     n = ahead[1]
                     if pair == last_pair:
                         break
+                if launch.team != wp.uint64(0):
+                    look_ahead(pair, last_pair, model, state, motion, pairs)
             a = from_start(pairs.shape_a[from_start(pair)])
             b = from_start(pairs.shape_b[from_start(pair)])
             ba = from_start(model.shape_body[a])
