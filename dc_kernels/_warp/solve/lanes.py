@@ -7,8 +7,8 @@ padding body.
 
 The arithmetic is that of ``row``, operation by operation and without contraction, so both give the same bits; a test
 compares them. Two blocks are solved side by side (``take_blocks.h``): on one core at 2.5 GHz with AVX-512 a contact and
-sweep take 5.2-8 ns for general rows and 4.4-6.3 ns for discs (``bench sweep``), where they took 6.6-9.8 and 5.6-7.9 ns
-one after the other. Tried and left: 16 lanes gain under 5 % and pad small worlds more; rows sorted by place gain
+sweep take 4.6-8.7 ns for general rows and 3.8-8.1 ns for discs (``bench sweep``); one block after the other took a
+fifth more. Tried and left: 16 lanes gain under 5 % and pad small worlds more; rows sorted by place gain
 nothing in worlds that fit the cache.
 """
 
