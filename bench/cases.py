@@ -85,8 +85,8 @@ def settled(bodies: int, worlds: int = 1) -> dc.Simulation:
     return sim
 
 
-def wide_pile(pile: np.ndarray, copies: int, *, shuffled: bool = False) -> dc.ModelBuilder:
-    """Put copies of a settled thesis pile side by side in one world, every second one mirrored.
+def wide_pile(pile: np.ndarray, copies: int, *, shuffled: bool = False, worlds: int = 1) -> dc.ModelBuilder:
+    """Put copies of a settled thesis pile side by side in each world, every second one mirrored.
 
     It spares the fall of so large a pile.
 
@@ -94,26 +94,30 @@ def wide_pile(pile: np.ndarray, copies: int, *, shuffled: bool = False) -> dc.Mo
         pile: positions of its discs (n, 2) [m].
         copies: how many.
         shuffled: number the bodies at random instead of by place.
+        worlds: how many, all alike.
     """
     scene = scenes.Thesis(bodies=len(pile))
     left = -0.5 * copies * scene.side
     mirrored = [scene.side, 0.0] + pile * [-1.0, 1.0]
     positions = np.concatenate([(mirrored if i % 2 else pile) + [left + i * scene.side, 0.0] for i in range(copies)])
-    builder = dc.ModelBuilder()
-    builder.add_world(gravity=(0.0, -scene.gravity))
-    scene.add_static_chain(builder, [(left, scene.side), (left, 0.0), (-left, 0.0), (-left, scene.side)])
     if shuffled:
         positions = np.random.default_rng(0).permutation(positions)
-    builder.add_discs(positions, scene.radius, **scene.material)
+    builder = dc.ModelBuilder()
+    for _ in range(worlds):
+        builder.add_world(gravity=(0.0, -scene.gravity))
+        scene.add_static_chain(builder, [(left, scene.side), (left, 0.0), (-left, 0.0), (-left, scene.side)])
+        builder.add_discs(positions, scene.radius, **scene.material)
     return builder
 
 
-def side_by_side(sim: dc.Simulation, copies: int, *, shuffled: bool = False, **options: Any) -> dc.Simulation:
+def side_by_side(
+    sim: dc.Simulation, copies: int, *, shuffled: bool = False, worlds: int = 1, **options: Any
+) -> dc.Simulation:
     """Put copies of the pile in the first world of a simulation side by side (``wide_pile``), and let them rest.
 
     Options are those of ``dc.Simulation``, except config.
     """
-    builder = wide_pile(disc_positions(sim.model, sim.state)[0], copies, shuffled=shuffled)
+    builder = wide_pile(disc_positions(sim.model, sim.state)[0], copies, shuffled=shuffled, worlds=worlds)
     model, state, joints = builder.finalize()
     wide = dc.Simulation(model, state, joints, config=dc.SolverConfig(max_sweeps=SWEEPS), **options)
     wide.run(SETTLING_COPIES, DT)
