@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 import dc_kernels as dc
-from bench.cases import DT, settled, side_by_side
+from bench.cases import DT, contact_count, dynamic_count, settled, side_by_side
 from bench.stability import fuzz as stability_fuzz
 from bench.stability.input import DTYPES, STATE, pile, state_bits
-from bench.stability.invariants import contact_table
 from bench.verdicts import Cases, Check
 from dc_kernels.model.shapes import edge_normals
 from pipeline import scenes
@@ -280,8 +279,8 @@ def linear_in_size(quick: bool) -> Iterator[Check]:
     hold the rows of 1e4 discs, but not those of 1e5: with more sweeps these take 1.3 to 1.6 times as long, by how fast
     the core is beside its memory.
     """
-    pile = settled(10_000)
-    small, large = side_by_side(pile, 1, worlds=10), side_by_side(pile, 10)
+    one = settled(10_000)
+    small, large = side_by_side(one, 1, worlds=10), side_by_side(one, 10)
     for sim in (small, large):
         sim.config = dc.SolverConfig(max_sweeps=1)
     times: list[list[float]] = [[], []]
@@ -290,10 +289,9 @@ def linear_in_size(quick: bool) -> Iterator[Check]:
             begin = time.perf_counter()
             sim.step(DT)
             taken.append(time.perf_counter() - begin)
-    counts = [int((sim.model.numpy("body_type") == dc.BodyType.DYNAMIC).sum()) for sim in (small, large)]
-    contacts = [len(contact_table(sim)["key"]) for sim in (small, large)]
+    counts = [dynamic_count(sim) for sim in (small, large)]
     pace = [np.median(taken) / count for taken, count in zip(times, counts, strict=True)]
     room = [sum(sim.memory().values()) / count for sim, count in zip((small, large), counts, strict=True)]
-    what = f"{counts[1]} discs ({contacts[1]} contacts) in one world over ten"
+    what = f"{counts[1]} discs ({contact_count(large)} contacts) in one world over ten"
     yield Check(f"{what}: time per disc, {pace[1] * 1e6:.3g} us, ratio [1]", pace[1] / pace[0], 1.5)
     yield Check(f"{what}: memory per disc, {room[1]:.0f} bytes, ratio [1]", room[1] / room[0], 1.2)
