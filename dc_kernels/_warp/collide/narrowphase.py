@@ -152,6 +152,7 @@ def kernels(dtype: str, only_discs: bool) -> dict[str, Any]:
                         pair -= 1
                         continue
             if wp.static(only_discs):
+                # asked here, as a shared run copies all that it captures, even where it ends at once
                 of_discs = (
                     model.shape_type[pairs.shape_a[pair]] == DISC and model.shape_type[pairs.shape_b[pair]] == DISC
                 )
