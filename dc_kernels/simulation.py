@@ -110,7 +110,7 @@ class Simulation(Driven):
             schedule: "world" (one thread solves a world) or "color" (one launch per colour, for large worlds on a GPU).
             on_overflow: whether a step that needs more pairs or contacts than reserved reallocates ("grow"), or
                 raises OverflowError with the state of the last step intact ("raise").
-            specialize: use special kernels if a scene has only discs.
+            specialize: use special kernels if a scene has only discs; results differ by rounding.
             pairs_per_shape: candidate pairs reserved at first, per shape.
             contacts_per_body: contacts reserved at first, per body.
 

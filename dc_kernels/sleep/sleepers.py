@@ -10,17 +10,18 @@ position, angle, force and torque are remembered.
 stages return at once, and ends with a kernel that takes the flag away. Only its time goes on.
 
 **A world that is awake in part** runs its stages, of which the narrowphase passes over pairs of sleepers: in
-``mark_sleepers`` their inverse masses become ``-MARK``, which stands for an infinite mass. So contacts of sleepers are
-in no row. ``lay`` has kept them apart, and ``show_sleepers`` puts them back among the contacts of the step, by key,
-before the cache is written: between steps ``contacts`` and the cache hold all contacts. Joints of sleepers become rows
-of zeros, which keep their impulses.
+``mark_sleepers`` their velocities become zero and their inverse masses ``-MARK``, which stands for an infinite mass. So
+contacts of sleepers are in no row. ``lay`` has kept them apart, and ``show_sleepers`` puts them back among the contacts
+of the step, by key, before the cache is written: between steps ``contacts`` and the cache hold all contacts. Joints of
+sleepers become rows of zeros, which keep their impulses.
 
 **Waking.** ``notice_writes`` compares sleepers with what they were last seen like, once in a call: other places,
 velocities, forces, torques, gravity or joints rouse them; a body that is not dynamic and was put elsewhere rouses what
 it carried. A contact of a sleeper that the narrowphase finds all the same is one with something that moves: it rouses
-the sleeper, and the narrowphase is run once more. What is roused wakes with all sleepers that candidate pairs, contacts
-and joints connect it to, before the contacts of the step are made; matched by their keys, these have impulse, colour
-and age of the step in which they fell asleep.
+the sleeper, which gets its velocity back, and the narrowphase is run once more. What is roused wakes with all sleepers
+that candidate pairs, contacts and joints connect it to, before the contacts of the step are made; matched by their
+keys, these have impulse, colour and age of the step in which they fell asleep. No contact acts on one that sleeps on,
+because the narrowphase met it at rest both times; so none takes a colour that a contact kept apart has at that body.
 
 **Launches.** Rounds of compiled launches (``runtime.sequences``) leave out what has nothing to do in their shard
 (``stages.needs_of``): the kernels of sleep where nothing sleeps, the stages of a step where nothing is awake.

@@ -693,3 +693,34 @@ def test_joints_of_sleepers_keep_their_impulses(backend, config, close):
     assert asleep_in(sim) == set() and np.abs(sim.state.numpy("velocity")[1:4]).max() < close * 9.8 * DT
     if config is SLEEP_CONFIG:  # what substeps give by softness they take back
         assert sim.stats.numpy("change")[0] < 1e-9 * weight
+
+
+def columns(backend, heights):
+    """Discs that sleep on the ground, and one above each, at these heights over it."""
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    builder.add_box(builder.add_body(type=dc.BodyType.STATIC), 2.0 * len(heights), 0.5, center=(0.0, -0.5))
+    x = 2.0 * np.arange(len(heights))
+    lower = builder.add_discs(np.stack([x, np.full_like(x, 0.5)], axis=1), 0.5)
+    builder.add_discs(np.stack([x, 1.5 + np.asarray(heights)], axis=1), 0.5)
+    sim = dc.Simulation(*builder.finalize(backend=backend), config=SLEEP_CONFIG)
+    sim.step(0.1 * DT)  # finds the contacts of the lower discs
+    sim.sleep(lower)
+    return sim
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_what_meets_a_sleeper_wakes_it_in_that_step(backend):
+    """A sleeper never has a new contact beside those that it fell asleep with: the colour of one may be the other's."""
+    sim = columns(backend, np.linspace(0.001, 0.2, 30))
+    woken = set()
+    for _ in range(22):
+        sim.step(DT)
+        slots, _ = dc.contact_slots(sim.contacts)
+        bodies = np.stack([sim.contacts.numpy(name)[slots] for name in ("body_a", "body_b")])
+        dynamic = sim.model.numpy("body_type")[bodies] == dc.BodyType.DYNAMIC
+        both = bodies[:, dynamic.all(axis=0)]
+        assert np.array_equal(*sim.asleep[both])
+        assert asleep_in(through_file(sim)) == asleep_in(sim)  # which looks at the colours
+        woken |= {*both.flat} - asleep_in(sim)
+    assert len(woken) == 60

@@ -142,7 +142,8 @@ def mark_sleepers(
     for b in bodies_of(w, model):
         if model.body_type[b] == BodyType.DYNAMIC:
             if sleepers.asleep[b] == Rest.ASLEEP:
-                motion.predicted[b, 3] = -MARK
+                motion.solved[b] = motion.predicted[b]  # what it moves by if it wakes
+                motion.predicted[b] = [0, 0, 0, -MARK]
         elif sleepers.asleep[b] == Rest.ROUSED or moves(b, model, state):
             motion.predicted[b, 3] = 2.0 * MARK
 
@@ -168,10 +169,8 @@ def wake_touched(
         if model.body_type[b] != BodyType.DYNAMIC:
             sleepers.asleep[b] = Rest.AWAKE
             motion.predicted[b, 3] = 0
-        elif sleepers.asleep[b] == Rest.ASLEEP:
-            motion.predicted[b] = [0, 0, 0, -MARK]
-        else:
-            motion.predicted[b, 3] = model.inv_mass[b]
+        elif motion.predicted[b, 3] < 0 and sleepers.asleep[b] == Rest.AWAKE:
+            motion.predicted[b] = motion.solved[b]
 
 
 def admit_worlds(tid: int, launch: Any, state: Any, contacts: Any, rows: Any, sleepers: Any) -> None:

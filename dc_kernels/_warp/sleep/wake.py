@@ -210,7 +210,11 @@ def kernels(dtype: str, rolls: bool = False) -> dict[str, Any]:
         contacts: t.Contacts,
         sleepers: t.Sleepers,
     ):
-        """Wake what is roused; tell the narrowphase which bodies sleep, so that it passes over pairs of them."""
+        """Wake what is roused; tell the narrowphase which bodies sleep, so that it passes over pairs of them.
+
+        It meets them at rest, and so finds all that touches them in the step; ``motion.solved`` keeps the velocities
+        that they have if they wake.
+        """
         w = wp.tid() + launch.world_offset
         contiguous(model)
         contiguous(state)
@@ -245,7 +249,8 @@ def kernels(dtype: str, rolls: bool = False) -> dict[str, Any]:
             p = motion.predicted[b]
             if model.body_type[b] == DYNAMIC:
                 if sleepers.asleep[b] == ASLEEP:
-                    motion.predicted[b] = vec4(p[0], p[1], p[2], real(SLEEPER_MARK))
+                    motion.solved[b] = p
+                    motion.predicted[b] = vec4(real(0.0), real(0.0), real(0.0), real(SLEEPER_MARK))
             elif sleepers.asleep[b] == ROUSED or moves(b, model, state):
                 motion.predicted[b] = vec4(p[0], p[1], p[2], real(MOVER_MARK))
 
@@ -297,10 +302,8 @@ def kernels(dtype: str, rolls: bool = False) -> dict[str, Any]:
             if model.body_type[b] != DYNAMIC:
                 sleepers.asleep[b] = AWAKE
                 motion.predicted[b] = vec4(p[0], p[1], p[2], real(0.0))
-            elif sleepers.asleep[b] == ASLEEP:
-                motion.predicted[b] = vec4(real(0.0), real(0.0), real(0.0), real(SLEEPER_MARK))
-            else:
-                motion.predicted[b] = vec4(p[0], p[1], p[2], model.inv_mass[b])
+            elif p[3] < real(0.0) and sleepers.asleep[b] == AWAKE:
+                motion.predicted[b] = motion.solved[b]
 
     @wp.kernel(module=module, enable_backward=False)
     def admit_worlds(launch: t.Launch, state: t.State, contacts: t.Contacts, rows: t.Rows, sleepers: t.Sleepers):
