@@ -170,9 +170,9 @@ class Driven(Populated):
                 raise ValueError(
                     "reset() of some worlds in the middle of a step: finish it with solve() and advance(), or reset all"
                 )
+            rows = [] if state is None else check_rows(self.model, chosen, state)
             if chosen is not None and not len(chosen):
                 return
-            rows = [] if state is None else check_rows(self.model, chosen, state)
             if self._reset is None or self.device != "cpu":  # from where numpy has copies
                 groups = {"state": self.state, "joints": self.joints, **self.storage.groups()}
                 self._reset = Reset(self.model, self.built, groups)

@@ -139,6 +139,8 @@ def check_rows(model: Model, worlds: np.ndarray | None, state: Any) -> list[tupl
         flat, alike = (len(chosen), *inner), (count, len(chosen) // max(count, 1), *inner)
         if count * alike[1] != len(chosen):
             alike = flat
+        if not count and array.shape[:1] == (0,):
+            array = np.zeros(flat)  # of no world, however many bodies each would have
         if array.shape not in (flat, alike):
             either = " or ".join(str(shape) for shape in dict.fromkeys((flat, alike)))
             raise ValueError(f"state[{name!r}] has shape {array.shape}; it must be {either}")

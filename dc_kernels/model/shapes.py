@@ -155,14 +155,14 @@ def convex_polygon(values: Any, where: str = "vertices") -> np.ndarray:
             1e-6 of the polygon's size (the diagonal of its bounding box); an area below 1e-6 of the size squared;
             a self-intersection, also that of a side that runs back on itself; a concave corner.
     """
-    vertices = points(values, where)
-    size = math.hypot(*np.ptp(vertices, axis=0))
+    vertices = points(values, where, 0)
     if 3 <= len(vertices) <= MAX_POINTS:
         vertices, index = _corners(vertices)
         if len(vertices) < 3:
             raise ValueError(f"{where}: zero area, all vertices lie in a line")
     if not 3 <= len(vertices) <= MAX_VERTICES:
         raise ValueError(f"{where}: {len(vertices)} points; there must be 3 to {MAX_VERTICES} corners")
+    size = math.hypot(*np.ptp(vertices, axis=0))
     apart = vertices[:, None] - vertices[None]
     close = np.hypot(apart[..., 0], apart[..., 1]) <= TOLERANCE * size
     if close.sum() > len(vertices):

@@ -51,7 +51,9 @@ def test_masks_and_indices_of_any_library_mean_the_same():
         found.append(bits(sim))
         assert sim.state.numpy("time").tolist() == [0, pytest.approx(5 * DT), 0]
     assert all(one == found[0] for one in found)
-    sim.reset([])
+    sim.reset([], {"velocity": np.zeros((0, 3, 2)), "angle": []})
+    with pytest.raises(ValueError, match="state has 'angel'; it may have"):
+        sim.reset([], {"angel": 0.0})
     assert bits(sim) == found[0]
     sim.reset(1)
     assert not sim.state.numpy("time").any()

@@ -188,7 +188,7 @@ def test_one_velocity_serves_all_discs():
     builder = builder_with_world()
     builder.add_discs(np.zeros((3, 2)), 1.0, velocity=(1, 2))
     assert finalize(builder)[1].velocity.tolist() == [[1, 2]] * 3
-    assert len(builder.add_discs(np.zeros((0, 2)), 1.0)) == len(builder.add_discs([], 1.0)) == 0
+    assert len(builder.add_discs(np.zeros((0, 2)), 1.0)) == len(builder.add_discs([], 1.0, velocity=[])) == 0
 
 
 def test_far_away_is_as_exact_as_at_the_origin():

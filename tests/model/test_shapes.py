@@ -213,6 +213,7 @@ def test_a_polygon_may_have_more_points_than_corners():
 @pytest.mark.parametrize(
     ("vertices", "message"),
     [
+        ([], "0 points; there must be 3 to 8"),
         ([(0, 0), (1, 0)], "2 points; there must be 3 to 8"),
         ([(math.cos(i), math.sin(i)) for i in np.arange(9) * 0.69], "9 points; there must be 3 to 8"),
         ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], r"shape \(3, 3\)"),
