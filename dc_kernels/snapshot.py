@@ -200,7 +200,7 @@ def _write(file: Any, sim: Simulation) -> None:
             "schedule": sim.schedule,
             "on_overflow": sim.on_overflow,
             "specialize": sim.specialize,
-            "threads": sim.threads,
+            "threads": sim.most_threads,
         }
     )
     slots, _ = contact_slots(sim.contacts)

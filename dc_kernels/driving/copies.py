@@ -46,7 +46,7 @@ def parts_of(sim: Simulation) -> Parts:
     """Return the parts of a simulation themselves; to copy or to pickle them makes a copy of it."""
     options = {
         "config": sim.config,
-        "threads": sim.threads,
+        "threads": sim.most_threads,
         "schedule": sim.schedule,
         "on_overflow": sim.on_overflow,
         "specialize": sim.specialize,

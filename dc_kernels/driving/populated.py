@@ -35,6 +35,8 @@ class Populated(Phases):
     backend: str
     schedule: str
     threads: int
+    most_threads: int
+    """Threads that were asked for; ``threads`` are those of them that pay for the worlds and bodies that there are."""
     calls: OneCaller
     variant: str
     kernels: dict[str, Any]
@@ -59,7 +61,8 @@ class Populated(Phases):
         tiles = by_world and self.device == "cpu"
         sizes = model.world_count, model.body_count
         self._shards = shards_of(self.backend, *sizes, threads, teams=by_world, tiles=tiles)
-        self.threads = self._shards.over_worlds + self._shards.helpers
+        self.most_threads = threads
+        self.__dict__["threads"] = self._shards.over_worlds + self._shards.helpers  # which nobody else may set
         # on a CPU a shard of the host solves world after world; threads of the backend's own share one shard
         self._in_turn = tiles and self._shards.parts == len(self._shards.ranges)
         return self._shards.parts if self._in_turn else model.world_count
@@ -198,7 +201,7 @@ class Populated(Phases):
         self._segments = WorldSegments(self.model.memory, self.joints.memory("joint_row_start"))
         self._choose_kernels(self._config)
         before, peak = self.storage, self._shards.peak.max(axis=0)
-        at_once = self._divide(self.threads)  # as that of a copy, whose shards go by the bodies that there are by then
+        at_once = self._divide(self.most_threads)  # as that of a copy: shards go by the bodies that there are
         self._shards.peak[-1] = peak
         self.storage = Storage(
             self.model,

@@ -231,6 +231,20 @@ def test_a_small_world_and_a_schedule_by_colours_take_one_thread(monkeypatch):
     assert heap(1600, threads=2).threads == 1
 
 
+def test_a_world_that_grows_gets_the_threads_that_were_asked_for(monkeypatch):
+    monkeypatch.setattr(stepping, "WORTH_HELP", 500)
+    sims = [heap(400, threads=asked) for asked in (1, 2)]
+    assert [sim.threads for sim in sims] == [1, 1]
+    copies = [sim.clone() for sim in sims]
+    for sim in (*sims, *copies):
+        more = sim.additions(0)
+        more.add_discs([(0.5 + i % 20, 20.5 + i // 20) for i in range(200)], 0.5)
+        sim.add(more)
+        sim.run(STEPS, 0.01)
+    assert [sim.threads for sim in (*sims, *copies)] == [1, 2, 1, 2]
+    assert all(ends(sim) == ends(sims[0]) for sim in (*sims, *copies))
+
+
 def test_an_interrupt_leaves_a_world_at_a_whole_step():
     """The helper has left when the caller goes on; the run goes on with the bits of one that was not interrupted."""
     alone, sim = heap(), heap(threads=2)

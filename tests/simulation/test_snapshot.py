@@ -80,7 +80,7 @@ def test_threads_and_schedule(saved, tmp_path):
 
 def test_what_the_last_solve_took_and_the_threads_are_kept(tmp_path):
     sim = simulation()
-    vars(sim)["threads"] = 2  # as on a machine that has them
+    sim.most_threads = 2  # as on a machine that has them
     sim.run(3, DT)
     sim.save(tmp_path / "snapshot.h5")
     loaded = dc.Simulation.load(tmp_path / "snapshot.h5")
