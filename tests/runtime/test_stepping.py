@@ -74,17 +74,27 @@ def test_a_round_from_which_no_bit_halts_goes_on():
     assert list(worlds.count) == [5, 5, 0, 5, 5, 5]
 
 
-def interrupt(monkeypatch, when):
-    """Interrupt the present thread right after it has taken rounds, for the time so many: before it counts them."""
-    here, count, calls = threading.current_thread(), Rounds.count, []
+def interrupt(monkeypatch, when, *, first=False):
+    """Interrupt the present thread right after it has taken rounds, for the time so many: before it counts them.
+
+    ``first``: other threads wait until it has, or they might take all of them.
+    """
+    here, take, count, calls, begun = threading.current_thread(), Rounds.take, Rounds.count, [], threading.Event()
+
+    def take_or_wait(rounds, longest):
+        if first and threading.current_thread() is not here:
+            assert begun.wait(60.0)
+        return take(rounds, longest)
 
     def count_or_raise(rounds):
         if threading.current_thread() is here:
+            begun.set()
             calls.append(rounds)
             if len(calls) == when:
                 raise KeyboardInterrupt
         return count(rounds)
 
+    monkeypatch.setattr(Rounds, "take", take_or_wait)
     monkeypatch.setattr(Rounds, "count", count_or_raise)
 
 
@@ -121,7 +131,7 @@ def test_an_interrupted_phase_has_ended_in_all_worlds_and_is_not_taken_twice(mon
         one.run(40, 0.01)
     for phase, call in (("collide", lambda: sim.collide(0.01)), ("solve", sim.solve), ("advance", sim.advance)):
         with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-            interrupt(patch, 1)
+            interrupt(patch, 1, first=True)
             call()
         assert sim.phase == phase
     with pytest.raises(ValueError, match="needs solve"):
