@@ -16,7 +16,7 @@ from dc_kernels.stages import PHASES, of_phase
 if TYPE_CHECKING:
     from dc_kernels.simulation import Simulation
 
-SHOWN = 8  # frozen worlds that one line names
+SHOWN = 8  # stopped worlds that one line names
 
 
 def explain(sim: Simulation) -> str:
@@ -116,26 +116,26 @@ def explain(sim: Simulation) -> str:
         lines.append("sleep: no body falls asleep (SolverConfig.sleep is off)")
     if not config.history:
         lines.append("history of sweeps: not kept")
-    lines += [f"world {w}: frozen ({why})" for w, why in _frozen(sim)]
+    lines += [f"world {w}: stopped ({why})" for w, why in _stopped(sim)]
     return "\n".join(lines)
 
 
 def describe(sim: Simulation) -> str:
-    """Return one line with the size of a simulation and the worlds that do not advance."""
-    model, frozen = sim.model, _frozen(sim)
+    """Return one line with the size of a simulation and the worlds that have stopped."""
+    model, stopped = sim.model, _stopped(sim)
     there, slots = model.body_count, ""
     if sim.given_ids is not None:
         there = int((sim.given_ids.numpy("body_id") >= 0).sum())
         slots = f" in {counted(model.body_count, 'slot')}" * (there < model.body_count)
     line = f"<Simulation of {counted(model.world_count, 'world')} and {counted(there, 'body')}{slots}"
     line += f", {sim.dtype}, {sim.backend} on {sim.device}"
-    if frozen:
-        more = f" and {len(frozen) - SHOWN} more" * (len(frozen) > SHOWN)
-        line += f"; frozen: {', '.join(f'world {w} ({why})' for w, why in frozen[:SHOWN])}{more}"
+    if stopped:
+        more = f" and {len(stopped) - SHOWN} more" * (len(stopped) > SHOWN)
+        line += f"; stopped: {', '.join(f'world {w} ({why})' for w, why in stopped[:SHOWN])}{more}"
     return line + ">"
 
 
-def _frozen(sim: Simulation) -> list[tuple[int, str]]:
-    """Return the worlds that do not advance, and the names of their flags."""
+def _stopped(sim: Simulation) -> list[tuple[int, str]]:
+    """Return the worlds that have stopped, and the names of their flags."""
     flags = sim.state.numpy("flags")
     return [(int(w), flag_names(flags[w])) for w in np.flatnonzero(flags)]

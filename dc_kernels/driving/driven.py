@@ -261,7 +261,7 @@ class Driven(Populated):
 
     @property
     def asleep(self) -> np.ndarray:
-        """Mask of the sleeping bodies, bool (bodies,); all False without ``SolverConfig.sleep``."""
+        """Mask of the sleeping bodies, bool (bodies,), read-only; all False without ``SolverConfig.sleep``."""
         return asleep(self.model, self.sleepers)
 
     def sleep(self, bodies: Any = None) -> None:

@@ -18,7 +18,7 @@ from dc_kernels.model.checks import check_values
 from dc_kernels.model.dtypes import Block, Plan, elements, float_dtype, float_name, plan_of
 from dc_kernels.model.fields import CONTACTS, MODEL, ROLLING, STATE, TRAITS, Field
 from dc_kernels.model.rules import Number, Unit
-from dc_kernels.model.settings import UnknownName, counted, shown
+from dc_kernels.model.settings import UnknownName, WrongType, counted, shown
 from dc_kernels.model.validate.arrays import check_rule
 from dc_kernels.model.worlds import Segments, WorldViews, by_world, locked
 from dc_kernels.runtime.backends import kernel_file, on_numpy
@@ -33,8 +33,12 @@ Group = TypeVar("Group", bound="ArrayGroup")
 
 
 def to_numpy(array: Any) -> np.ndarray:
-    """Return a numpy array: the same memory on the CPU, a copy from a GPU."""
-    return array if isinstance(array, np.ndarray) else array.numpy()
+    """Return a numpy array: the same memory on the CPU, a copy from a GPU.
+
+    Raises:
+        TypeError: it is no array.
+    """
+    return array if isinstance(array, np.ndarray) else _array(array).numpy()
 
 
 def to_torch(array: Any) -> Any:
@@ -42,13 +46,21 @@ def to_torch(array: Any) -> Any:
 
     Raises:
         ImportError: naming the extra, without torch.
+        TypeError: it is no array.
     """
     torch = require("torch", "pipeline")
     if isinstance(array, np.ndarray):
         return torch.from_numpy(array)
     import warp as wp
 
-    return wp.to_torch(array, requires_grad=False)
+    return wp.to_torch(_array(array), requires_grad=False)
+
+
+def _array(array: Any) -> Any:
+    """Return an array; a simulation or a group has arrays, and is none."""
+    if not (hasattr(array, "shape") and hasattr(array, "numpy")):
+        raise WrongType(f"array is {shown(array)}; it must be an array of Warp or NumPy, such as a field of sim.state")
+    return array
 
 
 def kernel_array(array: np.ndarray, backend: str) -> Any:

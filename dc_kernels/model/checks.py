@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, TypedDict
 
 import numpy as np
 
 from dc_kernels.model.enums import BodyType, ShapeRole
-from dc_kernels.model.settings import Limits, WrongType, checker, number_limits, numeric, shown
+from dc_kernels.model.settings import (
+    Limits,
+    WrongType,
+    checker,
+    meant,
+    number_limits,
+    numeric,
+    shown,
+    with_article,
+)
 from dc_kernels.model.shapes import LARGEST
 
 Finite = Annotated[float, Limits(size=LARGEST)]
@@ -128,6 +137,21 @@ def number(name: str, value: Any, where: str) -> float:
     return _CHECKS[name](f"{_LABELS.get(name, name)} of {where}", value)
 
 
+def refuse_keyword(where: str, given: Iterable[str], known: Sequence[str], others: Sequence[str] = ()) -> None:
+    """Raise a TypeError for the first keyword that is none of those known.
+
+    Args:
+        where: what it was given for.
+        given: names of keywords.
+        known: those that are taken.
+        others: arguments that may be meant, too.
+    """
+    wrong = next((name for name in given if name not in known), None)
+    if wrong is not None:
+        more = f"beside its own arguments it takes {', '.join(known)}"
+        raise TypeError(f"{wrong!r} is no keyword of {where}{meant(wrong, (*known, *others))}; {more}")
+
+
 def material(
     where: str,
     density: Any = 1.0,
@@ -135,12 +159,14 @@ def material(
     restitution: Any = 0.0,
     category: Any = 1,
     mask: Any = ALL_BITS,
+    **others: Any,
 ) -> tuple[float, ...]:
     """Return the values of a shape's keywords, each checked against its limits.
 
     Raises:
-        TypeError, ValueError: naming field and ``where``.
+        TypeError, ValueError: naming field and ``where``; ``others`` are none of a shape.
     """
+    refuse_keyword(where, others, (*Material.__annotations__,), ("center", "angle", "radius", "closed", "one_sided"))
     return (
         number("density", density, where),
         number("friction", friction, where),
@@ -284,7 +310,7 @@ def check_values(name: str, values: Any, shape: tuple[int, ...], dtype: np.dtype
         kept = np.ascontiguousarray(array, dtype=dtype)
         if dtype.kind != "f":
             if array.dtype != dtype:
-                bad, limit = np.argwhere(kept.reshape(shape) != array), f"a {dtype.name}"
+                bad, limit = np.argwhere(kept.reshape(shape) != array), with_article(dtype.name)
         elif finite and not np.isfinite(kept.sum()):  # looking at each takes several times as long
             bad, limit = np.argwhere(~np.isfinite(array)), "finite"
             if not len(bad):

@@ -127,7 +127,7 @@ def shown(value: Any) -> str:
     try:
         text = " ".join(repr(value).split())
     except Exception:  # of anybody's class, or an int of too many digits
-        text = f"a {type(value).__name__} that cannot be shown"
+        text = f"{with_article(type(value).__name__)} that cannot be shown"
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
 
 
@@ -360,7 +360,7 @@ def _instance(kind: type, name: str, value: Any) -> Any:
     if isinstance(value, kind):
         return value
     hint = f", such as {kind.__name__}()" if value is kind and is_dataclass(kind) else ""
-    what = shown(value) if isinstance(value, type) else f"a {type(value).__name__}"
+    what = shown(value) if isinstance(value, type) else with_article(type(value).__name__)
     raise WrongType(f"{name} is {what}; it must be {with_article(kind.__name__)}{hint}")
 
 
@@ -381,7 +381,7 @@ def _union(members: tuple[Any, ...]) -> Check:
             except ValueError:
                 continue
         wanted = " or ".join(getattr(plain_type(member), "__name__", str(member)) for member in some)
-        raise WrongType(f"{name} is {shown(value)}; it must be a {wanted}")
+        raise WrongType(f"{name} is {shown(value)}; it must be {with_article(wanted)}")
 
     return check
 

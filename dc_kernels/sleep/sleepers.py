@@ -157,10 +157,13 @@ def check_sleepers(arrays: Mapping[str, np.ndarray], model: Model, flags: np.nda
 
 
 def asleep(model: Model, sleepers: Sleepers) -> np.ndarray:
-    """Bodies that sleep, bool (bodies,)."""
+    """Bodies that sleep, bool (bodies,), for reading only."""
     if not sleepers.sizes["world"]:
-        return np.zeros(model.body_count, bool)
-    return sleepers.numpy("asleep") == Rest.ASLEEP
+        found = np.zeros(model.body_count, bool)
+    else:
+        found = sleepers.numpy("asleep") == Rest.ASLEEP
+    found.flags.writeable = False  # who writes into it means ``sim.sleep`` or ``sim.wake``
+    return found
 
 
 def mark(model: Model, sleepers: Sleepers, bodies: np.ndarray | None, rest: Rest) -> None:

@@ -25,6 +25,7 @@ from typing import Any
 
 from dc_kernels.grid.grid import Grid
 from dc_kernels.grid.image_spec import ImageSpec
+from dc_kernels.model.settings import with_article
 from dc_kernels.runtime.files import check_regular
 from dc_kernels.runtime.imports import require
 from pipeline.files import plain, versions, write_bytes
@@ -202,7 +203,7 @@ def _restore(
             raise ValueError(f"{path}: optimizer/{name} has shape {tuple(value.shape)}; its weight has {wanted}")
         values.setdefault(int(index), {})[field] = value
     if not isinstance(state["progress"], dict):
-        raise ValueError(f"{path} is damaged: its progress is a {type(state['progress']).__name__}")
+        raise ValueError(f"{path} is damaged: its progress is {with_article(type(state['progress']).__name__)}")
     _check_tensors(path, model, parts["model"])
     for name, tensor in parts["optimizer"].items():
         _check_finite(path, f"optimizer/{name}", tensor)

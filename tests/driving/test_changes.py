@@ -126,6 +126,8 @@ def test_other_fields_of_a_model_in_use_are_refused(name):
 def test_what_is_assigned_acts_or_names_the_way(name):
     sim = simulation("float64", "numpy")
     group = sim.model if name in MODEL else sim.joints
+    if name == "joint_impulse":
+        sim.collide(DT)  # as the start of a solve only
     if group.writable(name):
         group.assign(name, group.numpy(name))
         return

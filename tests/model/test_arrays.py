@@ -30,6 +30,9 @@ def test_numpy_and_torch_see_the_same_memory(backend, dtype):
     assert view[3, 1] == 2.5
     view[0, 0] = -1.0
     assert tensor[0, 0] == -1.0
+    for show in (dc.to_numpy, dc.to_torch):
+        with pytest.raises(TypeError, match=r"array is <State: .*; it must be an array of Warp or NumPy"):
+            show(state)
 
 
 def test_a_tensor_written_between_the_phases_is_the_start():
@@ -57,8 +60,8 @@ def test_assign_copies_values_of_the_right_kind(backend):
         ("position", np.zeros((5, 3)), r"position has shape \(5, 3\); it must be \(5, 2\)"),
         ("angle", [0.0, 0.0, np.nan, 0.0, 0.0], r"angle\[2\] is nan; it must be finite"),
         ("velocity", np.full((5, 2), np.inf), r"velocity\[0, 0\] is inf; it must be finite"),
-        ("flags", [0.5, 0.0], r"flags\[0\] is 0.5; it must be a int32"),
-        ("flags", [0, 2**40], r"flags\[1\] is 1099511627776; it must be a int32"),
+        ("flags", [0.5, 0.0], r"flags\[0\] is 0.5; it must be an int32"),
+        ("flags", [0, 2**40], r"flags\[1\] is 1099511627776; it must be an int32"),
         ("flags", [-1, 0], r"flags\[0\] is -1; it must be in \[0, 63\]"),  # no snapshot would bring it back
         ("angle", [True] * 5, r"angle is .*; it must be numbers of shape \(5,\)"),
         ("angle", ["a"] * 5, r"angle is .*; it must be numbers of shape \(5,\)"),

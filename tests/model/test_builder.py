@@ -439,6 +439,20 @@ def test_wrong_arguments_are_named_and_leave_nothing_behind(method, arguments, o
 
 
 @pytest.mark.parametrize(
+    ("method", "arguments", "wrong", "message"),
+    [
+        ("add_box", (1, 0.5, 0.5), "centre", r"shape 1 \(did you mean center\?\); beside its own .* density, friction"),
+        ("add_disc", (1, 0.5), "fricton", r"shape 1 \(did you mean friction\?\)"),
+        ("add_chain", (1, SQUARE), "loop", "shape 1; beside"),
+        ("add_revolute_joint", (1, 2), "anchor", r"joint 0 \(did you mean anchor_a or anchor_b\?\); .* break_force"),
+    ],
+)
+def test_misspelt_keywords_are_named(method, arguments, wrong, message):
+    with pytest.raises(TypeError, match=f"'{wrong}' is no keyword of {message}"):
+        getattr(builder_with_bodies(), method)(*arguments, **{wrong: 0.0})
+
+
+@pytest.mark.parametrize(
     "add", [lambda b: b.add_body(), lambda b: b.add_discs(((0, 0),), 1), lambda b: b.add_disc(0, 1), finalize]
 )
 def test_no_world_yet(add):

@@ -101,7 +101,7 @@ class Sample(Settings):
         ("choice", True, "choice is True; it must be one of"),
         ("flag", 1, "flag is 1; it must be True or False"),
         ("maybe", 0, "maybe is 0; it must be an integer in [1, 2147483647]"),
-        ("either", 1.5, "either is 1.5; it must be a int or str"),
+        ("either", 1.5, "either is 1.5; it must be an int or str"),
         ("pair", (1, 2, 3), "pair is (1, 2, 3), of 3; it must be a tuple of 2"),
         ("pair", (1, math.nan), "pair[1] is nan; it must be finite"),
         ("pair", "12", "pair is '12'; it must be a tuple of 2"),
@@ -157,4 +157,4 @@ def test_what_is_an_array_of_numbers_is_taken():
 
 def test_long_values_are_cut():
     assert len(module.shown("x" * 10**6)) < 100
-    assert module.shown(10**5000) == "a int that cannot be shown"
+    assert module.shown(10**5000) == "an int that cannot be shown"

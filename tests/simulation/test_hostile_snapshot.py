@@ -205,7 +205,7 @@ def test_restored_contacts_are_held_to_their_rules(restored):
         ("color", 200, r"color\[0\] is 200; it must be in \[-1, 63\]"),
         ("color", -2, r"color\[0\] is -2"),
         ("age", -1, r"age\[0\] is -1"),
-        ("age", 2**40, r"age\[0\] is 1099511627776; it must be a int32"),
+        ("age", 2**40, r"age\[0\] is 1099511627776; it must be an int32"),
         ("key", -1, r"key\[0\] is -1"),
         ("key", 2**62, r"key\[1\] is \d+; it must be larger than the one before"),
         ("body_a", foreign, rf"body_a\[0\] is {foreign}; it must be a body of its world 0"),
@@ -233,7 +233,7 @@ def test_restored_contacts_are_held_to_their_rules(restored):
         (count + 1, r"contact_count adds up to"),
         (-count, r"contact_count\[0\] is -"),
         (count[:1], r"contact_count has shape \(1,\)"),
-        (count + 0.5, r"contact_count\[0\] is .*; it must be a int64"),
+        (count + 0.5, r"contact_count\[0\] is .*; it must be an int64"),
     ):
         with pytest.raises(ValueError, match=message):
             sim.restore_contacts(wrong, arrays, contact_dt)

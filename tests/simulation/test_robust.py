@@ -104,6 +104,8 @@ def test_steps_are_integers_of_any_kind():
 def test_a_time_step_that_does_not_fit_is_refused(dt):
     with pytest.raises(ValueError, match=r"dt is .*; it (does not fit float32|must be a number)"):
         simulation().step(dt)
+    with pytest.raises(ValueError, match=r"dt\[1\] is -0\.01; it must be finite and > 0"):
+        simulation().step([0.01, -0.01])
 
 
 @pytest.mark.parametrize("dt", [9e-19, 2e18, 1e-40])
@@ -159,13 +161,13 @@ def test_a_world_that_met_nan_is_named_and_revived(backend):
     sim.state.numpy("velocity")[2] = np.nan
     sim.run(3, 0.01)
     assert sim.state.numpy("flags").tolist() == [0, dc.Flag.NONFINITE]
-    assert "frozen: world 1 (NONFINITE)" in repr(sim) and "world 1: frozen (NONFINITE)" in sim.explain()
+    assert "stopped: world 1 (NONFINITE)" in repr(sim) and "world 1: stopped (NONFINITE)" in sim.explain()
     assert sim.state.numpy("time") == pytest.approx([0.03, 0.0])
 
     sim.state.assign("velocity", np.nan_to_num(sim.state.numpy("velocity")))
     sim.state.assign("flags", np.zeros(2))
     sim.run(3, 0.01)
-    assert not sim.state.numpy("flags").any() and "frozen" not in repr(sim) + sim.explain()
+    assert not sim.state.numpy("flags").any() and "stopped" not in repr(sim) + sim.explain()
     assert sim.state.numpy("time") == pytest.approx([0.06, 0.03])
     assert (sim.state.numpy("velocity")[2:, 1] < -0.2).all()  # it falls
 

@@ -128,6 +128,8 @@ def test_what_is_asked_for_in_vain_is_refused(at_rest):
     sim = at_rest.clone()
     with pytest.raises(ValueError, match=r"bodies\[1\] is 12; it must lie in \[0, 11\]"):
         sim.wake([0, 12])
+    with pytest.raises(ValueError, match="read-only"):
+        sim.asleep[:] = False
     sim.collide(DT)
     with pytest.raises(ValueError, match="in the middle of a step"):
         sim.sleep()

@@ -461,6 +461,13 @@ def test_a_step_starts_from_the_impulses_of_the_one_before():
     for sim in (warm, cold):
         sim.run(50, DT)
     assert warm.stats.numpy("sweeps")[0] < cold.stats.numpy("sweeps")[0]
+    impulse = joints.numpy("joint_impulse").copy()
+    with pytest.raises(ValueError, match="joint_impulse is a result between two steps"):
+        warm.joints.assign("joint_impulse", impulse)
+    warm.collide(DT)
+    warm.joints.assign("joint_impulse", impulse)
+    warm.solve(dc.SolverConfig(max_sweeps=0))
+    assert np.array_equal(warm.joints.numpy("joint_impulse"), impulse) and not impulse.any()
 
 
 @pytest.mark.parametrize(

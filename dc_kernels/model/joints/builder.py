@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from dc_kernels.model.checks import number, pair, triple, truth, unit
+from dc_kernels.model.checks import number, pair, refuse_keyword, triple, truth, unit
 from dc_kernels.model.enums import BodyType, JointKind, JointPart
 from dc_kernels.model.fields import UNBOUNDED
 from dc_kernels.model.joints.groups import COLUMNS, WIDTH, JointOptions
@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 _X, _Y, _ANGLE, _TYPE = 0, 1, 2, 6  # columns of a builder's table of bodies
+# arguments of some joints that a misspelt keyword may stand for
+MEANT = (
+    *("anchor_a", "anchor_b", "axis", "length", "lower", "upper", "motor_speed", "max_motor_torque"),
+    *("max_motor_force", "frequency", "damping_ratio", "reference_angle"),
+)
 
 
 class JointBuilder:
@@ -430,10 +435,7 @@ class JointBuilder:
         **more: Any,
     ) -> int:
         """Append a joint to the table; fields of ``more`` are named without their prefix."""
-        known = JointOptions.__annotations__
-        for name in options:
-            if name not in known:
-                raise TypeError(f"{name!r} is no keyword of a joint; it takes {', '.join(known)}")
+        refuse_keyword(where, options, (*JointOptions.__annotations__,), MEANT)
         collides = truth(f"collide_connected of {where}", options.get("collide_connected", False))
         given = options.get("break_force")
         strength = UNBOUNDED if given is None else number("break_force", given, where)

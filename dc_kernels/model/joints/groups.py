@@ -136,9 +136,15 @@ class Joints(ArrayGroup):
         """Copy values into a field; see ``ArrayGroup.assign``.
 
         Raises:
-            ValueError: as there, and in joints that a simulation goes by for a rod of length 0 and a lower limit above
-                the upper one; where both limits move beyond each other, write the one first that moves away.
+            ValueError: as there; for impulses between the steps of a simulation, which would ignore them; in joints
+                that a simulation goes by for a rod of length 0 and a lower limit above the upper one; where both limits
+                move beyond each other, write the one first that moves away.
         """
+        if name == "joint_impulse" and {user.phase for user in self.users} == {"advance"}:
+            raise ValueError(
+                "joint_impulse is a result between two steps; sim.change_model(joint_impulse=values) sets what the next"
+                " step starts from, and assign what a solve starts from, between sim.collide and sim.solve"
+            )
         if not (self.fixed and name in EXTENTS):
             super().assign(name, values)
             return

@@ -299,7 +299,7 @@ def test_another_training_is_refused_by_its_first_difference(tmp_path):
         (lambda state: state.pop("groups"), "is damaged: KeyError"),
         (lambda state: state.update(groups=[]), "its groups of parameters are not those of the optimiser"),
         (lambda state: state.update(scalars={"x/step": 1}), "is damaged: ValueError"),
-        (lambda state: state.update(progress=3), "its progress is a int"),
+        (lambda state: state.update(progress=3), "its progress is an int"),
         (lambda state: state.update(schedule=7), "is damaged: "),
     ],
 )
