@@ -371,7 +371,7 @@ class Simulation(Driven):
         """Continue a paused solve in the worlds that have not finished.
 
         A world whose ``stats.replaced`` is 1 continues from ``contacts.impulse``, which may have been changed; the
-        others end with the bits of a solve without a pause.
+        others end with the bits of a solve without a pause, except at ``max_sweeps`` where that returns to better ones.
 
         Args:
             config: as in ``solve``; it must be that of the paused solve.

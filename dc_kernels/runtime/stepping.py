@@ -151,6 +151,8 @@ class Shards:
         self.left = [count] * len(self.ranges) if isinstance(count, int) else list(count)
         longest = max(self.left)
         self.halted = False
+        if not longest:
+            return False
         if recorded:
             whole.record(longest)
             return False

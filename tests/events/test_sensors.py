@@ -196,6 +196,36 @@ def test_sensors_change_no_bit_of_the_motion():
     assert not one.overlaps.nbytes() and not one.touches.nbytes() and two.overlaps.nbytes()
 
 
+def rows_of_hulls(sensor):
+    """Boxes, capsules and triangles, all of one pose, that fall side by side, and a zone that they fall through."""
+    builder = dc.ModelBuilder()
+    builder.add_world()
+    ground = builder.add_body(type=dc.BodyType.STATIC)
+    if sensor:
+        builder.add_box(ground, 2.0, 2.0, center=(0.0, 1.0), sensor=True)
+    builder.add_box(ground, 40.0, 0.5, center=(0.0, -0.5))
+    rng = np.random.default_rng(0)
+    for i in range(150):
+        body = builder.add_body((-10.0 + 0.8 * (i % 25) + 0.05 * rng.random(), 0.6 + 0.8 * (i // 25)))
+        kind = rng.integers(3)
+        if kind == 0:
+            builder.add_box(body, 0.3, 0.25)
+        elif kind == 1:
+            builder.add_capsule(body, (-0.2, 0.0), (0.25, 0.0), 0.2)
+        else:
+            builder.add_polygon(body, [(-0.4, -0.3), (0.4, -0.3), (0.1, 0.4)], radius=0.05)
+    return dc.Simulation(*builder.finalize("float64"), config=dc.SolverConfig(max_sweeps=12, min_sweeps=5))
+
+
+def test_hulls_beside_a_sensor_keep_their_own_corners():
+    """What is kept of a pair of hulls goes with it where pairs of sensors before it are taken out."""
+    one, two = rows_of_hulls(False), rows_of_hulls(True)
+    for _ in range(100):
+        one.step(DT)
+        two.step(DT)
+    assert one.state.numpy("velocity").tobytes() == two.state.numpy("velocity").tobytes()
+
+
 @pytest.mark.parametrize("substeps", [1, 3])
 def test_lists_are_the_differences_from_step_to_step(substeps):
     """Of all whole substeps together; a copy, a snapshot and a reset go on from them."""

@@ -245,6 +245,16 @@ def test_a_world_that_grows_gets_the_threads_that_were_asked_for(monkeypatch):
     assert all(ends(sim) == ends(sims[0]) for sim in (*sims, *copies))
 
 
+def test_no_step_is_left_where_the_last_one_needs_room():
+    """What mends an overflow takes the step; nothing is then left to be taken, or timed."""
+    alone, sim = heap(400), heap(400, threads=2, contacts_per_body=0.0, pairs_per_shape=0.0)
+    for one in (alone, sim):
+        one.step(0.01)
+        one.run(0, 0.01)
+        one.run(STEPS, 0.01)
+    assert ends(sim) == ends(alone)
+
+
 def test_an_interrupt_leaves_a_world_at_a_whole_step():
     """The helper has left when the caller goes on; the run goes on with the bits of one that was not interrupted."""
     alone, sim = heap(), heap(threads=2)

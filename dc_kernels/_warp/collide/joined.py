@@ -1,4 +1,4 @@
-"""Pairs of shapes whose bodies a joint keeps from colliding with each other."""
+"""Candidate pairs that are taken out: of shapes whose bodies a joint keeps from colliding with each other."""
 
 from functools import cache
 from typing import Any
@@ -10,10 +10,26 @@ from dc_kernels._warp.groups import contiguous_groups, group_types
 
 
 @cache
+def move_pair(dtype: str) -> Any:
+    """Return the function that moves a candidate to another slot, for kernels that take some out."""
+    t = group_types(dtype)
+
+    @wp.func(module=kernel_module("joined", dtype))
+    def move_pair(pairs: t.Pairs, p: int, to: int):
+        """Move pair p, with the number of its near pair, by which recycle.py finds what it keeps."""
+        pairs.shape_a[to] = pairs.shape_a[p]
+        pairs.shape_b[to] = pairs.shape_b[p]
+        pairs.temp_b[to] = pairs.temp_b[p]
+
+    return move_pair
+
+
+@cache
 def kernels(dtype: str) -> dict[str, Any]:
     """``separate_joined``; one thread a world."""
     t = group_types(dtype)
     contiguous = contiguous_groups(dtype)
+    keep = move_pair(dtype)
 
     @wp.kernel(module=kernel_module("joined", dtype), enable_backward=False)
     def separate_joined(
@@ -37,9 +53,7 @@ def kernels(dtype: str) -> dict[str, Any]:
                 if rows.apart_body[i] == b and joints.joint_broken[rows.apart_joint[i]] == 0:
                     apart = 1
             if apart == 0:
-                pairs.shape_a[last] = pairs.shape_a[p]
-                pairs.shape_b[last] = pairs.shape_b[p]
-                pairs.temp_b[last] = pairs.temp_b[p]  # its near pair, whose place has what recycle.py keeps
+                keep(pairs, p, last)
                 last += 1
         pairs.count[w] = last - first
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import warp as wp
 
+from dc_kernels._warp.collide.joined import move_pair
 from dc_kernels._warp.common import cross, kernel_module, rotate
 from dc_kernels._warp.events.lists import copy_pairs, list_missing
 from dc_kernels._warp.groups import contiguous_groups, group_types
@@ -22,6 +23,7 @@ def kernels(dtype: str) -> dict[str, Any]:
     real, vec2 = t.real, t.vec2
     module = kernel_module("overlaps", dtype)
     contiguous = contiguous_groups(dtype)
+    keep = move_pair(dtype)
 
     @wp.func(module=module)
     def corners_of(s: int, model: t.Model):
@@ -132,8 +134,7 @@ def kernels(dtype: str) -> dict[str, Any]:
                     overlaps.b[n] = b
                     n += 1
             else:
-                pairs.shape_a[last] = a
-                pairs.shape_b[last] = b
+                keep(pairs, p, last)
                 last += 1
         pairs.count[w] = last - first
         overlaps.count[w] = n - first

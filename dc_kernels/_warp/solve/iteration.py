@@ -178,6 +178,7 @@ def iteration_functions(dtype: str, variant: str) -> SimpleNamespace:
             done = GOES_ON
         stats.iteration[w].finished = wp.where(done == GOES_ON, 0, 1)
         anew = done != GOES_ON and config.acceleration == ADAPTIVE and stats.iteration[w].stretch_method == MOMENTUM
+        # not where it pauses: the worlds of a shard, solved in turn, share the memory that keeps them
         if config.acceleration != PLAIN and span.pause_at == NO_PAUSE:
             if keep_best(span, change, config, rows, stats.iteration) == 1:
                 anew = True
