@@ -47,7 +47,9 @@ def games(record: Record) -> str:
     told = [labels[name] for name in names]
     return paragraphs(
         f"Milliseconds of a step of 0.01 s, one thread, of {'; '.join(texts[name] for name in names)}. "
-        "All begin with the same bodies; a ratio below 1 says that ours is faster.",
+        "All begin with the same bodies; a ratio below 1 says that ours is faster. It is the median of the "
+        "ratios of each round: where the clock changes during a run, the quotient of two medians of milliseconds is "
+        "another one.",
         f"{labels[FOREIGN]} is driven by a program that is not part of this project; "
         "[bench/README.md](../bench/README.md#a-peer-of-your-own) has its protocol."
         if FOREIGN in names
