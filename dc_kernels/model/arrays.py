@@ -33,11 +33,7 @@ Group = TypeVar("Group", bound="ArrayGroup")
 
 
 def to_numpy(array: Any) -> np.ndarray:
-    """Return a numpy array: the same memory on the CPU, a copy from a GPU.
-
-    Raises:
-        TypeError: it is no array.
-    """
+    """Return a numpy array: the same memory on the CPU, a copy from a GPU; what is no array gives a TypeError."""
     return array if isinstance(array, np.ndarray) else _array(array).numpy()
 
 
