@@ -27,6 +27,7 @@ SCENES = ("settled_discs_10000", "settled_mixed_1000", "pyramid_1275", "boxes_10
 QUICK = ("settled_discs_1000", "settled_mixed_1000", "pyramid_1275", "boxes_64_worlds", "one_disc_run")
 SETTLE = 300  # steps by which all of a scene has come to rest; what has not is let sleep by a call
 ROUNDS, ROUNDS_QUICK = 15, 7
+MORE = 4  # times as many rounds of what is awake: its ratios are within some percent of 1, as is the noise of a round
 ASLEEP_STEPS = 1_000  # timed together
 AWAKE_STEPS, AWAKE_BODIES = 10, 50_000  # timed together: at least so many steps, and bodies times steps
 AFTER = 50  # steps after which what woke is compared with what never slept
@@ -60,7 +61,7 @@ def measure_scene(name: str, rounds: int) -> dict[str, Any]:
     values: dict[str, Any] = {"bodies": int(dynamic(asleep).sum()), "asleep_by_itself": by_itself}
     for key, way in (("asleep_us", "run"), ("asleep_step_us", "step")):
         values[key] = 1e6 * statistics.median(spent[way]) / ASLEEP_STEPS
-    values |= measure_awake(handed, config, rounds)
+    values |= measure_awake(handed, config, MORE * rounds)
     values |= differences(handed, config)
     return values
 
