@@ -301,8 +301,9 @@ class ModelBuilder(JointBuilder):
         bodies = np.full((n, 9), np.nan)
         bodies[:, X : Y + 1] = positions
         wanted = f"({n}, 2) or (2,)"
-        speed = numeric("velocity", (0.0, 0.0) if velocity is None else velocity, f"numbers of shape {wanted}")
-        if speed.shape not in ((n, 2), (2,)) and not (n == 0 and speed.shape == (0,)):
+        given = (0.0, 0.0) if velocity is None else velocity
+        speed = numeric("velocity", given, f"numbers of shape {wanted}", inner=(2,))
+        if speed.shape not in ((n, 2), (2,)):
             raise ValueError(f"velocity has shape {speed.shape}; it must be {wanted}")
         bodies[:, VX : VY + 1] = points(speed.reshape(-1, 2), "velocity", 0)
         fill(bodies[:, ANGLE], "angle", angle)

@@ -216,7 +216,9 @@ def meant(name: str, known: Sequence[str]) -> str:
     return f" (did you mean {' or '.join(near)}?)" if near else ""
 
 
-def numeric(name: str, values: Any, wanted: str = "numbers", kinds: str = "iuf") -> np.ndarray:
+def numeric(
+    name: str, values: Any, wanted: str = "numbers", kinds: str = "iuf", inner: tuple[int, ...] = ()
+) -> np.ndarray:
     """Return numbers of any shape as an array: what is one, or a nested list, and no text, set, mapping or object.
 
     Args:
@@ -224,6 +226,7 @@ def numeric(name: str, values: Any, wanted: str = "numbers", kinds: str = "iuf")
         values: of the user.
         wanted: what the values must be, for errors.
         kinds: of the dtypes that are allowed, as numpy has them.
+        inner: shape of one element; an empty list, whose shape is (0,), is none of them.
 
     Raises:
         TypeError: naming it, for anything else.
@@ -242,7 +245,7 @@ def numeric(name: str, values: Any, wanted: str = "numbers", kinds: str = "iuf")
     if array is None or array.dtype.kind not in kinds:
         found = f"has dtype {values.dtype}" if isinstance(values, np.ndarray) else f"is {shown(values)}"
         raise WrongType(f"{name} {found}; it must be {wanted}") from None
-    return array
+    return array.reshape(0, *inner) if array.shape == (0,) else array
 
 
 def check_choice(name: str, value: Any, allowed: Any) -> Any:

@@ -125,9 +125,7 @@ def points(values: Any, where: str, low: int = 1, high: int | None = None) -> np
         ValueError: naming ``where`` and the index: another shape, fewer than ``low`` or more than ``high`` points,
             NaN or inf.
     """
-    array = numeric(where, values, "numbers of shape (n, 2)").astype(np.float64)
-    if array.shape == (0,):
-        array = array.reshape(0, 2)  # an empty list
+    array = numeric(where, values, "numbers of shape (n, 2)", inner=(2,)).astype(np.float64)
     if array.ndim != 2 or array.shape[1] != 2:
         raise ValueError(f"{where}: has shape {array.shape}; it must be (n, 2)")
     if len(array) < low or (high is not None and len(array) > high):

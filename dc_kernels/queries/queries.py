@@ -292,8 +292,7 @@ class Queries(InPlace):
     ) -> dict[str, np.ndarray]:
         """What all queries have: where, which world, what counts; and how what is asked with is turned."""
         refuse_recording("a query", "its answers are arrays of their own")
-        place = numeric(name, place, "numbers of shape (n, 2)")
-        place = place.reshape(0, 2) if place.shape == (0,) else place  # an empty list
+        place = numeric(name, place, "numbers of shape (n, 2)", inner=(2,))
         if place.ndim != 2 or place.shape[1] != 2:
             raise ValueError(f"{name} has shape {place.shape}; it must be (n, 2)")
         place = self._within(name, check_values(name, place, place.shape, self.dtype))
@@ -324,9 +323,7 @@ class Queries(InPlace):
     def _each(self, name: str, values: Any, n: int, dtype: Any = None, inner: tuple[int, ...] = ()) -> np.ndarray:
         """A value for each query, of one for each or of one for all."""
         dtype = self.dtype if dtype is None else np.dtype(dtype)
-        given = numeric(name, values, f"numbers of shape {(n, *inner)} or {inner}", "buif")
-        if given.shape == (0,) and inner:
-            given = given.reshape(0, *inner)  # an empty list
+        given = numeric(name, values, f"numbers of shape {(n, *inner)} or {inner}", "buif", inner)
         if given.shape == inner:
             return np.ascontiguousarray(np.broadcast_to(check_values(name, given, inner, dtype), (n, *inner)))
         return check_values(name, given, (n, *inner), dtype)

@@ -321,8 +321,10 @@ def check_time_step(dt: float | np.ndarray, worlds: int, dtype: np.dtype) -> Non
     value = numeric("dt", dt, f"a number or have shape {(worlds,)}").astype(np.float64)
     if value.ndim and value.shape != (worlds,):
         raise ValueError(f"dt has shape {value.shape}; it must be a number or have shape {(worlds,)}")
-    if not (good := (value > 0.0) & (value < float("inf"))).all():
-        wrong = f"dt[{(at := int(good.argmin()))}] is {value[at]}" if value.ndim else f"dt is {shown(dt)}"
+    good = (value > 0.0) & (value < float("inf"))
+    if not good.all():
+        at = int(good.argmin())
+        wrong = f"dt[{at}] is {value[at]}" if value.ndim else f"dt is {shown(dt)}"
         raise ValueError(f"{wrong}; it must be finite and > 0 [s]")
     with np.errstate(over="ignore", under="ignore"):
         narrow = value.astype(dtype)
