@@ -48,8 +48,9 @@ def write_index(folder: Path, shards: Sequence[Path]) -> None:
                 if name in STARTS:
                     starts[name].append(data[: None if path == shards[-1] else -1] + sizes[STARTS[name]])
                     continue
-                source = sources.setdefault(name, Source(data.dtype, dict(data.attrs), []))
-                source.parts.append((path.name, data.shape))
+                if name not in sources:
+                    sources[name] = Source(data.dtype, dict(data.attrs), [])
+                sources[name].parts.append((path.name, data.shape))
             for axis in LAYOUT:
                 sizes[axis] += row_count(file, axis)
             first_world.append(sizes["world"])

@@ -6,6 +6,7 @@ many threads as make shards and by those that have none to make, and a file is w
 
 from __future__ import annotations
 
+import threading
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, get_args
@@ -111,6 +112,18 @@ class Packed(NamedTuple):
     """Keywords of ``h5py``'s ``create_dataset`` for how they are compressed."""
 
 
+_of_thread = threading.local()
+
+
+def _compressor(compression: str) -> Callable[[Any], bytes]:
+    """Return this thread's function that compresses; to make one takes a fifth of the time of compressing a chunk."""
+    found: Callable[[Any], bytes] | None = getattr(_of_thread, compression, None)
+    if found is None:
+        found = CODECS[compression].compressor()
+        setattr(_of_thread, compression, found)
+    return found
+
+
 def pack(
     values: np.ndarray, axis: int = 0, rows: int | None = None, compression: str = "gzip", spread: Spread = one_by_one
 ) -> Packed:
@@ -137,7 +150,7 @@ def pack(
             whole[tuple(map(slice, block.shape))] = block
             block = whole
         planes = np.ascontiguousarray(block.reshape(-1).view(np.uint8).reshape(-1, values.dtype.itemsize).T)
-        data = codec.compressor()(planes.data.cast("B"))
+        data = _compressor(compression)(planes.data.cast("B"))
         return tuple(first if i == axis else 0 for i in range(values.ndim)), data + fletcher32(data)
 
     chunks = spread(compressed, range(0, values.shape[axis], max(rows, 1)))

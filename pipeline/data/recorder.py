@@ -155,6 +155,7 @@ class Recorder:
         self.label_config = recipe.label_config
         self.measure = recipe.solver.ends_at[0]
         self.flags = self.label_reached = 0
+        self.world = np.repeat(np.arange(model.world_count), np.diff(model.numpy("body_start")))  # of each body
         self.kept: dict[str, list[np.ndarray]] = {}
         self.images: dc.Images | None = None
         self.extra: dict[str, DatasetSpec] = {}
@@ -215,13 +216,12 @@ class Recorder:
 
     def _keep_correction(self, dt: np.ndarray) -> None:
         """Keep what the position phase of the step added to the way that the solved velocities go."""
-        motion, bodies = self.sim.motion, np.diff(self.sim.model.numpy("body_start"))
-        count = int(bodies.sum())
-        way = motion.numpy("solved")[:count, :3] * dt.repeat(bodies)[:, None]
-        correction = np.subtract(motion.numpy("displacement")[:count, :3], way, out=way)
+        motion, count = self.sim.motion, len(self.world)
+        way = motion.numpy("solved")[:count] * dt.take(self.world)[:, None]  # whole rows, as parts of them take longer
+        correction = np.subtract(motion.numpy("displacement")[:count], way, out=way)
         stopped = self.sim.state.numpy("flags") != 0
         if stopped.any():
-            correction[stopped.repeat(bodies)] = 0.0
+            correction[stopped.take(self.world)] = 0.0
         self._keep("motion/position_correction", correction[:, :2])
         self._keep("motion/angle_correction", correction[:, 2])
 
