@@ -27,7 +27,9 @@ SCENES = ("settled_discs_10000", "settled_mixed_1000", "pyramid_1275", "boxes_10
 QUICK = ("settled_discs_1000", "settled_mixed_1000", "pyramid_1275", "boxes_64_worlds", "one_disc_run")
 SETTLE = 300  # steps by which all of a scene has come to rest; what has not is let sleep by a call
 ROUNDS, ROUNDS_QUICK = 15, 7
-MORE = 4  # times as many rounds of what is awake: its ratios are within some percent of 1, as is the noise of a round
+# of what is awake the ratios are within some percent of 1, as is the noise: simulations are made anew so often, in both
+# orders, as one is up to 6 % slower than another of equal settings, by where its arrays lie
+PAIRS, PAIRS_QUICK = 8, 2
 ASLEEP_STEPS = 1_000  # timed together
 AWAKE_STEPS, AWAKE_BODIES = 10, 50_000  # timed together: at least so many steps, and bodies times steps
 AFTER = 50  # steps after which what woke is compared with what never slept
@@ -39,7 +41,7 @@ def measure(quick: bool) -> dict[str, Any]:
     found = {}
     for name in QUICK if quick else SCENES:
         timing.progress(name)
-        found[name] = measure_scene(name, ROUNDS_QUICK if quick else ROUNDS)
+        found[name] = measure_scene(name, *((ROUNDS_QUICK, PAIRS_QUICK) if quick else (ROUNDS, PAIRS)))
 
     def worst(key: str) -> float:
         return max(values[key] for values in found.values() if values[key] is not None)
@@ -47,7 +49,7 @@ def measure(quick: bool) -> dict[str, Any]:
     return {**{key: worst(key) for key in KEYS}, "scenes": found}
 
 
-def measure_scene(name: str, rounds: int) -> dict[str, Any]:
+def measure_scene(name: str, rounds: int, pairs: int) -> dict[str, Any]:
     """Values of one scene of the bench ``games``."""
     handed = hand_over(ROWS[name])
     config = dc.SolverConfig()
@@ -61,7 +63,7 @@ def measure_scene(name: str, rounds: int) -> dict[str, Any]:
     values: dict[str, Any] = {"bodies": int(dynamic(asleep).sum()), "asleep_by_itself": by_itself}
     for key, way in (("asleep_us", "run"), ("asleep_step_us", "step")):
         values[key] = 1e6 * statistics.median(spent[way]) / ASLEEP_STEPS
-    values |= measure_awake(handed, config, MORE * rounds)
+    values |= measure_awake(handed, config, rounds, pairs)
     values |= differences(handed, config)
     return values
 
@@ -88,16 +90,27 @@ def steps(sim: dc.Simulation, count: int) -> Callable[[], None]:
     return take
 
 
-def measure_awake(handed: Handed, config: dc.SolverConfig, rounds: int) -> dict[str, float | None]:
+def measure_awake(handed: Handed, config: dc.SolverConfig, rounds: int, pairs: int) -> dict[str, float | None]:
     """A step with all awake though they might sleep, and one with every second world asleep, over one without sleep.
+
+    Returns the means over simulations that are made anew of their medians over rounds.
+    """
+    found = [awake_shares(handed, config, rounds, 1 if k % 2 else -1) for k in range(pairs)]
+    return {
+        key: statistics.fmean(shares[name] for shares in found) if name in found[0] else None
+        for key, name in (("awake_slowdown", "on"), ("half_share", "half"))
+    }
+
+
+def awake_shares(handed: Handed, config: dc.SolverConfig, rounds: int, order: int) -> dict[str, float]:
+    """The time of a step over that without sleep, by name; simulations are made in an order (1) or its reverse (-1).
 
     Where all are awake they rest and are timed, but for too short to sleep: both simulations take the same steps, to
     the bit.
     """
     awake = dataclasses.replace(config, sleep=True, sleep_time=1e6)
-    sims = {"off": simulation(handed, config), "on": simulation(handed, awake)}
-    if handed.worlds > 1:
-        sims["half"] = simulation(handed, awake)
+    configs = {"off": config, "on": awake, **({"half": awake} if handed.worlds > 1 else {})}
+    sims = {name: simulation(handed, configs[name]) for name in list(configs)[::order]}
     for sim in sims.values():
         sim.run(SETTLE, DT)
     if "half" in sims:
@@ -110,13 +123,8 @@ def measure_awake(handed: Handed, config: dc.SolverConfig, rounds: int) -> dict[
             times[name].append(timing.seconds(lambda sim=sims[name]: sim.run(count, DT)))  # type: ignore[misc]
     if (sims["on"].state.numpy("position") != sims["off"].state.numpy("position")).any():
         raise RuntimeError("bodies that might sleep, and are awake, move differently")
-
-    def share(name: str) -> float | None:
-        if name not in sims:
-            return None
-        return statistics.median(one / off for one, off in zip(times[name], times["off"], strict=True))
-
-    return {"awake_slowdown": share("on"), "half_share": share("half")}
+    shares = {name: [one / off for one, off in zip(times[name], times["off"], strict=True)] for name in sims}
+    return {name: statistics.median(ratios) for name, ratios in shares.items()}
 
 
 def differences(handed: Handed, config: dc.SolverConfig) -> dict[str, float]:

@@ -15,6 +15,7 @@ from dc_kernels.sleep.sleepers import LOOK_EVERY
 PASSED_OVER = wp.constant(int(Flag.ASLEEP))
 EVERY = wp.constant(LOOK_EVERY)
 LOOK = wp.constant(LOOK_EVERY + 1)  # in place of the steps waited, where islands are to be looked for at the step's end
+RESTED = wp.constant(2)  # of what ``count_rest`` returns: some body has rested for long enough
 CODES = {"DYNAMIC": DYNAMIC, "KINEMATIC": KINEMATIC, "AWAKE": AWAKE}
 
 
@@ -50,12 +51,19 @@ def kernels(dtype: str, rolls: bool = False) -> dict[str, Any]:
         slow: real,
         dt: real,
         size: real,
-    ) -> real: ...
+        g: real,
+        enough: real,
+    ) -> wp.int32: ...
+
+    @wp.func(module=module)
+    def enough_of(size: real, config: t.Config):
+        """The least product of gravity and a rest time's square by which a body may sleep; see ``is_enough``."""
+        return config.sleep_time * config.sleep_time * size
 
     @wp.func(module=module)
     def is_enough(time: real, g: real, size: real, config: t.Config):
-        """Whether a body that has rested for so long may sleep; never without gravity."""
-        return time > real(0.0) and time * time * g >= config.sleep_time * config.sleep_time * size
+        """Whether a body that has rested for so long may sleep; never without gravity. ``count_rest`` asks so too."""
+        return time > real(0.0) and time * time * g >= enough_of(size, config)
 
     @wp.func(module=module)
     def lay(w: int, model: t.Model, state: t.State, joints: t.Joints, contacts: t.Contacts, sleepers: t.Sleepers):
@@ -144,11 +152,13 @@ def kernels(dtype: str, rolls: bool = False) -> dict[str, Any]:
         size = model.length_scale[w]
         g = wp.length(model.gravity[w])
         slow = config.sleep_speed * config.sleep_speed * g * size
-        longest = count_rest(model, state, sleepers, model.body_start[w], model.body_start[w + 1], slow, dt, size)
-        if longest < real(0.0) and sleepers.sleeping[w] > 0:
+        enough = enough_of(size, config)
+        first = model.body_start[w]
+        found = count_rest(model, state, sleepers, first, model.body_start[w + 1], slow, dt, size, g, enough)
+        if found == 0 and sleepers.sleeping[w] > 0:
             sleepers.dormant[w] = 1
         waited = wp.min(sleepers.waited[w] + 1, EVERY)
-        if waited == EVERY and is_enough(longest, g, size, config):
+        if waited == EVERY and found >= RESTED:
             waited = LOOK
         sleepers.waited[w] = waited
 
