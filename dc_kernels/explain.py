@@ -31,9 +31,9 @@ def explain(sim: Simulation) -> str:
         for kind in BodyType
         if (body_type == kind).any()
     )
-    shapes = ", ".join(
-        counted(int((shape_type == kind).sum()), kind.name.lower()) for kind in ShapeType if (shape_type == kind).any()
-    )
+    capsule = (shape_type == ShapeType.POLYGON) & (np.diff(model.numpy("vertex_start")) == 2)
+    found = {kind.name.lower(): (shape_type == kind) & ~capsule for kind in ShapeType} | {"capsule": capsule}
+    shapes = ", ".join(counted(int(of_kind.sum()), name) for name, of_kind in found.items() if of_kind.any())
     lines = [
         f"scene: {counted(model.world_count, 'world')}, {kinds or 'no bodies'}; {shapes or 'no shapes'}; "
         f"{counted(model.joint_count, 'joint')}",
@@ -86,6 +86,8 @@ def explain(sim: Simulation) -> str:
         lines.append("solver: PGS in colour order, scalar rows")
     chosen = (config.corrects_positions, config.sleep, sim.added_kernels, config.soft)
     stages = [name for phase in PHASES for name in of_phase(phase, *chosen)]
+    if "wake_touched" in stages:
+        stages[stages.index("wake_touched") + 1] += " (again, where a sleeper was touched)"
     lines.append(f"stages of a step: {', '.join(stages)}")
     stop, tolerance, relative = config.ends_at
     light = f" and {relative:g} of what a typical weight gives in a step" * (stop != "residual")

@@ -101,6 +101,9 @@ class Recipe(Settings):
         options, solver = self.options, self.solver
         if solver.history:
             raise ValueError("solver.history is True; a data set does not keep the history")
+        for name in ("contact_events", "contact_switches"):
+            if getattr(solver, name):
+                raise ValueError(f"solver.{name} is True; a data set keeps no events, and every contact is on")
         if solver.sleep:
             raise ValueError(
                 "solver.sleep is True; a data set holds the solves of all contacts, and sleepers have none"

@@ -346,6 +346,18 @@ def test_memory_and_explain_tell_what_runs():
     assert f"at least {sim.config.min_sweeps} sweeps" in discs
 
 
+def test_explain_counts_shapes_of_each_kind_and_names_a_repeated_stage():
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, -9.81))
+    builder.add_chain(builder.add_body(type=dc.BodyType.STATIC), [(0.0, 0.0), (10.0, 0.0)])
+    builder.add_capsule(builder.add_body(position=(5.0, 1.0)), (-0.5, 0.0), (0.5, 0.0), 0.2)
+    builder.add_box(builder.add_body(position=(7.0, 1.0)), 0.5, 0.5)
+    builder.add_discs([(2.0, 1.0)], radius=0.5)
+    text = dc.Simulation(*builder.finalize(), config=dc.SolverConfig(sleep=True)).explain()
+    assert "; 1 disc, 1 polygon, 1 segment, 1 capsule; 0 joints" in text
+    assert "narrowphase, wake_touched, narrowphase (again, where a sleeper was touched), admit" in text
+
+
 # ---------------------------------------------------------------- coordinates, kinds of bodies
 
 
