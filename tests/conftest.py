@@ -51,10 +51,13 @@ def wakeup_descriptor():
 ROOT = Path(__file__).parent
 TOGETHER = (
     "driving/test_population.py",
+    "driving/test_population_worlds.py",
     "parity/test_taichi.py",
     "parity/test_taichi_joints.py",
     "parity/test_taichi_solve.py",
     "parity/test_taichi_steps.py",
+    "solve/test_contact_calls.py",
+    "solve/test_contact_inputs.py",
     "solve/test_contacts.py",
     "solve/test_own_rows.py",
     "solve/test_surfaces.py",
