@@ -10,6 +10,7 @@ import pytest
 import dc_kernels as dc
 from bench import __main__ as command
 from bench import cases, run, timing
+from bench.pages import page
 from bench.peers import peers
 from bench.speed import skips
 from bench.speed import worlds as bench_worlds
@@ -52,6 +53,13 @@ def test_json_line_has_the_named_keys(name, monkeypatch, capsys):
     assert record["bench"] == name and record["quick"] is True
     assert all(record[key] == 1.5 for key in bench.KEYS)
     assert record["machine"]["cpu"] and record["machine"]["packages"]["numpy"] == np.__version__
+
+
+def test_both_forms_of_the_training_bench_have_a_section():
+    whole = {"bench": "train", "quick": False, "minutes": 7.5, "steps": 7000, "extrapolated": False}
+    quick = {**whole, "quick": True, "step_s": 0.0625, "extrapolated": True}
+    assert "| steps | 7 000 |" in page.section(whole) and "extrapolated" not in page.section(whole)
+    assert "| a step [s] | 0.0625 |" in page.section(quick)
 
 
 def test_json_line_misses_no_key():
