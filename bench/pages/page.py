@@ -95,7 +95,7 @@ def measured(records: Mapping[str, Record]) -> str:
             "it again without running any. Times are medians of interleaved runs; "
             "[bench/README.md](../bench/README.md) says how each is taken.",
             machines(kept),
-            *map(section, kept.values()),
+            *[section(record) for record in kept.values()],  # not by map, which any StopIteration would end
         )
         + "\n"
     )

@@ -43,16 +43,20 @@ def over_front(record: Record, label: str) -> list[float]:
     return [ratio for ratio in ratios if ratio is not None]
 
 
+def _race(race: dict[str, Any], states: int) -> tuple[str, ...]:
+    """Write how many states reach the level, and the times of the default, the fastest and the plain setting."""
+    if not race:
+        return f"0 of {states}", *3 * ("-",)
+    label, best = next(iter(race.items()))
+    ours, plain = setting(race["adaptive"]), setting(race["plain"])
+    return f"{best['states']} of {states}", ours, f"{setting(best)}, {label}", plain
+
+
 def error_time(record: Record) -> str:
     """Show times to a level of one solve, of a pile at rest and of motions, beside the peers."""
     solves, piles = [], []
     for scene in record["scenes"].values():
-        race = scene["residual"][LEVEL]
-        label, best = next(iter(race.items()))
-        count = f"{best['states']} of {scene['states']}"
-        solves.append(
-            (scene["title"], count, setting(race["adaptive"]), f"{setting(best)}, {label}", setting(race["plain"]))
-        )
+        solves.append((scene["title"], *_race(scene["residual"][LEVEL], scene["states"])))
         runs = scene["runs"]["penetration"][PENETRATION]
         piles.append(
             (
