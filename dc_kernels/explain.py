@@ -22,8 +22,7 @@ SHOWN = 8  # stopped worlds that one line names
 def explain(sim: Simulation) -> str:
     """Return lines of "stage: what runs or is skipped (why)" for the present simulation."""
     model, config = sim.model, sim.config
-    body_type = model.numpy("body_type")
-    shape_type = model.numpy("shape_type")
+    body_type, shape_type = (_filled(sim, name) for name in ("body_type", "shape_type"))
     friction = bool(model.numpy("shape_friction").any())
     bounce = bool(model.numpy("shape_restitution").any())
     kinds = ", ".join(
@@ -31,7 +30,8 @@ def explain(sim: Simulation) -> str:
         for kind in BodyType
         if (body_type == kind).any()
     )
-    capsule = (shape_type == ShapeType.POLYGON) & (np.diff(model.numpy("vertex_start")) == 2)
+    corners = np.diff(model.numpy("vertex_start"))
+    capsule = (shape_type == ShapeType.POLYGON) & (corners[: len(shape_type)] == 2)
     found = {kind.name.lower(): (shape_type == kind) & ~capsule for kind in ShapeType} | {"capsule": capsule}
     shapes = ", ".join(counted(int(of_kind.sum()), name) for name, of_kind in found.items() if of_kind.any())
     lines = [
@@ -80,7 +80,7 @@ def explain(sim: Simulation) -> str:
         lines.append(f"solver: {config.substeps} substeps with soft contacts, each with a relaxing sweep")
     elif config.method == "jacobi":
         lines.append("solver: Jacobi with mass splitting, scalar rows")
-    elif sim.schedule == "world" and sim.device == "cpu":
+    elif sim.schedule == "world" and sim.device == "cpu" and sim.backend == "warp":
         lines.append(f"solver: PGS in colour order, {LANES} rows side by side in SIMD lanes")
     else:
         lines.append("solver: PGS in colour order, scalar rows")
@@ -95,24 +95,29 @@ def explain(sim: Simulation) -> str:
     if stop == "motion":
         ends += f", or where a sweep moves few contacts by more than {config.motion_tolerance:g} slops a step"
         ends += f", or {config.motion_mean:g} of what contacts gave all bodies in the mean" * (config.motion_mean > 0)
-    lines.append(
-        f"acceleration: {config.acceleration}; {ends}, after at least "
-        f"{config.min_sweeps} sweeps, or at {config.max_sweeps} sweeps; a world without rows is not swept"
-    )
-    if config.position_correction == "ngs":
+    least = min(config.min_sweeps, config.max_sweeps)
+    if not config.soft:
+        lines.append(
+            f"acceleration: {config.acceleration}; {ends}, after at least "
+            f"{least} sweeps, or at {config.max_sweeps} sweeps; a world without rows is not swept"
+        )
+    if config.corrects_positions:
         deep = sim.rows.numpy("deepest") < -config.slop * model.numpy("length_scale")
-        run = "always, for the joints" if model.joint_count else f"in {int(deep.sum())} worlds at the last step"
+        overlapping = f"in {counted(int(deep.sum()), 'world')} at the last step"
+        run = "always, for the joints" if model.joint_count else overlapping
         lines.append(f"position correction: a separate phase where an overlap exceeds the slop ({run})")
-    else:
+    elif not config.soft:
         lines.append(f"position correction: {config.position_correction}; the position phase is skipped")
     serial = int((sim.contacts.numpy("color") == SERIAL_COLOR).sum())
     if serial:
         lines.append(f"serial colour: {counted(serial, 'contact')} swept one by one (a body has more than 63)")
     if config.sleep:
-        sleeping, dormant = sim.sleepers.numpy("sleeping"), sim.sleepers.numpy("dormant")
+        dormant = sim.sleepers.numpy("dormant")
+        world = np.repeat(np.arange(model.world_count), np.diff(model.numpy("body_start")))
+        asleep = sim.asleep
         lines.append(
-            f"sleep: {int(sleeping.sum())} of {counted(int((body_type == BodyType.DYNAMIC).sum()), 'dynamic body')} "
-            f"asleep, in {counted(int((sleeping > 0).sum()), 'world')}, of which {int(dormant.sum())} skipped whole"
+            f"sleep: {int(asleep.sum())} of {counted(int((body_type == BodyType.DYNAMIC).sum()), 'dynamic body')} "
+            f"asleep, in {counted(len(np.unique(world[asleep])), 'world')}, of which {int(dormant.sum())} skipped whole"
         )
     else:
         lines.append("sleep: no body falls asleep (SolverConfig.sleep is off)")
@@ -120,6 +125,14 @@ def explain(sim: Simulation) -> str:
         lines.append("history of sweeps: not kept")
     lines += [f"world {w}: stopped ({why})" for w, why in _stopped(sim)]
     return "\n".join(lines)
+
+
+def _filled(sim: Simulation, name: str) -> np.ndarray:
+    """Return a field of the model, -1 in place of what empty slots hold."""
+    values, axis = sim.model.numpy(name), sim.model.table[name].axes[0]
+    if sim.given_ids is None:
+        return values
+    return np.where(sim.given_ids.numpy(f"{axis}_id") < 0, -1, values)
 
 
 def describe(sim: Simulation) -> str:

@@ -26,8 +26,10 @@ def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def span(values: Iterable[float]) -> str:
-    """Write the least and the largest of some values, as "1 to 1.3"; one value where they look alike."""
+    """Write the least and the largest of some values, as "1 to 1.3"; one where they look alike, - without any."""
     kept = list(values)
+    if not kept:
+        return "-"
     low, high = (f"{value:.2g}" if value < 10 else figure(value) for value in (min(kept), max(kept)))
     return low if low == high else f"{low} to {high}"
 

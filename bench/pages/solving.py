@@ -90,7 +90,7 @@ def error_time(record: Record) -> str:
         table(("scene", "default", "our fastest", "pymunk", "pybox2d"), piles),
         "Seconds per simulated second to an error [m] of one moving body at 1.6 s:",
         table(("motion", "error", *next(iter(record["motions"].values()))), motions),
-        f"Orders in dt: {', '.join(f'{name} {order:.2f}' for name, order in record['orders'].items())}.",
+        f"Orders in dt: {', '.join(f'{name} {figure(order)}' for name, order in record['orders'].items())}.",
         "![errors of four motions over wall time](../bench/results/error_time_motions.png)",
         "The figures of all scenes:",
         pictures,

@@ -211,13 +211,18 @@ def population(record: Record) -> str:
 
 def sleep(record: Record) -> str:
     """Show what sleep saves, what it costs, and what is different after it."""
-    columns = ("bodies", "asleep_us", "asleep_step_us", "awake_slowdown", "half_share")
+    columns = ("bodies", "asleep_by_itself", "asleep_us", "asleep_step_us", "awake_slowdown", "half_share")
     rows = [
         (name, *(found[column] for column in (*columns, "wake_difference", "hit_difference")))
         for name, found in record["scenes"].items()
     ]
     header = (
-        *("scene", "bodies", "a step asleep: `run` [us]", "`step` [us]", "awake, sleep on over off"),
-        *("every second world asleep over awake", "moved by waking [mm]", "by a hit [mm]"),
+        *("scene", "bodies", "asleep by themselves", "a step asleep: `run` [us]", "`step` [us]"),
+        *("awake, sleep on over off", "every second world asleep over awake"),
+        *("moved by waking, at most [mm]", "by a hit, in the mean [mm]"),
     )
-    return paragraphs("Piles at rest that sleep, and the same awake.", table(header, rows))
+    return paragraphs(
+        "Piles at rest that sleep, and the same awake. Where not all fell asleep by themselves in 300 steps, as a "
+        "pile creeps on, `sim.sleep` put the rest to sleep.",
+        table(header, rows),
+    )

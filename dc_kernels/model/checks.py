@@ -149,7 +149,8 @@ def refuse_keyword(where: str, given: Iterable[str], known: Sequence[str], other
     wrong = next((name for name in given if name not in known), None)
     if wrong is not None:
         more = f"beside its own arguments it takes {', '.join(known)}"
-        raise TypeError(f"{wrong!r} is no keyword of {where}{meant(wrong, (*known, *others))}; {more}")
+        likely = [name for name in (*known, *others) if name != wrong]
+        raise TypeError(f"{wrong!r} is no keyword of {where}{meant(wrong, likely)}; {more}")
 
 
 def material(

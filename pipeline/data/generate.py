@@ -17,7 +17,7 @@ from typing import Any
 from dc_kernels.model.enums import flag_names
 from dc_kernels.runtime.imports import require
 from dc_kernels.runtime.inputs import check_whole
-from pipeline.data.index import write_index
+from pipeline.data.index import check_index, write_index
 from pipeline.data.layout import INDEX, shard_path
 from pipeline.data.packing import check_compression, one_by_one
 from pipeline.data.recipe import Recipe
@@ -195,17 +195,19 @@ def generate(
 
     Raises:
         ValueError: for a recipe out of its range, a scene that cannot be built or has joints, another recipe than that
-            of the shards that are there, or a damaged or foreign shard, which is left as it is.
+            of the shards that are there, or a foreign index or a damaged or foreign shard, which is left as it is.
         OSError: when a file cannot be written, another process is writing into the folder, or the scheduler is not
             there or lost.
         ImportError: naming the extra, without h5py, tqdm, zstandard or distributed.
     """
     threads, compression = check_whole("threads", threads), check_compression(compression)
+    out = Path(out)
     options, began = recipe.options, time.perf_counter()
     check_scene(recipe)
     with sole_writer(out) as alone:
         if alone:
             remove_partial(out)
+        check_index(out)
         kept = finished_shards(recipe, out)
         missing = [number for number in range(options.shard_count) if number not in kept]
         made = 0
@@ -225,8 +227,8 @@ def generate(
                 write_bytes(shard_path(out, number), image)
                 missing.remove(number)
                 made += len(options.seeds(number))
-        if not missing:
-            write_index(out, [shard_path(out, number) for number in range(options.shard_count)])
+            if not missing:  # an interrupt from now on comes too late
+                write_index(out, [shard_path(out, number) for number in range(options.shard_count)])
     return _summary(recipe, out, len(kept), made, not missing, time.perf_counter() - began)
 
 

@@ -27,6 +27,24 @@ class Source(NamedTuple):
     """File and shape of the dataset in each shard."""
 
 
+def check_index(folder: Path) -> None:
+    """Look whether a folder's index, where there is one, may be replaced.
+
+    Raises:
+        ValueError: naming the file, which is no index of a data set.
+    """
+    path = folder / INDEX
+    if not path.exists() and not path.is_symlink():
+        return
+    try:
+        with opened(path) as file:
+            kind = file.attrs.get("kind")
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} is no index of a data set; take it out of the folder ({error})") from error
+    if kind != "index":
+        raise ValueError(f"{path} is {kind or 'a foreign file'}, no index of a data set; take it out of the folder")
+
+
 def write_index(folder: Path, shards: Sequence[Path]) -> None:
     """Write the index over whole shards: offsets through all of them, the rest as virtual datasets.
 
@@ -86,7 +104,10 @@ def _create_virtual(file: Any, name: str, source: Source, spec: DatasetSpec | No
     for path, part in source.parts:
         rows = slice(row, row + part[along])
         if part[along]:
-            layout[(slice(None),) * along + (rows,)] = h5py.VirtualSource(path, name, part, source.dtype)
+            lead = (slice(None),) * along
+            # rows by number, not all: a shard that is made again for a larger set has more of them than are shown yet
+            whole = h5py.VirtualSource(path, name, part, source.dtype)
+            layout[(*lead, rows)] = whole[(*lead, slice(0, part[along]))]
         row += part[along]
     fill = np.nan if source.dtype.kind == "f" else np.array(-1).astype(source.dtype)
     file.create_virtual_dataset(name, layout, fillvalue=fill).attrs.update(source.attributes)

@@ -175,10 +175,17 @@ LAYOUT: dict[str, dict[str, DatasetSpec]] = {
         **_field_specs(STATE, *MOTION),
         "position": _field_spec(STATE["position"])._replace(notes={"law": MOTION_LAW}),
         "position_correction": spec_of(
-            "float32", "m", "what the position phase moves the body by in the step", (2,), rule=FINITE
+            "float32",
+            "m",
+            "what the position phase, and stops of solver.continuous, move the body by in the step",
+            (2,),
+            rule=FINITE,
         ),
         "angle_correction": spec_of(
-            "float32", "rad", "what the position phase turns the body by in the step", rule=FINITE
+            "float32",
+            "rad",
+            "what the position phase, and stops of solver.continuous, turn the body by in the step",
+            rule=FINITE,
         ),
     },
     "end": _field_specs(STATE, *MOTION),

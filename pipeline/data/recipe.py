@@ -101,9 +101,6 @@ class Recipe(Settings):
         options, solver = self.options, self.solver
         if solver.history:
             raise ValueError("solver.history is True; a data set does not keep the history")
-        for name in ("contact_events", "contact_switches"):
-            if getattr(solver, name):
-                raise ValueError(f"solver.{name} is True; a data set keeps no events, and every contact is on")
         if solver.sleep:
             raise ValueError(
                 "solver.sleep is True; a data set holds the solves of all contacts, and sleepers have none"
@@ -238,7 +235,8 @@ def _updated(default: Any, values: Mapping[str, Any], prefix: str) -> Any:
     changed = {}
     for name, value in values.items():
         if name not in known:
-            raise ValueError(f"{prefix}{name} is unknown; there are {tuple(known)}")
+            tables = () if prefix else ("scene", "solver")
+            raise ValueError(f"{prefix}{name} is unknown; there are {(*known, *tables)}")
         changed[name] = field_checks(type(default))[name](f"{prefix}{name}", value)
     return replace(default, **changed)
 

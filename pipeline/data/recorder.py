@@ -215,7 +215,7 @@ class Recorder:
         self.flags |= int(np.bitwise_or.reduce(flags))
 
     def _keep_correction(self, dt: np.ndarray) -> None:
-        """Keep what the position phase of the step added to the way that the solved velocities go."""
+        """Keep what position phase and continuous detection added to the way that the solved velocities go."""
         motion, count = self.sim.motion, len(self.world)
         way = motion.numpy("solved")[:count] * dt.take(self.world)[:, None]  # whole rows, as parts of them take longer
         correction = np.subtract(motion.numpy("displacement")[:count], way, out=way)

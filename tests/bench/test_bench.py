@@ -14,6 +14,7 @@ from bench.pages import page
 from bench.peers import peers
 from bench.speed import skips
 from bench.speed import worlds as bench_worlds
+from bench.stability import presets
 from pipeline import scenes
 
 DISC_ON_FLOOR = peers.DiscWorld(
@@ -60,6 +61,20 @@ def test_both_forms_of_the_training_bench_have_a_section():
     quick = {**whole, "quick": True, "step_s": 0.0625, "extrapolated": True}
     assert "| steps | 7 000 |" in page.section(whole) and "extrapolated" not in page.section(whole)
     assert "| a step [s] | 0.0625 |" in page.section(quick)
+
+
+def test_records_of_quick_forms_and_of_scenes_alone_have_a_section():
+    found = page.section({"bench": "presets", "quick": True, **dict.fromkeys(presets.KEYS, 1.5), "scenes": {"one": {}}})
+    assert "| `sweeps_over_accurate` | 1.5 |" in found
+    records = page.read()
+    quick = records["error_time"]
+    del quick["scenes"]["thesis_1000"]
+    for scene in quick["scenes"].values():
+        for race in scene["residual"].values():
+            race.pop("adaptive, scalar", None)
+    quick["orders"] = dict.fromkeys(quick["orders"])
+    assert "Orders in dt: stop -" in page.section(quick)
+    assert "overlap below 1 mm" not in page.headlines(records)
 
 
 def test_json_line_misses_no_key():

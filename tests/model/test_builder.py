@@ -444,6 +444,7 @@ def test_wrong_arguments_are_named_and_leave_nothing_behind(method, arguments, o
         ("add_box", (1, 0.5, 0.5), "centre", r"shape 1 \(did you mean center\?\); beside its own .* density, friction"),
         ("add_disc", (1, 0.5), "fricton", r"shape 1 \(did you mean friction\?\)"),
         ("add_chain", (1, SQUARE), "loop", "shape 1; beside"),
+        ("add_chain", (1, SQUARE), "radius", "shape 1; beside"),
         ("add_revolute_joint", (1, 2), "anchor", r"joint 0 \(did you mean anchor_a or anchor_b\?\); .* break_force"),
     ],
 )

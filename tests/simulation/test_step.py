@@ -358,6 +358,22 @@ def test_explain_counts_shapes_of_each_kind_and_names_a_repeated_stage():
     assert "narrowphase, wake_touched, narrowphase (again, where a sleeper was touched), admit" in text
 
 
+def test_explain_counts_no_empty_slots_and_names_nothing_that_does_not_run():
+    builder = dc.ModelBuilder()
+    builder.add_world(gravity=(0.0, -9.81))
+    body = builder.add_body()
+    builder.add_capsule(body, (0.0, 0.0), (1.0, 0.0), 0.2)
+    sim = dc.Simulation(*builder.finalize())
+    sim.reserve(bodies=16, shapes=16, vertices=64)
+    assert sim.explain().startswith("scene: 1 world, 1 dynamic body; 1 capsule; 0 joints")
+    sim.remove(bodies=[body])
+    assert sim.explain().startswith("scene: 1 world, no bodies; no shapes; 0 joints")
+    soft = dc.Simulation(*builder.finalize(), config=dc.SolverConfig(method="tgs_soft", substeps=4)).explain()
+    assert "acceleration" not in soft and "position correction" not in soft
+    uncorrected = dc.Simulation(*builder.finalize(), config=dc.SolverConfig(position_iterations=0)).explain()
+    assert "the position phase is skipped" in uncorrected
+
+
 # ---------------------------------------------------------------- coordinates, kinds of bodies
 
 

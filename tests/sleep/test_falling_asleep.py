@@ -1,5 +1,7 @@
 """Bodies at rest fall asleep, and keep every bit while they sleep."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -111,6 +113,10 @@ def test_a_world_without_gravity_sleeps_only_if_told():
     sim = dc.Simulation(*builder.finalize(), config=SLEEP_CONFIG)
     sim.run(100, DT)
     assert not sim.asleep.any()
+    sim.config = dataclasses.replace(sim.config, sleep_time=1e-30)  # whose square is 0 in float32
+    sim.run(20, DT)
+    assert not sim.asleep.any()
+    sim.config = SLEEP_CONFIG
     sim.sleep([0])
     sim.state.numpy("velocity")[1] = (-1.0, 0.0)
     sim.run(100, DT)

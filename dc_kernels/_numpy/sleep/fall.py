@@ -135,6 +135,6 @@ def _gravity(w: int, model: Any) -> Any:
 
 
 def _is_enough(time: Any, w: int, config: Any, model: Any) -> bool:
-    """Whether bodies that have rested for these times may sleep: for ``sleep_time`` sqrt(size / g)."""
-    least = config.sleep_time * config.sleep_time * model.length_scale[w]
-    return bool((time * time * _gravity(w, model) >= least).all())
+    """Whether bodies that have rested for these times may sleep: for ``sleep_time`` sqrt(size / g), g not 0."""
+    least, g = config.sleep_time * config.sleep_time * model.length_scale[w], _gravity(w, model)
+    return bool(g > 0 and (time * time * g >= least).all())

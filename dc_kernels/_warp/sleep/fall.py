@@ -63,7 +63,7 @@ def kernels(dtype: str, rolls: bool = False) -> dict[str, Any]:
     @wp.func(module=module)
     def is_enough(time: real, g: real, size: real, config: t.Config):
         """Whether a body that has rested for so long may sleep; never without gravity. ``count_rest`` asks so too."""
-        return time > real(0.0) and time * time * g >= enough_of(size, config)
+        return g > real(0.0) and time > real(0.0) and time * time * g >= enough_of(size, config)
 
     @wp.func(module=module)
     def lay(w: int, model: t.Model, state: t.State, joints: t.Joints, contacts: t.Contacts, sleepers: t.Sleepers):

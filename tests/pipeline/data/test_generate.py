@@ -274,8 +274,6 @@ def test_a_toml_file_is_a_recipe(tmp_path):
         ("[scene]\nbodies = 8", r"scene.name is missing; it must say whose \('bodies',\) are"),
         ("[solver]\nmethod = 'newton'", "solver.method is 'newton'"),
         ("[solver]\nhistory = true", "solver.history is True"),
-        ("[solver]\ncontact_events = true", "solver.contact_events is True; a data set keeps no events"),
-        ("[solver]\ncontact_switches = true", "solver.contact_switches is True"),
         ("[solver]\nstop = 'motion'", "solver.stop is 'motion'"),
         ("[solver]\nmethod = 'tgs_soft'", "solver.method is 'tgs_soft'"),
         ("[solver]\nsubsteps = 2", "solver.substeps is 2; a data set holds every step"),

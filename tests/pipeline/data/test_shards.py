@@ -89,6 +89,18 @@ def test_interrupt_keeps_what_is_finished(whole, tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
+def test_an_interrupt_after_the_last_shard_does_not_lose_the_index(tmp_path, monkeypatch):
+    write = generation.write_index
+
+    def interrupted(*arguments):
+        os.kill(os.getpid(), signal.SIGINT)
+        write(*arguments)
+
+    monkeypatch.setattr(generation, "write_index", interrupted)
+    assert make(changed(SMALL, worlds=1, steps=2), tmp_path)["complete"]
+    assert (tmp_path / layout.INDEX).exists()
+
+
 def test_full_disk_is_named_and_loses_nothing(whole, tmp_path, monkeypatch):
     import resource
 
@@ -185,6 +197,26 @@ def test_damaged_and_foreign_files_are_named_and_left(kind, copy):
     assert contents(copy) == before
 
 
+@pytest.mark.parametrize("kind", ["text", "foreign", "shard", "link"])
+def test_a_foreign_index_is_named_and_left(kind, whole, tmp_path):
+    path = kept = tmp_path / "out" / layout.INDEX
+    path.parent.mkdir()
+    if kind == "foreign":
+        with h5py.File(path, "w") as file:
+            file["data"] = 1
+    elif kind == "shard":
+        path.write_bytes((whole / SHARDS[0]).read_bytes())
+    else:
+        kept = tmp_path / "kept.txt" if kind == "link" else path
+        kept.write_text("no index")
+        if kind == "link":
+            path.symlink_to(kept)
+    before = kept.read_bytes()
+    with pytest.raises(ValueError, match=f"{layout.INDEX} is .*take it out of the folder"):
+        make(changed(SMALL, worlds=1, steps=2), path.parent)
+    assert kept.read_bytes() == before and not list(path.parent.glob("shard-*"))
+
+
 # ---------------------------------------------------------------------- growth, and other writers
 
 
@@ -226,6 +258,8 @@ def test_growth_that_is_cut_short_keeps_the_old_index(tmp_path, monkeypatch):
     make(changed(SMALL, worlds=3), tmp_path)
     before = dataset.States(tmp_path, min_contacts=0)
     first = before[0], before[len(before) - 1]
+    with h5py.File(tmp_path / layout.INDEX) as file:
+        contacts = len(file["contact/gap"][...])
 
     def fail(recipe, number, *rest, **options):
         if number == 2:
@@ -235,6 +269,8 @@ def test_growth_that_is_cut_short_keeps_the_old_index(tmp_path, monkeypatch):
     monkeypatch.setattr(generation, "make_shard", fail)
     with pytest.raises(OSError, match="no more"):
         make(SMALL, tmp_path)
+    with h5py.File(tmp_path / layout.INDEX) as file:  # as anybody reads it
+        assert file["world/seed"][...].tolist() == [7, 8, 9] and len(file["contact/gap"][...]) == contacts
     after = dataset.States(tmp_path, min_contacts=0)  # the second shard has grown
     assert len(after) == len(before) == 3 * 70 and dataset.describe(tmp_path)["worlds"] == 3
     for one, other in zip(first, (after[0], after[len(after) - 1])):

@@ -16,7 +16,7 @@ for (int b = b0; b < b1; ++b) {
     const REAL rested = still ? before + dt : (REAL)0;
     rest_time[b] = counts ? rested : before;
     lively |= counts;
-    rested_enough |= counts & (rested > 0) & (rested * rested * g >= enough);
+    rested_enough |= counts & (g > 0) & (rested > 0) & (rested * rested * g >= enough);
     moving |= (kind[b] == KINEMATIC) & ((x != 0) | (y != 0) | (spin[b] != 0));
 }
 if (moving)
