@@ -9,6 +9,7 @@ import numpy as np
 from dc_kernels.events.lists import roles_of
 from dc_kernels.measure import are_off, contact_slots
 from dc_kernels.model.enums import BodyType, ShapeRole, ShapeType, flag_names
+from dc_kernels.model.room import world_of
 from dc_kernels.model.settings import counted
 from dc_kernels.solve.rows import LANES, SERIAL_COLOR, has_traits
 from dc_kernels.stages import PHASES, of_phase
@@ -30,8 +31,7 @@ def explain(sim: Simulation) -> str:
         for kind in BodyType
         if (body_type == kind).any()
     )
-    corners = np.diff(model.numpy("vertex_start"))
-    capsule = (shape_type == ShapeType.POLYGON) & (corners[: len(shape_type)] == 2)
+    capsule = (shape_type == ShapeType.POLYGON) & (np.diff(model.numpy("vertex_start")) == 2)
     found = {kind.name.lower(): (shape_type == kind) & ~capsule for kind in ShapeType} | {"capsule": capsule}
     shapes = ", ".join(counted(int(of_kind.sum()), name) for name, of_kind in found.items() if of_kind.any())
     lines = [
@@ -113,11 +113,11 @@ def explain(sim: Simulation) -> str:
         lines.append(f"serial colour: {counted(serial, 'contact')} swept one by one (a body has more than 63)")
     if config.sleep:
         dormant = sim.sleepers.numpy("dormant")
-        world = np.repeat(np.arange(model.world_count), np.diff(model.numpy("body_start")))
         asleep = sim.asleep
+        worlds = np.unique(world_of(model.numpy("body_start"))[asleep])
         lines.append(
             f"sleep: {int(asleep.sum())} of {counted(int((body_type == BodyType.DYNAMIC).sum()), 'dynamic body')} "
-            f"asleep, in {counted(len(np.unique(world[asleep])), 'world')}, of which {int(dormant.sum())} skipped whole"
+            f"asleep, in {counted(len(worlds), 'world')}, of which {int(dormant.sum())} skipped whole"
         )
     else:
         lines.append("sleep: no body falls asleep (SolverConfig.sleep is off)")

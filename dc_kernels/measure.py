@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc_kernels.model.room import used_slots
+from dc_kernels.model.room import used_slots, world_of
 from dc_kernels.model.settings import WrongType, shown
 from dc_kernels.runtime.inputs import check_positive, check_simulation
 
@@ -112,7 +112,7 @@ def _motion(sim: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 def _worlds(sim: Any) -> np.ndarray:
     """Return the world of each body."""
-    return np.repeat(np.arange(sim.model.world_count), np.diff(sim.model.numpy("body_start")))
+    return world_of(sim.model.numpy("body_start"))
 
 
 def _per_world(sim: Any, values: np.ndarray) -> np.ndarray:

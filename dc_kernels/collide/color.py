@@ -8,6 +8,7 @@ import numpy as np
 
 from dc_kernels.model.enums import BodyType
 from dc_kernels.model.fields import CONTACTS, JOINTS, LAUNCH, MODEL, ROWS, STATE
+from dc_kernels.model.room import world_of
 from dc_kernels.model.rules import refuse
 from dc_kernels.model.settings import numeric
 from dc_kernels.runtime.backends import bind, check_backend, kernel_file, make_kernels
@@ -73,7 +74,7 @@ def color(
     worlds = len(first_body) - 1
     if len(first_contact) != worlds + 1:
         raise ValueError(f"contact_start has {len(first_contact) - 1} worlds, body_start {worlds}; they must agree")
-    world = np.repeat(np.arange(worlds), np.diff(first_contact))
+    world = world_of(first_contact)
     low, high = first_body[world], first_body[world + 1]
     for name, body in (("body_a", body_a), ("body_b", body_b)):
         good = (body >= low) & (body < high) & ((body != body_a) if name == "body_b" else True)

@@ -12,7 +12,7 @@ from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.checks import BODY_TRAITS, ROLE_TRAITS, SHAPE_TRAITS
 from dc_kernels.model.fields import JOINTS, KEY_SHAPE_BITS, MODEL, STATE, TRAITS
 from dc_kernels.model.joints.groups import count_rows
-from dc_kernels.model.room import rows_of, starts
+from dc_kernels.model.room import rows_of, starts, world_of
 from dc_kernels.runtime.memory import check_memory
 from dc_kernels.storage import Moves
 
@@ -145,7 +145,7 @@ def _moves(sim: Simulation, layout: Layout, start: Arrays) -> Moves:
     if layout.gone is not None:
         kept[layout.gone] = False
     kept_at = np.flatnonzero(kept)
-    world = np.repeat(np.arange(model.world_count), np.diff(first))[kept_at]
+    world = world_of(first)[kept_at]
     kinds = [(joints.numpy(name)[kept_at], name) for name in ("joint_kind", "joint_parts")]
     if layout.joints is not None:
         world = np.concatenate([world, layout.joints.world])

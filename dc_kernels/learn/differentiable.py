@@ -15,6 +15,7 @@ import numpy as np
 
 from dc_kernels.learn.packed import Column
 from dc_kernels.measure import contact_slots
+from dc_kernels.model.room import world_of
 from dc_kernels.model.settings import Limits, checker
 from dc_kernels.runtime.capture import refuse_recording
 from dc_kernels.runtime.imports import require
@@ -119,7 +120,7 @@ class ContactProblem:
         keep = object.__setattr__
         keep(self, "_row_body", torch.from_numpy(pair))
         keep(self, "_contact_start", torch.from_numpy(contact_start.astype(np.int32)))
-        keep(self, "_world_of", torch.from_numpy(np.repeat(np.arange(worlds), np.diff(body_start))))
+        keep(self, "_world_of", torch.from_numpy(world_of(body_start)))
         inverse = torch.stack([self.inv_mass, self.inv_mass, self.inv_inertia], dim=1)
         keep(self, "_inverse", inverse)
         keep(self, "_mass", torch.where(inverse > 0, inverse.reciprocal(), 0.0))

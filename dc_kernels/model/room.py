@@ -82,6 +82,11 @@ def starts(slots: np.ndarray) -> np.ndarray:
     return total.astype(np.int32)
 
 
+def world_of(start: np.ndarray) -> np.ndarray:
+    """The world of each element of an axis whose worlds begin at ``start`` (W + 1,)."""
+    return np.repeat(np.arange(len(start) - 1), np.diff(start))
+
+
 def used_slots(start: np.ndarray, count: np.ndarray) -> np.ndarray:
     """The slots in use, world after world, of worlds that begin at ``start`` (W + 1,) and use ``count`` (W,)."""
     before = np.cumsum(count) - count

@@ -8,6 +8,7 @@ import numpy as np
 
 from dc_kernels.model.arrays import ArrayGroup, Model
 from dc_kernels.model.fields import MOTION
+from dc_kernels.model.room import world_of
 from dc_kernels.runtime.capture import recording, refuse_recording
 from dc_kernels.runtime.inputs import check_time_step
 
@@ -97,7 +98,7 @@ def typical_weight(model: Model) -> np.ndarray:
 
     The geometric mean follows light bodies among heavy ones, and not to where a heavy one's round-off lies above it.
     """
-    worlds = np.repeat(np.arange(model.world_count), np.diff(model.numpy("body_start")))
+    worlds = world_of(model.numpy("body_start"))
     dynamic = model.numpy("inv_mass") > 0
     mass = model.numpy("mass").astype(np.float64)[dynamic]
     count = np.bincount(worlds[dynamic], minlength=model.world_count)

@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dc_kernels.model.enums import BodyType
+from dc_kernels.model.room import world_of
 from dc_kernels.model.settings import WrongType, shown
 from dc_kernels.runtime.imports import require
 from pipeline.data.batch import BODY, CONTACT, SHAPE, Batch, World
@@ -373,7 +374,7 @@ def _static_box(file: Any, worlds: int) -> tuple[np.ndarray, np.ndarray] | None:
     )
     # of each shape, then of each vertex, the body's row in motion at its world's first step
     first = file["step/motion_start"][...][step_start[:-1]] - body_start[:-1]
-    world = np.repeat(np.arange(worlds), np.diff(shape_start))
+    world = world_of(shape_start)
     body = file["shape/shape_body"][: rows["shape"]] + body_start[world]
     static = file["body/body_type"][...][body] == BodyType.STATIC
     count = np.diff(file["shape/vertex_start"][: rows["shape"] + 1])

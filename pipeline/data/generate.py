@@ -170,7 +170,7 @@ def _on_worker(recipe: Recipe, number: int, compression: str) -> bytes:
 
 def generate(
     recipe: Recipe,
-    out: Path,
+    out: Path | str,
     threads: int = 0,
     scheduler: str | None = None,
     progress: bool = True,

@@ -13,6 +13,7 @@ import numpy as np
 
 import dc_kernels as dc
 from dc_kernels.grid.channels import BODY_CHANNELS, CONTACT_CHANNELS, IMPULSES
+from dc_kernels.model.room import used_slots, world_of
 from dc_kernels.solve.rows import SURFACED, read_column, variant_of
 from pipeline.data.layout import LAYOUT, MOTION, STAGES, DatasetSpec, offsets
 from pipeline.data.packing import Spread, one_by_one
@@ -155,7 +156,7 @@ class Recorder:
         self.label_config = recipe.label_config
         self.measure = recipe.solver.ends_at[0]
         self.flags = self.label_reached = 0
-        self.world = np.repeat(np.arange(model.world_count), np.diff(model.numpy("body_start")))  # of each body
+        self.world = world_of(model.numpy("body_start"))  # of each body
         self.kept: dict[str, list[np.ndarray]] = {}
         self.images: dc.Images | None = None
         self.extra: dict[str, DatasetSpec] = {}
@@ -186,7 +187,7 @@ class Recorder:
         live = sim.state.numpy("flags") == 0  # others keep the contacts of the step in which they stopped
         count = np.where(live, contacts.numpy("contact_count"), 0).astype(np.int64)
         world = np.repeat(np.arange(len(count)), count)
-        slots = np.arange(len(world)) + (contacts.numpy("contact_start")[:-1] - (np.cumsum(count) - count)).take(world)
+        slots = used_slots(contacts.numpy("contact_start"), count)
         self._keep("count", count)
         for name in ("key", "normal", "gap", "friction", "restitution", "age"):
             self._keep(f"contact/{name}", contacts.numpy(name).take(slots, 0))

@@ -84,6 +84,16 @@ def approach(p, q, target, direction, measure):
     return high * direction
 
 
+def colliding(meetings):
+    """A simulation of meetings, each in a world of its own, whose contacts have been found."""
+    builder = dc.ModelBuilder()
+    for meeting in meetings:
+        new_world(builder)
+        for (points, radius), pose in meeting:
+            add_hull(builder, builder.add_body(*pose), points, radius)
+    return collide(builder)
+
+
 def random_meeting(rng, gap=None, depth=None, more=0.0):
     """Two random hulls in body frames and their poses, a gap apart or with their cores overlapping by ``depth``."""
     measure, low = (hull_distance, 2) if depth is None else (separation, 3)

@@ -11,10 +11,10 @@ import dc_kernels as dc
 from tests.collide.hulls import (
     DT,
     STATIC,
-    add_hull,
     box,
     capsule,
     collide,
+    colliding,
     disc,
     new_world,
     random_hull,
@@ -70,12 +70,7 @@ def test_a_positive_tangential_impulse_pushes_b_along_the_normal_turned_by_minus
 
 def test_the_contact_point_is_the_same_from_both_bodies():
     rng = np.random.default_rng(3)
-    builder = dc.ModelBuilder()
-    for _ in range(50):
-        new_world(builder)
-        for (points, radius), pose in random_meeting(rng, gap=0.01):
-            add_hull(builder, builder.add_body(*pose), points, radius)
-    sim = collide(builder)
+    sim = colliding(random_meeting(rng, gap=0.01) for _ in range(50))
     x = sim.state.numpy("position")
     for w in range(50):
         table = contacts_of(sim, w)

@@ -13,6 +13,7 @@ from tests.collide.hulls import (
     box,
     capsule,
     collide,
+    colliding,
     disc,
     new_world,
     random_hull,
@@ -43,13 +44,8 @@ def chained(points):
 
 def test_least_gap_is_the_distance_of_the_hulls():
     rng = np.random.default_rng(11)
-    builder = dc.ModelBuilder()
     worlds = 600
-    for _ in range(worlds):
-        new_world(builder)
-        for (points, radius), pose in random_meeting(rng, gap=rng.uniform(1e-3, 0.95 * LIMIT)):
-            add_hull(builder, builder.add_body(*pose), points, radius)
-    sim = collide(builder)
+    sim = colliding(random_meeting(rng, gap=rng.uniform(1e-3, 0.95 * LIMIT)) for _ in range(worlds))
     for w in range(worlds):
         (p, rp), (q, rq) = core(sim, 2 * w), core(sim, 2 * w + 1)
         gap = contacts_of(sim, w)["gap"]
@@ -59,13 +55,8 @@ def test_least_gap_is_the_distance_of_the_hulls():
 
 def test_rounded_hulls_that_overlap_by_less_than_their_radii():
     rng = np.random.default_rng(12)
-    builder = dc.ModelBuilder()
     worlds = 300
-    for _ in range(worlds):
-        new_world(builder)
-        for (points, radius), pose in random_meeting(rng, gap=rng.uniform(1e-3, 0.2), more=0.15):
-            add_hull(builder, builder.add_body(*pose), points, radius)
-    sim = collide(builder)
+    sim = colliding(random_meeting(rng, gap=rng.uniform(1e-3, 0.2), more=0.15) for _ in range(worlds))
     for w in range(worlds):
         (p, rp), (q, rq) = core(sim, 2 * w), core(sim, 2 * w + 1)
         table = contacts_of(sim, w)
@@ -77,13 +68,8 @@ def test_rounded_hulls_that_overlap_by_less_than_their_radii():
 
 def test_overlapping_polygons_are_pushed_along_the_axis_of_least_overlap():
     rng = np.random.default_rng(13)
-    builder = dc.ModelBuilder()
     worlds = 300
-    for _ in range(worlds):
-        new_world(builder)
-        for (points, radius), pose in random_meeting(rng, depth=rng.uniform(1e-3, 0.2)):
-            add_hull(builder, builder.add_body(*pose), points, radius)
-    sim = collide(builder)
+    sim = colliding(random_meeting(rng, depth=rng.uniform(1e-3, 0.2)) for _ in range(worlds))
     for w in range(worlds):
         (p, rp), (q, rq) = core(sim, 2 * w), core(sim, 2 * w + 1)
         table = contacts_of(sim, w)
@@ -113,19 +99,15 @@ def normalised(table):
 
 def test_turning_shifting_mirroring_and_swapping_change_nothing_else():
     rng = np.random.default_rng(14)
-    builder = dc.ModelBuilder()
-    cases = []
+    cases, meetings = [], []
     for i in range(200):
         kind = {"gap": rng.uniform(0, 0.9 * LIMIT)} if i % 2 else {"depth": rng.uniform(0.01, 0.2)}
         meeting = random_meeting(rng, **kind)
         turn, shift = rng.uniform(-4, 4), rng.uniform(-5, 5, 2)
-        variants = [meeting, moved(meeting, turn, shift, False), moved(meeting, 0.0, 0.0, True), meeting[::-1]]
-        for variant in variants:
-            new_world(builder)
-            for (points, radius), pose in variant:
-                add_hull(builder, builder.add_body(*pose), points, radius)
+        turned, mirrored = moved(meeting, turn, shift, False), moved(meeting, 0.0, 0.0, True)
+        meetings += [meeting, turned, mirrored, meeting[::-1]]
         cases.append((turn, shift))
-    sim = collide(builder)
+    sim = colliding(meetings)
     for i, (turn, shift) in enumerate(cases):
         plain, turned, mirrored, swapped = (contacts_of(sim, 4 * i + k) for k in range(4))
         expected = normalised(plain)

@@ -68,8 +68,7 @@ def arrays_of(sim, warm=True):
 
 def used(sim):
     """Slots of the contacts."""
-    start, count = sim.contacts.numpy("contact_start"), sim.contacts.numpy("contact_count")
-    return np.concatenate([np.arange(a, a + n) for a, n in zip(start, count)])
+    return dc.contact_slots(sim.contacts)[0]
 
 
 def drop(dtype="float64", **changes):

@@ -41,7 +41,7 @@ def kernels(dtype: str, rolls: bool = False) -> dict[str, Any]:
     @wp.func_native(native_code("sleep/move_contact.h", dtype=dtype, ROLLS=rolls))
     def show_contact(source: t.Sleepers, i: wp.int32, target: t.Contacts, k: wp.int32): ...
 
-    @wp.func_native(native_code("sleep/count_rest.h", dtype=dtype, **CODES))
+    @wp.func_native(native_code("sleep/count_rest.h", dtype=dtype, RESTED=RESTED, **CODES))
     def count_rest(
         model: t.Model,
         state: t.State,

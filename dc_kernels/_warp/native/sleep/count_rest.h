@@ -1,8 +1,8 @@
 // For how long the bodies b0 .. b1 have rested: the time step is added to the rest time of each that is dynamic, awake
 // and slow; that of others that are awake is made zero. A kinematic body that moves is seen where it is. Returns
-// whether any is awake or moves (1), and whether any has rested for so long that it may sleep (2). Bits are gathered,
-// as the maximum of floats, which may be NaN, is not vectorised. Parameters: model, state, sleepers, b0, b1, slow, dt,
-// size, g, enough.
+// whether any is awake or moves (1), and whether any has rested for so long that it may sleep (RESTED). Bits are
+// gathered, as the maximum of floats, which may be NaN, is not vectorised. Parameters: model, state, sleepers, b0, b1,
+// slow, dt, size, g, enough.
 const int *const kind = model.body_type.data, *const asleep = sleepers.asleep.data;
 const REAL* const v = (const REAL*)state.velocity.data;
 const REAL* const spin = state.angular_velocity.data;
@@ -25,4 +25,4 @@ if (moving)
             sleepers.position.data[b] = state.position.data[b];
             sleepers.angle.data[b] = state.angle.data[b];
         }
-return (lively | moving) + 2 * rested_enough;
+return (lively | moving) + RESTED * rested_enough;
